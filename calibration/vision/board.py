@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.vision.board_candidates import board_candidates
+from model.kernels.jit import kernel
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
+
+exact_kernel = partial(kernel, sources=(__file__,), fastmath=False)
 
 # The white margin round the print, in squares, and how far out into it the colours are checked.
 QUIET_SQUARES = 1.0
@@ -82,7 +85,7 @@ class Board:
     def _shading_fits(self) -> tuple[Floats, Floats]:
         """Least-squares operators of the bright and the dark cells' planes."""
         bright, dark = self._shading[~self.dark], self._shading[self.dark]
-        return np.asarray(np.linalg.pinv(bright)), np.asarray(np.linalg.pinv(dark))
+        return np.ascontiguousarray(np.linalg.pinv(bright)), np.ascontiguousarray(np.linalg.pinv(dark))
 
     def colours_fit(self, image: Image, check_points_px: Floats) -> bool:
         """Tell whether every square and the quiet zone have their colours, given where `check_points_m` are seen.
@@ -90,21 +93,52 @@ class Board:
         This is what catches a corner grid that lies one or more squares beside the print, and a board that is
         partly covered: reprojection cannot see the first and hardly the second.
         """
-        height, width = image.shape
-        low, high = check_points_px.min(axis=0), check_points_px.max(axis=0)
-        if not (low[0] >= 0 and low[1] >= 0 and high[0] <= width - 1 and high[1] <= height - 1):
-            return False
-        where = check_points_px.astype(np.float32).reshape(-1, 5, 2)
-        spots = cv2.remap(image, where[..., 0], where[..., 1], cv2.INTER_LINEAR)
-        grey = spots.mean(axis=1)
         to_bright, to_dark = self._shading_fits
-        bright = self._shading @ (to_bright @ grey[~self.dark])
-        dark = self._shading @ (to_dark @ grey[self.dark])
-        contrast = bright - dark
-        if contrast.min() < _MIN_CONTRAST_GREY:
+        return bool(_sides_fit(image, check_points_px, self.dark, self._shading, to_bright, to_dark))
+
+
+@exact_kernel
+def _sides_fit(
+    image: Image, spots_px: Floats, dark: NDArray[np.bool_], shading: Floats, to_bright: Floats, to_dark: Floats
+) -> bool:
+    """Tell whether cells (n,), read at spots (5 n, 2), stand on the sides that `dark` (n,) says.
+
+    They do not where a spot lies outside the picture.
+    """
+    cells, spots = len(dark), len(spots_px) // len(dark)
+    height, width = image.shape
+    grey = np.zeros(cells)
+    for k in range(len(spots_px)):
+        x, y = spots_px[k]
+        if not (0.0 <= x <= width - 1 and 0.0 <= y <= height - 1):
             return False
-        side = (grey - dark) / contrast - 0.5
-        return bool(np.all(np.where(self.dark, -side, side) > _SIDE_MARGIN))
+        x0, y0 = min(int(x), width - 2), min(int(y), height - 2)
+        fx, fy = x - x0, y - y0
+        above = (1.0 - fx) * image[y0, x0] + fx * image[y0, x0 + 1]
+        below = (1.0 - fx) * image[y0 + 1, x0] + fx * image[y0 + 1, x0 + 1]
+        grey[k // spots] += ((1.0 - fy) * above + fy * below) / spots
+    bright_plane, dark_plane = np.zeros(3), np.zeros(3)
+    brights = darks = 0
+    for k in range(cells):
+        if dark[k]:
+            for i in range(3):
+                dark_plane[i] += to_dark[i, darks] * grey[k]
+            darks += 1
+        else:
+            for i in range(3):
+                bright_plane[i] += to_bright[i, brights] * grey[k]
+            brights += 1
+    for k in range(cells):
+        low = high = 0.0
+        for i in range(3):
+            low += shading[k, i] * dark_plane[i]
+            high += shading[k, i] * bright_plane[i]
+        if not high - low >= _MIN_CONTRAST_GREY:
+            return False
+        side = (grey[k] - low) / (high - low) - 0.5
+        if not (-side if dark[k] else side) > _SIDE_MARGIN:
+            return False
+    return True
 
 
 def grey(image: Image) -> Image:

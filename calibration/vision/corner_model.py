@@ -9,13 +9,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.vision import small_systems
+from calibration.vision.small_systems import solve
 from model.kernels.jit import kernel
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-exact_kernel = partial(kernel, sources=(__file__,), fastmath=False)
-fast_kernel = partial(kernel, sources=(__file__,), fastmath=True)
+_sources = (__file__, small_systems.__file__)
+exact_kernel = partial(kernel, sources=_sources, fastmath=False)
+fast_kernel = partial(kernel, sources=_sources, fastmath=True)
 
 # The window has a soft rim, because pixels lie differently to every corner, and a hole, because no product of two edges
 # is what a lens makes of the very middle.
@@ -90,28 +93,6 @@ def _window(dx: float, dy: float, radius: float) -> float:
     return part * part * (3.0 - 2.0 * part) if part > 0.0 else 0.0
 
 
-@exact_kernel
-def _solve(matrix: Floats, right: Floats) -> bool:
-    """Solve a small symmetric positive system in place by Gauss-Jordan; `matrix` becomes its inverse."""
-    n = matrix.shape[0]
-    for k in range(n):
-        pivot = matrix[k, k]
-        if not pivot > 1e-12:
-            return False
-        matrix[k, k] = 1.0
-        for j in range(n):
-            matrix[k, j] /= pivot
-        right[k] /= pivot
-        for i in range(n):
-            if i != k:
-                factor = matrix[i, k]
-                matrix[i, k] = 0.0
-                for j in range(n):
-                    matrix[i, j] -= factor * matrix[k, j]
-                right[i] -= factor * right[k]
-    return True
-
-
 @fast_kernel
 def _gather(image: Image, cx: float, cy: float, radius: float, room: Floats) -> int:
     """Put the pixels of the window round a corner into the room; return how many."""
@@ -124,6 +105,20 @@ def _gather(image: Image, cx: float, cy: float, radius: float, room: Floats) -> 
             if w > 0.0:
                 room[_X + count], room[_Y + count] = x, y
                 room[_GREY + count], room[_WEIGHT + count] = image[y, x], w
+                count += 1
+    return count
+
+
+@fast_kernel
+def _gather_disc(image: Image, cx: float, cy: float, radius: float, room: Floats) -> int:
+    """Put the pixels of a disc round a corner, without weights, into the room; return how many."""
+    reach = math.ceil(radius)
+    x0, y0 = round(cx), round(cy)
+    count = 0
+    for y in range(y0 - reach, y0 + reach + 1):
+        for x in range(x0 - reach, x0 + reach + 1):
+            if (x - x0) ** 2 + (y - y0) ** 2 <= radius * radius:
+                room[_X + count], room[_Y + count], room[_GREY + count] = x, y, image[y, x]
                 count += 1
     return count
 
@@ -144,6 +139,8 @@ def _edges(room: Floats, edge: int, count: int, cx: float, cy: float, normal: Fl
 def _shaped(room: Floats, edge: int, count: int, shape: Floats, knot: float) -> None:
     """Add the edge's own shape to its value and slope; that of the plain step alone stays."""
     last = shape.shape[0] - 1
+    if last < 1:
+        return
     for k in range(count):
         distance = room[edge + _DISTANCE + k]
         at = abs(distance) / knot
@@ -244,7 +241,8 @@ def fit(
 
     Unknowns: the corner (2), mean, half the step, and the blur across either edge (motion blurs one more than the
     other), of which `usual` (2,) and its `firmness` are known. `shape` (2, knots + 1), every `knot` px, is what the
-    edges of either direction are beside a step blurred by a bell. `radius` is at most LARGEST_RADIUS_PX.
+    edges of either direction are beside a step blurred by a bell; (2, 1) is nothing. `radius` is at most
+    LARGEST_RADIUS_PX.
     """
     n = seeds.shape[0]
     corners = np.full((n, 2), np.nan)
@@ -279,7 +277,7 @@ def fit(
             matrix[5, 5] += opinion
             right[4] += opinion * (usual_1 - blur_1)
             right[5] += opinion * (usual_2 - blur_2)
-            if not _solve(matrix, right):
+            if not solve(matrix, right):
                 break
             cx += min(max(right[0], -1.0), 1.0)
             cy += min(max(right[1], -1.0), 1.0)
@@ -317,47 +315,43 @@ def edge_shape(
     right = np.zeros(2 * KNOTS)
     index = np.empty(4, np.int64)
     weight = np.empty(4)
-    reach = math.ceil(radius)
+    room = np.empty(_ROOM)
     for c in range(corners.shape[0]):
         cx, cy = corners[c]
-        x0, y0 = round(cx), round(cy)
+        count = _gather_disc(image, cx, cy, radius, room)
+        _edges(room, _EDGE_1, count, cx, cy, normals[c, 0], blur[0])
+        _edges(room, _EDGE_2, count, cx, cy, normals[c, 1], blur[1])
         mean, half_step = levels[c]
-        for y in range(y0 - reach, y0 + reach + 1):
-            for x in range(x0 - reach, x0 + reach + 1):
-                if (x - x0) ** 2 + (y - y0) ** 2 > radius * radius:
+        for p in range(count):
+            e1, e2 = room[_EDGE_1 + _VALUE + p], room[_EDGE_2 + _VALUE + p]
+            rest = (room[_GREY + p] - mean) / half_step - e1 * e2
+            used = 0
+            for side in range(2):
+                d, other = (room[_EDGE_1 + _DISTANCE + p], e2) if side == 0 else (room[_EDGE_2 + _DISTANCE + p], e1)
+                if d < 0:
+                    other = -other
+                at = abs(d) / knot
+                k = int(at)
+                if k >= KNOTS:
                     continue
-                d1 = normals[c, 0, 0] * (x - cx) + normals[c, 0, 1] * (y - cy)
-                d2 = normals[c, 1, 0] * (x - cx) + normals[c, 1, 1] * (y - cy)
-                e1, _ = _step_edge(d1, blur[0])
-                e2, _ = _step_edge(d2, blur[1])
-                rest = (float(image[y, x]) - mean) / half_step - e1 * e2
-                used = 0
-                for side in range(2):
-                    d, other = (d1, e2) if side == 0 else (d2, e1)
-                    if d < 0:
-                        other = -other
-                    at = abs(d) / knot
-                    k = int(at)
-                    if k >= KNOTS:
-                        continue
-                    part = at - k
-                    for j in range(2):
-                        # Knot 0, at the edge itself, is nothing; the shape ends with nothing, too.
-                        if 0 < k + j < KNOTS:
-                            index[used] = side * KNOTS + k + j - 1
-                            weight[used] = other * (part if j == 1 else 1 - part)
-                            used += 1
-                for a in range(used):
-                    right[index[a]] += weight[a] * rest
-                    for b in range(used):
-                        matrix[index[a], index[b]] += weight[a] * weight[b]
+                part = at - k
+                for j in range(2):
+                    # Knot 0, at the edge itself, is nothing; the shape ends with nothing, too.
+                    if 0 < k + j < KNOTS:
+                        index[used] = side * KNOTS + k + j - 1
+                        weight[used] = other * (part if j == 1 else 1 - part)
+                        used += 1
+            for a in range(used):
+                right[index[a]] += weight[a] * rest
+                for b in range(used):
+                    matrix[index[a], index[b]] += weight[a] * weight[b]
     total = 0.0
     for k in range(2 * KNOTS):
         total += matrix[k, k]
     for k in range(2 * KNOTS):
         matrix[k, k] += _SHAPE_RIDGE * total / (2 * KNOTS) + 1e-6
     shape = np.zeros((2, KNOTS + 1))
-    if _solve(matrix, right):
+    if solve(matrix, right):
         for side in range(2):
             for k in range(KNOTS - 1):
                 shape[side, k + 1] = right[side * KNOTS + k]

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.vision.corner_model import KNOTS, LARGEST_RADIUS_PX, LEAST_VARIANCE, TAPER_PX, edge_shape, fit
+from calibration.vision.corner_model import LARGEST_RADIUS_PX, LEAST_VARIANCE, TAPER_PX, edge_shape, fit
 from model.kernels.jit import kernel
 
 Floats = NDArray[np.float64]
@@ -106,7 +106,7 @@ def sharpen(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> Corners
     # The first look moved the corners, so the directions are taken from where they are now.
     normals = _edge_normals(coarse.reshape(grid))
     usual = np.full(2, _START_BLUR_PX)
-    first = fit(image, coarse, normals, radius, np.zeros((2, KNOTS + 1)), 1.0, usual, _BLUR_OPINION)
+    first = fit(image, coarse, normals, radius, np.zeros((2, 1)), 1.0, usual, _BLUR_OPINION)
     if not _plausible(first.px, seeds_px, radius):
         return None
     # No lens blurs like a Gaussian: the common edge shape is estimated from all corners, then used in the fit.

@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.vision import projection
+
 Floats = NDArray[np.float64]
 
 # The fixed-point iteration of the inverse distortion gains about one digit a step for usual lenses.
@@ -31,15 +33,23 @@ class Lens:
 
     def project(self, points_m: Floats, rotation_vector: Floats, translation_m: Floats) -> Floats:
         """Pixels (n, 2) of points (n, 3) whose frame stands at the given pose before the camera."""
-        pixels, _ = cv2.projectPoints(points_m, rotation_vector, translation_m, self.matrix, self.distortion)
-        return np.asarray(pixels[:, 0, :], dtype=np.float64)
+        points, pixels = np.ascontiguousarray(points_m, dtype=np.float64), np.empty((len(points_m), 2))
+        projection.project(points, *self._arguments(rotation_vector, translation_m), pixels)
+        return pixels
 
     def project_with_jacobian(
         self, points_m: Floats, rotation_vector: Floats, translation_m: Floats
     ) -> tuple[Floats, Floats]:
         """Like `project`, with the derivatives (2 n, 6) by rotation vector and translation; rows u0, v0, u1, ..."""
-        pixels, jacobian = cv2.projectPoints(points_m, rotation_vector, translation_m, self.matrix, self.distortion)
-        return np.asarray(pixels[:, 0, :], dtype=np.float64), np.asarray(jacobian[:, :6], dtype=np.float64)
+        points = np.ascontiguousarray(points_m, dtype=np.float64)
+        pixels, slopes = np.empty((len(points), 2)), np.empty((len(points), 2, 6))
+        projection.project_with_slopes(points, *self._arguments(rotation_vector, translation_m), pixels, slopes)
+        return pixels, slopes.reshape(-1, 6)
+
+    def _arguments(self, rotation_vector: Floats, translation_m: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """What the kernels take beside the points."""
+        vector, translation = (np.array(one, np.float64).ravel() for one in (rotation_vector, translation_m))
+        return vector, translation, np.ascontiguousarray(self.matrix), np.ascontiguousarray(self.distortion)
 
     def rays(self, pixels: Floats) -> Floats:
         """Normalised, undistorted image coordinates (n, 2) of pixels (n, 2)."""

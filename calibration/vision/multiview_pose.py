@@ -59,7 +59,7 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
             return None
     else:
         return None
-    covariance = residual_covariance(jacobian, cost, [points_m] * len(cameras), [c.unexplained for c in corners])
+    covariance = residual_covariance(jacobian, cost, points_m, np.array([c.unexplained for c in corners]))
     unscaled = np.linalg.inv(jacobian.T @ jacobian)
     # Errors of the coefficients, and of the transport to another time, are common to all corners of a camera and do not
     # average out.

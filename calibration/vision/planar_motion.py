@@ -3,14 +3,75 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.vision import projection
+from calibration.vision.projection import slope_by_turn, turned
 from calibration.vision.transforms import RigidTransform
+from model.kernels.jit import kernel
 
 Floats = NDArray[np.float64]
+
+DEPARTURES = 3
+"""Residuals of a pose from a plane: the offset and two tilts."""
+
+exact_kernel = partial(kernel, sources=(__file__, projection.__file__), fastmath=False)
+
+
+class PlaneArguments(NamedTuple):
+    """A plane of motion as the kernels take it, in the camera frame.
+
+    The tip and the normal fixed to it (3,) are those in the board frame. The plane is `normal` x = `distance_m`;
+    `across` (2, 3) are two directions in it. `offset_variance_m2` grows by the square of `lever_rad` times the distance
+    of the tip from the camera.
+    """
+
+    tip: Floats
+    tip_normal: Floats
+    normal: Floats
+    across: Floats
+    distance_m: float
+    offset_variance_m2: float
+    lever_rad: float
+    tilt_std_rad: float
+
+
+NO_PLANE = PlaneArguments(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((2, 3)), 0.0, 0.0, 0.0, 0.0)
+"""For the kernels where there is no prior."""
+
+
+@exact_kernel
+def depart(plane: PlaneArguments, vector: Floats, translation: Floats, off: Floats, slopes: Floats) -> None:
+    """Fill residuals (3,) of a pose from the plane, in standard uncertainties, and their derivatives (3, 6)."""
+    rotation, slope, q = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    turned(vector, rotation, slope)
+    square = 0.0
+    for k in range(3):
+        q[k] = rotation[k, 0] * plane.tip[0] + rotation[k, 1] * plane.tip[1] + rotation[k, 2] * plane.tip[2]
+        square += (q[k] + translation[k]) ** 2
+    std = np.sqrt(plane.offset_variance_m2 + plane.lever_rad**2 * square)
+    off[0] = -plane.distance_m
+    for k in range(3):
+        off[0] += plane.normal[k] * (q[k] + translation[k])
+        slopes[0, 3 + k] = plane.normal[k]
+    slope_by_turn(plane.normal, q, slope, slopes[0, :3])
+    off[0] /= std
+    for k in range(6):
+        slopes[0, k] /= std
+    normal = plane.tip_normal
+    for k in range(3):
+        q[k] = rotation[k, 0] * normal[0] + rotation[k, 1] * normal[1] + rotation[k, 2] * normal[2]
+    for i in range(2):
+        across = plane.across[i]
+        off[1 + i] = (across[0] * q[0] + across[1] * q[1] + across[2] * q[2]) / plane.tilt_std_rad
+        slope_by_turn(across, q, slope, slopes[1 + i, :3])
+        for k in range(3):
+            slopes[1 + i, k] /= plane.tilt_std_rad
+            slopes[1 + i, 3 + k] = 0.0
 
 
 @dataclass(frozen=True)
@@ -34,28 +95,28 @@ class PlaneOfMotion:
         By rotation vector and translation of the board in the camera frame. The uncertainties of camera and board poses
         are included.
         """
+        off, slopes = np.empty(DEPARTURES), np.empty((DEPARTURES, 6))
+        vector, place = (np.ascontiguousarray(one, np.float64) for one in (rotation_vector, translation_m))
+        depart(self.arguments, vector, place, off, slopes)
+        return off, slopes
+
+    @cached_property
+    def arguments(self) -> PlaneArguments:
+        """The plane as the kernels take it."""
         camera, board = self.camera_in_base, self.board_in_tip
-        rotation, derivative = cv2.Rodrigues(rotation_vector)
-        slopes = derivative.reshape(3, 3, 3)
         tip = -board.rotation.T @ board.translation_m
-        tip_in_camera = rotation @ tip + translation_m
-        offset = self.normal @ (camera.apply(tip_in_camera) - self.through_m)
-        by_offset = np.concatenate([(slopes @ tip) @ camera.rotation.T @ self.normal, self.normal @ camera.rotation])
-        # The normal fixed to the tip: equal to that of the plane while the tip rotates about it only.
-        tip_normal = board.rotation.T @ self.normal
-        across = self._across
-        tilt = across @ (camera.rotation @ (rotation @ tip_normal))
-        by_tilt = np.hstack([across @ camera.rotation @ (slopes @ tip_normal).T, np.zeros((2, 3))])
-        offset_std = np.sqrt(
-            self.offset_std_m**2
-            + camera.translation_std_m**2
-            + board.translation_std_m**2
-            + (camera.rotation_std_rad * np.linalg.norm(tip_in_camera)) ** 2
-            + (board.rotation_std_rad * np.linalg.norm(tip)) ** 2
+        constant = self.offset_std_m**2 + camera.translation_std_m**2 + board.translation_std_m**2
+        return PlaneArguments(
+            tip=np.ascontiguousarray(tip),
+            # The normal fixed to the tip: equal to that of the plane while the tip rotates about it only.
+            tip_normal=np.ascontiguousarray(board.rotation.T @ self.normal),
+            normal=np.ascontiguousarray(camera.rotation.T @ self.normal),
+            across=np.ascontiguousarray(self._across @ camera.rotation),
+            distance_m=float(self.normal @ (self.through_m - camera.translation_m)),
+            offset_variance_m2=float(constant + (board.rotation_std_rad * np.linalg.norm(tip)) ** 2),
+            lever_rad=float(camera.rotation_std_rad),
+            tilt_std_rad=float(np.sqrt(self.tilt_std_rad**2 + camera.rotation_std_rad**2 + board.rotation_std_rad**2)),
         )
-        tilt_std = np.sqrt(self.tilt_std_rad**2 + camera.rotation_std_rad**2 + board.rotation_std_rad**2)
-        departure = np.concatenate([[offset / offset_std], tilt / tilt_std])
-        return departure, np.vstack([by_offset / offset_std, by_tilt / tilt_std])
 
     @property
     def _across(self) -> Floats:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from calibration.vision.board import Board, find, grey
 from calibration.vision.corners import Corners, sharpen, spacing
 from calibration.vision.lens import Lens
-from calibration.vision.pose import Pose, PosePrior, refine, solutions
+from calibration.vision.planar_motion import PlaneOfMotion
+from calibration.vision.pose import Pose, refine, solutions
 from calibration.vision.transforms import RigidTransform
 from runs.records import DetectionStatus
 
@@ -46,7 +47,7 @@ class Detection:
 class Tracker:
     """Finds the board, then tracks it with constant velocity; keeps corner order and side of the flip."""
 
-    def __init__(self, board: Board, lens: Lens, known: PosePrior | None = None) -> None:
+    def __init__(self, board: Board, lens: Lens, known: PlaneOfMotion | None = None) -> None:
         """`known` is a prior on the pose of the board in the camera frame, for every picture."""
         self._board = board
         self._lens = lens
