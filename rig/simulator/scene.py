@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from calibration.vision.board import QUIET_SQUARES, Board
 from calibration.vision.lens import Lens
+from calibration.vision.projection import extent
 from calibration.vision.transforms import RigidTransform
 from rig.simulator.board_rendering import FINE, draw, shrink
 
@@ -18,8 +20,12 @@ Singles = NDArray[np.float32]
 Image = NDArray[np.uint8]
 
 _SAMPLES = 64
-_STILL = np.zeros(3)
 _NOISE_SPARE = (61, 83)
+"""How far the field of noise is moved between pictures."""
+_NOISE_PLACES = 4096
+_BACKDROPS = 32
+"""Noisy pictures of the backdrop, in turn behind the board, whose own noise is that of every picture."""
+_NEAREST_M = 0.01
 _RAYS_SPARE_PX = 40
 
 
@@ -48,6 +54,8 @@ class Scene:
         self._backdrop = _backdrop(size, self._light, rng)
         noise = rng.standard_normal((height + _NOISE_SPARE[1], width + _NOISE_SPARE[0]), dtype=np.float32)
         self._noise = noise * np.float32(optics.noise_grey)
+        self._noise_places = rng.integers(0, _NOISE_SPARE, (_NOISE_PLACES, 2))
+        self._backdrops: dict[int, Image] = {}
         self._samples = _sample_offsets()
         self._taps = _taps(optics.blur_px)
         self._outline = _outline(board)
@@ -61,16 +69,17 @@ class Scene:
         )
 
     def prepare(self) -> None:
-        """Find the rays of the whole picture, so that no frame in real time has to wait for them."""
+        """Find the rays of the whole picture and draw the backdrops, so that no frame in real time waits for them."""
         height, width = self._light.shape
         self._rays.covering((0, 0, width, height))
+        for number in range(_BACKDROPS):
+            self._noisy_backdrop(number)
 
     def render(self, opened: RigidTransform, middle: RigidTransform, closed: RigidTransform, index: int) -> Image:
         """Render (height, width) uint8 of the board's frame in the camera's at the exposure's start, middle and end."""
         height, width = self._light.shape
-        dx, dy = np.random.default_rng([self._seed, index]).integers(0, _NOISE_SPARE)
-        noise = self._noise[dy : dy + height, dx : dx + width]
-        image = np.asarray(cv2.add(self._backdrop, noise, dtype=cv2.CV_8U), dtype=np.uint8)
+        # No two pictures in a row have the same backdrop: a picture that repeats is one of a frozen camera.
+        image = self._noisy_backdrop((13 * index + 5 * (index // _BACKDROPS)) % _BACKDROPS).copy()
         box = self._extent((opened, middle, closed), width, height)
         if box is not None:
             x0, y0, x1, y1 = box
@@ -90,8 +99,19 @@ class Scene:
             )
             seen = np.empty((y1 - y0, x1 - x0), np.float32)
             shrink(fine, self._taps, seen)
-            image[y0:y1, x0:x1] = cv2.add(seen, noise[y0:y1, x0:x1], dtype=cv2.CV_8U)
+            dx, dy = self._noise_places[index % _NOISE_PLACES].tolist()
+            noise = self._noise[dy + y0 : dy + y1, dx + x0 : dx + x1]
+            image[y0:y1, x0:x1] = cv2.add(seen, noise, dtype=cv2.CV_8U)
         return image
+
+    def _noisy_backdrop(self, number: int) -> Image:
+        """One of the pictures without a board, drawn when it is first needed."""
+        if number not in self._backdrops:
+            height, width = self._light.shape
+            dx, dy = self._noise_places[-1 - number].tolist()
+            noise = self._noise[dy : dy + height, dx : dx + width]
+            self._backdrops[number] = np.asarray(cv2.add(self._backdrop, noise, dtype=cv2.CV_8U), dtype=np.uint8)
+        return self._backdrops[number]
 
     def _to_squares(self, poses: tuple[RigidTransform, ...]) -> Floats:
         """Homographies (n, 3, 3) from rays to squares across and down from the print's top left, last entries 1."""
@@ -103,16 +123,17 @@ class Scene:
 
     def _extent(self, poses: tuple[RigidTransform, ...], width: int, height: int) -> tuple[int, int, int, int] | None:
         """Pixels that the board with its margin may touch; None when it is out of the picture or behind."""
-        outlines = np.concatenate([pose.apply(self._outline) for pose in poses])
-        if outlines[:, 2].min() <= 0.01:
+        rotations = np.array([pose.rotation for pose in poses])
+        translations = np.array([pose.translation_m for pose in poses])
+        bounds = np.empty((2, 2))
+        lens = self._lens
+        if extent(self._outline, rotations, translations, lens.matrix, lens.distortion, bounds) <= _NEAREST_M:
             return None
-        pixels = self._lens.project(outlines, _STILL, _STILL)
         margin = 4 + int(np.ceil(4 * self._optics.blur_px))
-        low = np.maximum(np.floor(pixels.min(axis=0)) - margin, 0)
-        high = np.minimum(np.ceil(pixels.max(axis=0)) + margin, (width, height))
-        if np.any(high - low < 2):
-            return None
-        return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+        (left, top), (right, bottom) = bounds.tolist()
+        x0, y0 = max(math.floor(left) - margin, 0), max(math.floor(top) - margin, 0)
+        x1, y1 = min(math.ceil(right) + margin, width), min(math.ceil(bottom) + margin, height)
+        return None if x1 - x0 < 2 or y1 - y0 < 2 else (x0, y0, x1, y1)
 
 
 class _PixelRays:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import cv2
 import numpy as np
 
@@ -61,6 +63,24 @@ def test_noise_has_the_level_that_was_asked_for() -> None:
     view = scene(Optics(0.6, 3.0))
     pictures = np.array([still(facing(), index, view) for index in range(24)], dtype=np.float64)
     assert abs(np.mean(pictures.std(axis=0)) - 3.0) < 0.2
+
+
+def test_pictures_without_a_board_differ_from_the_one_before() -> None:
+    view = scene(Optics(0.6, 3.0))
+    pictures = [still(facing(x_m=1.0), index, view) for index in range(70)]
+    assert not any(np.array_equal(before, after) for before, after in itertools.pairwise(pictures))
+    # Dropped frames are a gap in the index.
+    assert not any(np.array_equal(before, after) for before, after in zip(pictures, pictures[10:], strict=False))
+
+
+def test_noise_of_the_board_and_of_the_backdrop_has_no_mean_and_is_uncorrelated_between_pictures() -> None:
+    view = scene(Optics(0.6, 3.0))
+    exact = still(facing(), view=scene(Optics(0.6, 0.0))).astype(float)
+    rest = np.array([still(facing(), index, view) - exact for index in range(24)])
+    for part in (rest[:, 200:280, 280:360], rest[:, :80, :80]):
+        assert abs(part.mean()) < 0.1
+        correlation = np.corrcoef(part.reshape(len(part), -1))
+        assert np.abs(correlation - np.eye(len(part))).max() < 0.1
 
 
 def test_squares_keep_their_contrast_from_the_dark_to_the_bright_side() -> None:
