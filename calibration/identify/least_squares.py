@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,6 +95,8 @@ class LeastSquaresProblem:
         self._columns = [
             [i for i, u in enumerate(self.unknowns) if u.run is None or u.run == run] for run in range(len(self.data))
         ]
+        self._runs_of_their_own = {u.run for u in own}
+        self._setup = lru_cache(maxsize=64)(self._written)
 
     @property
     def measured(self) -> int:
@@ -102,10 +105,13 @@ class LeastSquaresProblem:
 
     def setup(self, z: Array, run: int | None = None) -> Setup:
         """The setup at z, with the per-run values of run number `run`, if given."""
+        return self._setup(tuple(z.tolist()), run if run in self._runs_of_their_own else None)
+
+    def _written(self, z: tuple[float, ...], run: int | None) -> Setup:
         out = self.start
         for unknown, value in zip(self.unknowns, z, strict=True):
             if unknown.run is None or unknown.run == run:
-                out = unknown.parameter.write(out, unknown.at(float(value)))
+                out = unknown.parameter.write(out, unknown.at(value))
         return out
 
     def rates(self, z: Array) -> Array:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,27 +197,46 @@ def sample(
     n = len(equations[0].at_fit)
     levels = np.concatenate([[0.0], ndtri(0.5 + 0.5 * _QUANTILES)])
     prior = np.log(np.concatenate([[1 - PRESENT], np.full(len(_QUANTILES), PRESENT / len(_QUANTILES))]))
-    level, noise = np.zeros(count, np.intp), len(equations) - 1
+    level, noise = [0] * count, len(equations) - 1
     second, probability, absent = np.zeros((n + m, n + m)), np.zeros(count), 0.0
     coefficients, present, noises = [], [], []
+
+    def amplitude(level: tuple[int, ...]) -> Array:
+        out: Array = (scale * levels[list(level)])[term]
+        return out
+
+    # The sampler returns to few states again and again.
+    @cache
+    def level_chance(k: int, others: tuple[int, ...], noise: int) -> Array:
+        trial = np.tile(amplitude(others), (len(levels), 1))
+        trial[:, term == k] = (scale[k] * levels)[:, None]
+        return _normalised(log_evidence(equations[noise], trial) + prior)
+
+    @cache
+    def noise_chance(level: tuple[int, ...]) -> Array:
+        return _normalised(np.array([log_evidence(one, amplitude(level)[None])[0] for one in equations]))
+
+    @cache
+    def given(level: tuple[int, ...], noise: int) -> tuple[Array, Array, Array]:
+        mean, root = coefficients_given(equations[noise], amplitude(level))
+        return mean, root, _second(equations[noise], mean, root)
+
     for sweep in range(-_BURN_IN, sweeps):
         for k in range(count):
-            trial = np.tile((scale * levels[level])[term], (len(levels), 1))
-            trial[:, term == k] = (scale[k] * levels)[:, None]
-            chance = _normalised(log_evidence(equations[noise], trial) + prior)
-            level[k] = rng.choice(len(levels), p=chance)
+            level[k] = 0
+            chance = level_chance(k, tuple(level), noise)
             if sweep >= 0:
                 probability[k] += (1 - chance[0]) / sweeps
-                absent += chance[0] / (count * sweeps) if not level[np.arange(count) != k].any() else 0.0
-        amplitude = (scale * levels[level])[term]
+                absent += chance[0] / (count * sweeps) if not any(level) else 0.0
+            level[k] = int(rng.choice(len(levels), p=chance))
         if len(equations) > 1:
-            chance = _normalised(np.array([log_evidence(one, amplitude[None])[0] for one in equations]))
+            chance = noise_chance(tuple(level))
             noise = int(rng.choice(len(equations), p=chance))
         if sweep >= 0:
-            mean, root = coefficients_given(equations[noise], amplitude)
-            second += _second(equations[noise], mean, root) / sweeps
+            mean, root, own_second = given(tuple(level), noise)
+            second += own_second / sweeps
             coefficients.append(mean + root @ rng.standard_normal(m))
-            present.append(level > 0)
+            present.append([one > 0 for one in level])
             noises.append(noise)
     return Sampled(second, np.array(coefficients), np.array(present), np.array(noises), probability, absent)
 

@@ -6,6 +6,7 @@ import difflib
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,7 @@ class Setup:
             if not getattr(self, name):
                 object.__setattr__(self, name, (neutral,) * n)
 
-    @property
+    @cached_property
     def turned_arm(self) -> model.Arm:
         """The arm with its actuators and gravity where they are."""
         arm = self.arm
