@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from runs.columns import Pressure, Tip
@@ -309,7 +309,7 @@ def _mark_missing_frames(axes: Axes, tip: Tip) -> None:
 def timing(figure: Figure, run: Run, summary: Summary) -> None:
     """How late the control ticks began: over time, and how often."""
     t = run.timing
-    left, right = figure.subplots(1, 2, width_ratios=[1.6, 1], sharey=True)
+    left, right = panels(figure, columns=2, width_ratios=[1.6, 1], sharey=True)[0]
     if len(t.time_s) == 0:
         no_data(left, right)
         return
@@ -329,6 +329,10 @@ def timing(figure: Figure, run: Run, summary: Summary) -> None:
         right.axhline(max(value, 0.01), color=INK, lw=0.8, ls=(0, (4, 2)))
         right.annotate(name, (1, max(value, 0.01)), (-2, 2), ("axes fraction", "data"), "offset points", ha="right")
     right.set_xlabel("ticks")
+    # To typeset powers of ten takes longer than to draw the panel.
+    for axis in (left.yaxis, right.xaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(LogFormatter())
 
 
 def across(run: Run, summary: Summary) -> tuple[Callable[[Floats], Floats], str]:
