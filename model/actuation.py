@@ -2,6 +2,8 @@
 
 A chamber of area A_in under the gauge pressure P_i pushes with A_in p_i. The push pressure p_i is the pressure itself,
 or grows with the pressures, as in a braid or wall that widens under them. The radial pressure effect is not part of it.
+Friction makes both lag: the pressures that the law and the radial effect take are then the effective ones of
+model/hysteresis.py.
 """
 
 from __future__ import annotations
@@ -14,16 +16,35 @@ from typing import Any, ClassVar
 from numpy.typing import NDArray
 
 PA_PER_BAR = 1e5
+MOST_STOPS = 3
+"""Stop elements of an actuator."""
+
+
+@dataclass(frozen=True)
+class StopElement:
+    """A spring in series with a slider. weight: its share of the pressure; width_pa: where the slider slips."""
+
+    weight: float
+    width_pa: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.weight) and 0 <= self.weight <= 1):
+            raise ValueError(f"the weight of a stop element must lie in [0, 1], got {self.weight}")
+        if not (math.isfinite(self.width_pa) and self.width_pa > 0):
+            raise ValueError(f"width_pa of a stop element must be positive and finite, got {self.width_pa}")
 
 
 @dataclass(frozen=True)
 class ActuationLaw(ABC):
-    """A law of the push pressures. growth_per_bar: relative growth of the push, k [1/bar]; zero where it does not grow.
+    """A law of the push pressures, and the friction of the actuators.
 
-    Raises ValueError for a growth that is not finite, or of a law without growth.
+    growth_per_bar: relative growth of the push, k [1/bar]; zero where it does not grow. stops: elements of a
+    Prandtl-Ishlinskii operator that every actuator has; without them there is no hysteresis, and at rest there is none.
+    Raises ValueError for a growth that is not finite, or of a law without growth, and for too many stops.
     """
 
     growth_per_bar: float = 0.0
+    stops: tuple[StopElement, ...] = ()
 
     name: ClassVar[str]
     grows: ClassVar[bool] = True
@@ -32,6 +53,9 @@ class ActuationLaw(ABC):
     def __post_init__(self) -> None:
         if not math.isfinite(self.growth_per_bar):
             raise ValueError(f"growth_per_bar must be finite, got {self.growth_per_bar}")
+        object.__setattr__(self, "stops", tuple(self.stops))
+        if len(self.stops) > MOST_STOPS:
+            raise ValueError(f"an actuator has at most {MOST_STOPS} stop elements, got {len(self.stops)}")
         if self.growth_per_bar and not self.grows:
             raise ValueError(f"a {self.name} push does not grow: growth_per_bar must be 0, got {self.growth_per_bar}")
 

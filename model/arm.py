@@ -31,7 +31,8 @@ class Arm:
     where the paper is silent, P_i A_in.
     rpe_as says how the radial pressure stretches a section of frozen moduli (4.4): as the equivalent 'force' of eq 22
     on each tube (default), or as a free 'strain' of the whole section, the plane through the tubes' own free strains.
-    actuation is the law of the push on the caps (model/actuation.py).
+    actuation is the law of the push on the caps (model/actuation.py). Without inertia the arm in motion is always in
+    equilibrium, and only viscous walls make it depend on time.
     cap_mass_kg hangs at the tip. With cap_inertia it also resists acceleration, with its own rotational inertia
     cap_inertia_kg_m2 about the section's axes. gravity_m_s2 is in the base frame: +z is an arm that hangs. rod_weight
     adds the walls' own weight, which the paper leaves out.
@@ -48,6 +49,7 @@ class Arm:
     cap_inertia: bool = False
     cap_inertia_kg_m2: Triple = field(default=(0.0, 0.0, 0.0))
     actuation: ActuationLaw = field(default=Proportional())
+    inertia: bool = True
 
     def __post_init__(self) -> None:
         if self.modulus_rule not in MODULUS_RULES:
@@ -89,9 +91,14 @@ class Arm:
         return variant_named(self.variant).law_under(self.modulus_rule)
 
     @property
-    def kind(self) -> tuple[int, str, str]:
-        """What arms share that the kernels solve together: actuators, constitutive law and actuation law."""
-        return self.geometry.actuators, self.law.name, self.actuation.name
+    def kind(self) -> tuple[int, str, str, int]:
+        """What arms share that the kernels solve together: actuators, laws of walls and actuation, and branches."""
+        return self.geometry.actuators, self.law.name, self.actuation.name, len(self.material.branches)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the past matters even without inertia: viscous branches of the walls, friction of the actuators."""
+        return bool(self.material.branches or self.actuation.stops)
 
     @property
     def by_pressure(self) -> bool:

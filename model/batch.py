@@ -45,7 +45,7 @@ def statics(
 ) -> Tips:
     """Tips at rest for rows of pressure_pa (B, N) [Pa]: one arm for all rows, or one arm per row.
 
-    The arms must share the number of actuators, the constitutive law and the actuation law. nodes: steps along each
+    The arms must share the numbers of actuators and branches, and their laws. nodes: steps along each
     arm, by default as many as the most slender one needs. Raises ValueError for what does not fit.
     """
     rows = np.array(pressure_pa, dtype=np.float64)
@@ -119,9 +119,7 @@ def _check(arms: list[Arm], pressure: Array, axes: int) -> None:
         raise ValueError("no arm given")
     kinds = {arm.kind for arm in arms}
     if len(kinds) > 1:
-        raise ValueError(
-            f"the arms of a batch must share actuators, constitutive law and actuation, got {sorted(kinds)}"
-        )
+        raise ValueError(f"the arms of a batch must share actuators, laws and branches, got {sorted(kinds)}")
     actuators, *_ = kinds.pop()
     if pressure.ndim != axes or pressure.shape[-1] != actuators:
         raise ValueError(f"pressure_pa must have {axes} axes, the last of {actuators}, got shape {pressure.shape}")

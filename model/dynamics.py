@@ -10,10 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from model.arm import Arm
 from model.errors import Unstable
+from model.hysteresis import Hysteresis
 from model.kernel_arguments import KernelArguments
 from model.kernels.arguments import ArmArguments, MotionState, TipPoses
 from model.kernels.axis import motion
 from model.kernels.layout import STATE, aligned
+from model.kernels.relaxation import recall_branches
 from model.kernels.shooting import TOLERANCE_IN_MOTION, Workspace, workspace_in, workspace_size
 from model.kernels.time_stepping import initialise_history
 from model.loads import Loads
@@ -21,6 +23,7 @@ from model.pressures import pressures
 from model.schemes import DEFAULT_ALPHA, Coefficients, scheme_named
 from model.shape import Shape
 from model.statics import MOST_NODES, shape, states, steps_along
+from model.viscoelasticity import branch_factors
 
 Array = NDArray[np.float64]
 NOT_FINITE = "pressures must be finite"
@@ -53,7 +56,9 @@ class Dynamics:
         if not growth < MOST_NODES / 2:
             raise ValueError(f"a time step of {dt_s} s is too short for this arm: it needs {growth:.3g} steps along it")
         slender = 1.5 * arm.geometry.slenderness
-        self._nodes = steps_along(arm, nodes if nodes is not None else 4 * math.ceil(max(3, growth / 2, slender)))
+        if nodes is None and arm.inertia:
+            nodes = 4 * math.ceil(max(3, growth / 2, slender))
+        self._nodes = steps_along(arm, nodes)
         if self._nodes < growth:
             raise ValueError(
                 f"a time step of {dt_s} s needs at least {math.ceil(growth)} steps along the arm, got {nodes}"
@@ -111,17 +116,23 @@ class Dynamics:
     def begin(self, resting: KernelArguments, pressure: Array, tip: Array, load: Array, loaded: bool) -> None:
         """What `start` does, with all that hangs on the arm in the kernels' words; the arm at rest is prepared."""
         n = self._nodes
-        self._last_s, self._scheme, self._segments = self._dt_s, self._even, _segments(n, self._even_growth)
+        self._last_s, self._step_s = self._dt_s, self._dt_s
+        self._scheme, self._segments = self._even, _segments(n, self._even_growth)
         self._coefficients = _array(self._scheme)
         self._x, stable = states(resting, pressure, tip, load, loaded)
         if not stable:
             raise Unstable.at(pressure)
-        self._problem = KernelArguments.of(self._arm, pressure[None], self._scheme.c0)
+        self._problem = KernelArguments.of(self._arm, pressure[None], self._scheme.c0, self._dt_s)
         self._work = self._problem.work()
-        self._pool = aligned(workspace_size(n))
-        self._room = workspace_in(self._pool, n)
+        branches = len(self._arm.material.branches)
+        self._pool = aligned(workspace_size(n, branches))
+        self._room = workspace_in(self._pool, n, branches)
         self._past_states = aligned(2, 2 * n + 2, STATE)
         initialise_history(self._coefficients, self._x, self._past_states, resting.length_m, self._room)
+        self._hysteresis = Hysteresis(self._arm.actuation.stops, pressure)
+        self._branch_strains = np.zeros((branches, 2 * n + 2, 6))
+        self._branch_factors = branch_factors(self._arm.material, self._scheme.c0, self._dt_s)
+        self._recall_branches()
         self._before = np.stack([pressure] * 3)
         self._loads, self._tip, self._load, self._loaded = None, tip, load, loaded
         self._prepare()
@@ -142,7 +153,7 @@ class Dynamics:
             self._set_loads(loads)
         dt_s = self._dt_s if dt_s is None else dt_s
         self._change_step(dt_s)
-        moved = self._advance(pressure[None])
+        moved = self._advance(self._hysteresis.advance(pressure[None]))
         if moved.ok[0]:
             self._last_s = dt_s
         return shape(self._arm, self._problem, self._x, ok=bool(moved.ok[0]))
@@ -162,7 +173,9 @@ class Dynamics:
         if self._last_s != self._dt_s:
             raise ValueError("run continues steps of the constructor's length only: the last one had another")
         self._change_step(self._dt_s)
-        return self._advance(rows)
+        if not np.isfinite(rows).all():
+            raise ValueError(NOT_FINITE)
+        return self._advance(self._hysteresis.advance(rows))
 
     def _change_step(self, dt_s: float) -> None:
         """Prepare a step of another length: its equations, and the history y^h (eq 26) by its coefficients.
@@ -184,21 +197,31 @@ class Dynamics:
         ):
             history[:size] += weight * past.ravel()
         _fill_between(history, size, self._problem.length_m / self._nodes)
-        self._scheme, self._coefficients = scheme, _array(scheme)
-        self._problem = KernelArguments.of(self._arm, self._before[:1], scheme.c0)
+        self._scheme, self._coefficients, self._step_s = scheme, _array(scheme), dt_s
+        self._branch_factors = branch_factors(self._arm.material, scheme.c0, dt_s)
+        self._recall_branches()
+        self._problem = KernelArguments.of(self._arm, self._before[:1], scheme.c0, dt_s)
         self._work = self._problem.work()
         self._prepare()
 
     def _prepare(self) -> None:
         """Set the kernels' arguments, which most steps share."""
         self._arm_arguments = self._problem.arm(self._work, self._tip, self._load, self._loaded)
-        self._state = MotionState(self._before, self._segments, self._coefficients, self._past_states, self._x)
+        self._state = MotionState(
+            self._before, self._segments, self._coefficients, self._past_states, self._x, self._branch_factors,
+            self._branch_strains,
+        )  # fmt: skip
+
+    def _recall_branches(self) -> None:
+        """The past strains of the walls in the next step, where they are not the history itself."""
+        if len(self._branch_strains):
+            past = self._room.walls_past
+            recall_branches(self._branch_factors, self._branch_strains, self._x, self._room.history, past)
+            _fill_between(past, self._x.size, self._problem.length_m / self._nodes)
 
     def _advance(self, rows: Array) -> ArmTrajectory:
         if self._arm.by_pressure and len(rows):
-            if not np.isfinite(rows).all():
-                raise ValueError(NOT_FINITE)
-            self._problem = KernelArguments.of(self._arm, rows, self._scheme.c0)
+            self._problem = KernelArguments.of(self._arm, rows, self._scheme.c0, self._step_s)
             self._work = self._problem.work()
             self._prepare()
         count = len(rows)
@@ -218,6 +241,8 @@ class Dynamics:
 
     def _growth(self) -> float:
         """Exponent by which the stiffest mode grows along the arm within one time step's equations, c0 L / c_shear."""
+        if not self._arm.inertia:
+            return 0.0
         material, geometry = self._arm.material, self._arm.geometry
         stiffness = self._arm.law.softest * float(self._arm.stiffness_n(np.zeros(geometry.actuators)).min())
         slowest = math.sqrt(material.shear_ratio * stiffness / (material.density_kg_m3 * geometry.wall_area_m2))

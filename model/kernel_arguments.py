@@ -18,6 +18,7 @@ from model.laws.base import TubeLaw
 from model.laws.quadratic_compliance import QuadraticCompliance
 from model.loads import Loads
 from model.section import CrossSection, section, upper
+from model.viscoelasticity import viscous_time_s
 
 Array = NDArray[np.float64]
 
@@ -45,11 +46,15 @@ class KernelArguments:
     cap: Array
 
     @classmethod
-    def of(cls, arm: Arm, pressure_pa: Array, c0: float = 0.0) -> KernelArguments:
-        """Prepare the arm; pressures (R, N) matter only to an arm whose sections differ `by_pressure`."""
-        prepared = _prepared(arm, c0)
+    def of(cls, arm: Arm, pressure_pa: Array, c0: float = 0.0, dt_s: float = 0.0) -> KernelArguments:
+        """Prepare the arm, at rest or in time steps of dt_s [s] of a scheme with c0.
+
+        Pressures (R, N) matter only to an arm whose sections differ `by_pressure`.
+        """
+        theta = viscous_time_s(arm.material, c0, dt_s)
+        prepared = _prepared(arm, c0, theta)
         if arm.law.frozen:
-            stiffness, rest, per_pressure = _frozen(arm, c0).at(arm.stiffness_n(pressure_pa))
+            stiffness, rest, per_pressure = _frozen(arm, c0, theta).at(arm.stiffness_n(pressure_pa))
             work = prepared.prepared.copy()
             work.reshape(-1, layout.LANES)[layout.AXIAL : layout.OFFSET] = stiffness[0, :, None]
             prepared = replace(prepared, prepared=work, stiffness=stiffness, rest=rest, per_pressure=per_pressure)
@@ -61,7 +66,7 @@ class KernelArguments:
         return prepared
 
     @classmethod
-    def _build(cls, arm: Arm, c0: float) -> KernelArguments:
+    def _build(cls, arm: Arm, c0: float, theta: float) -> KernelArguments:
         geometry, material = arm.geometry, arm.material
         centre = geometry.centroid_m
         xy = geometry.positions_m - centre
@@ -71,9 +76,10 @@ class KernelArguments:
         if pointwise:
             # Each tube's own law carries the strain at rest and the free strain; only the push on the caps remains.
             whole = CrossSection(whole.axial, whole.shear, np.zeros(6), _push_wrench(geometry))
-        work = _work(arm, xy, whole, c0, pointwise)
+        work = _work(arm, xy, whole, c0, theta, pointwise)
         return cls(
-            walls=_walls(arm),
+            # At rest branches carry nothing.
+            walls=_walls(arm, branched=bool(arm.material.branches) and c0 > 0),
             prepared=work,
             stiffness=work.reshape(-1, layout.LANES)[None, layout.AXIAL : layout.OFFSET, 0].copy(),
             rest=whole.rest[None],
@@ -122,10 +128,10 @@ def _no_load(nodes: int) -> Array:
     return np.zeros(6 * (2 * nodes + 1))
 
 
-def _walls(arm: Arm) -> Walls:
+def _walls(arm: Arm, branched: bool) -> Walls:
     # Where no tube follows a law any will do: kernels of the default one are always compiled.
     law = arm.law if isinstance(arm.law, TubeLaw) else QuadraticCompliance()
-    return Walls(arm.law.pointwise, kernel_law(law.name, law.response), arm.geometry.actuators)
+    return Walls(arm.law.pointwise, kernel_law(law.name, law.response, branched), arm.geometry.actuators)
 
 
 @lru_cache(maxsize=64)
@@ -138,7 +144,7 @@ def _push_wrench(geometry: Geometry) -> Array:
 def _cap(arm: Arm, centre: Array) -> Array:
     tip = np.zeros(layout.HANGS)
     tip[:3] = arm.cap_mass_kg * np.asarray(arm.gravity_m_s2)
-    if arm.cap_inertia:
+    if arm.cap_inertia and arm.inertia:
         tip[6] = arm.cap_mass_kg
         tip[7:10] = arm.cap_inertia_kg_m2
     tip[10:12] = -centre
@@ -146,8 +152,8 @@ def _cap(arm: Arm, centre: Array) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _prepared(arm: Arm, c0: float) -> KernelArguments:
-    return KernelArguments._build(arm, c0)
+def _prepared(arm: Arm, c0: float, theta: float) -> KernelArguments:
+    return KernelArguments._build(arm, c0, theta)
 
 
 @dataclass(frozen=True)
@@ -176,7 +182,7 @@ _UPPER = upper(np.arange(9).reshape(3, 3))
 
 
 @lru_cache(maxsize=64)
-def _frozen(arm: Arm, c0: float) -> _Frozen:
+def _frozen(arm: Arm, c0: float, theta: float) -> _Frozen:
     geometry, material = arm.geometry, arm.material
     xy = geometry.positions_m - geometry.centroid_m
 
@@ -186,7 +192,7 @@ def _frozen(arm: Arm, c0: float) -> _Frozen:
 
     without = flat(np.zeros(len(xy)))
     each = np.array([flat(one) - without for one in np.eye(len(xy))])
-    return _Frozen(1 + material.damping_s * c0, without, each)
+    return _Frozen(1 + theta * c0, without, each)
 
 
 def _scale(length_m: float, c0: float) -> Array:
@@ -209,22 +215,23 @@ def _law_constants(arm: Arm) -> list[float]:
     return [*constants, *[0.0] * (layout.LAW_CONSTANTS - len(constants))]
 
 
-def _work(arm: Arm, xy: Array, whole: CrossSection, c0: float, pointwise: bool) -> Array:
+def _work(arm: Arm, xy: Array, whole: CrossSection, c0: float, theta: float, pointwise: bool) -> Array:
     work = layout.aligned(layout.work_size(len(xy)) // layout.LANES, layout.LANES)
     geometry, material = arm.geometry, arm.material
     area, second = geometry.wall_area_m2, geometry.wall_second_moment_m4
     x, y = xy.T
     xx, yy, xys = (area * x * x + second).sum(), (area * y * y + second).sum(), (area * x * y).sum()
-    inertia = material.density_kg_m3 * np.array([yy, xx, -xys, xx + yy])
+    # The search for an equilibrium lets any arm swing.
+    swings = arm.inertia or not c0
+    inertia = material.density_kg_m3 * np.array([yy, xx, -xys, xx + yy]) * swings
     tube = [material.shear_ratio, second / area, *_law_constants(arm)]
-    tau = material.damping_s
-    grown = 1 + tau * c0
-    share = tau if pointwise else grown
+    grown = 1 + theta * c0
+    share = theta if pointwise else grown
     parameters = [
         c0,
-        arm.line_density_kg_m,
+        arm.line_density_kg_m * swings,
         *inertia,
-        tau / grown,
+        theta / grown,
         *upper(whole.axial * share),
         *upper(whole.shear * share),
         *upper(np.linalg.inv(whole.axial) / grown),

@@ -9,6 +9,27 @@ SOFTEST_PA = 1e3
 """Softer than any solid that an arm is made of."""
 
 
+MOST_BRANCHES = 3
+"""Maxwell branches of a material: three cover as many decades of time."""
+
+
+@dataclass(frozen=True)
+class MaxwellBranch:
+    """One term of a Prony series: a spring and a dashpot in line, beside the walls' own elasticity.
+
+    relative_modulus: of the spring, over the modulus at rest. time_s: relaxation time of its stress at constant strain.
+    """
+
+    relative_modulus: float
+    time_s: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.relative_modulus) and self.relative_modulus >= 0):
+            raise ValueError(f"relative_modulus must be zero or positive and finite, got {self.relative_modulus}")
+        if not (math.isfinite(self.time_s) and self.time_s > 0):
+            raise ValueError(f"time_s of a branch must be positive and finite, got {self.time_s}")
+
+
 @dataclass(frozen=True)
 class Material:
     """The tubes' elastic law, radial pressure effect, density and damping.
@@ -19,6 +40,8 @@ class Material:
     shear_ratio: gamma = G / E, the section's form factor included (5.2.2).
     density_kg_m3: of the walls. The paper does not print it; 1080 is a usual silicone.
     damping_s: Kelvin-Voigt retardation time: stress = E (strain + damping_s * strain rate). The paper has none.
+    branches: of a Prony series. A wall that has rested is as stiff as without them. A sudden strain meets the modulus
+    E (1 + sum of relative moduli), E that at zero strain. The paper has none.
     """
 
     youngs_modulus_pa: float
@@ -28,6 +51,7 @@ class Material:
     shear_ratio: float
     density_kg_m3: float = 1080.0
     damping_s: float = 0.0
+    branches: tuple[MaxwellBranch, ...] = ()
 
     def __post_init__(self) -> None:
         positive = {
@@ -47,6 +71,9 @@ class Material:
         for name, value in (("a2_per_n2", self.a2_per_n2), ("damping_s", self.damping_s)):
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} must be zero or positive and finite, got {value}")
+        object.__setattr__(self, "branches", tuple(self.branches))
+        if len(self.branches) > MOST_BRANCHES:
+            raise ValueError(f"a material has at most {MOST_BRANCHES} branches, got {len(self.branches)}")
         if not math.isfinite(self.rpe_per_bar):
             raise ValueError(f"rpe_per_bar must be finite, got {self.rpe_per_bar}")
 

@@ -18,6 +18,7 @@ from model.arm import Arm
 from model.batch import ROWS_PER_THREAD, spread
 from model.dynamics import Dynamics
 from model.errors import NotConverged, Unstable
+from model.hysteresis import effective_pa
 from model.kernel_arguments import KernelArguments
 from model.kernels import layout
 from model.kernels.arguments import LaneArguments, TipAnswers
@@ -28,6 +29,7 @@ from model.kernels.static_sensitivities import static_sensitivities
 from model.loads import Loads
 from model.pressures import pressures
 from model.statics import steps_along
+from model.viscoelasticity import branch_factors
 
 Array = NDArray[np.float64]
 
@@ -176,6 +178,8 @@ def motion(
     """
     rows = _rows(arm, pressure_pa)
     _check_changes(arm, changes, rows)
+    changes = [_with_hysteresis(change, arm, rows) for change in changes]
+    rows = effective_pa(arm.actuation.stops, rows)
     if every < 1:
         raise ValueError(f"answers are asked for every so many steps, at least 1, got {every}")
     tip_loads = _tip_loads(arm, changes, len(rows), weight_kg, pull)
@@ -193,20 +197,31 @@ def motion(
     except NotConverged as fault:
         unstable[0] = isinstance(fault, Unstable)
         return _gradients(place, turned, good, by, unstable)
-    swinging = _Stack.of(arm, changes, n, rows, dynamics.c0)
+    swinging = _Stack.of(arm, changes, n, rows, dynamics.c0, dt_s)
     arm_in_motion = dynamics.arm_with_cap._replace(
         stiffness=swinging.first.stiffness, rest=swinging.first.rest, per_pressure=swinging.first.per_pressure
     )
+    works, branches = len(swinging.lanes.works), len(arm.material.branches)
     dynamic_sensitivities(
-        still.first.walls, arm_in_motion, dynamics.state, still.lanes, still.first.scale, swinging.lanes,
+        swinging.first.walls, arm_in_motion, dynamics.state, still.lanes, still.first.scale, swinging.lanes,
         _lane_rows(rows, [change.pressure_pa for change in changes]), tip_loads, swinging.steps, every,
-        layout.aligned(len(swinging.lanes.works), n + 1, 24 * layout.LANES), dynamics.room,
+        layout.aligned(works, n + 1, (36 if branches else 24) * layout.LANES),
+        layout.aligned(works, branches, n + 1, 12 * layout.LANES), dynamics.room,
         Lanes.of(neighbours, n, dynamics.segments), TOLERANCE_IN_MOTION,
         TipAnswers(place, turned, by, good, unstable),
     )  # fmt: skip
     lost = ~good
     place[lost], turned[lost], by[lost] = np.nan, np.nan, np.nan
     return _gradients(place, turned, good, by, unstable)
+
+
+def _with_hysteresis(change: Variation, arm: Arm, rows: Array) -> Variation:
+    """The change with the effective pressures of its arm, where these differ from the pressures."""
+    stops = change.arm.actuation.stops
+    if not (stops or arm.actuation.stops):
+        return change
+    given = rows if change.pressure_pa is None else change.pressure_pa
+    return replace(change, pressure_pa=effective_pa(stops, given))
 
 
 def _gradients(
@@ -236,7 +251,7 @@ def _check_changes(arm: Arm, changes: Sequence[Variation], rows: Array) -> None:
         raise ValueError("pressures must be finite")
     for change in changes:
         if change.arm.kind != arm.kind:
-            raise ValueError("a change must keep the number of actuators, the constitutive law and the actuation law")
+            raise ValueError("a change must keep the number of actuators and of branches, and the laws of the arm")
         if not (np.isfinite(change.step) and change.step != 0):
             raise ValueError(f"a change needs a step that is not zero, got {change.step}")
         if change.pressure_pa is not None and change.pressure_pa.shape != rows.shape:
@@ -320,11 +335,13 @@ class _Stack:
     steps: Array
 
     @classmethod
-    def of(cls, arm: Arm, changes: Sequence[Variation], nodes: int, rows: Array, c0: float = 0.0) -> _Stack:
+    def of(
+        cls, arm: Arm, changes: Sequence[Variation], nodes: int, rows: Array, c0: float = 0.0, dt_s: float = 0.0
+    ) -> _Stack:
         """Of rows of pressures (K, N), the first ones or all; they matter only to rules that freeze the moduli."""
         arms, some = [arm, *(change.arm for change in changes)], len(rows)
         pressure = [rows, *(rows if change.pressure_pa is None else change.pressure_pa[:some] for change in changes)]
-        each = [KernelArguments.of(one, own, c0) for one, own in zip(arms, pressure, strict=True)]
+        each = [KernelArguments.of(one, own, c0, dt_s) for one, own in zip(arms, pressure, strict=True)]
         first = each[0]
         order = np.zeros(passes(len(changes)) * layout.LANES, dtype=np.intp)
         order[FIRST : FIRST + len(changes)] = np.arange(1, len(arms))
@@ -341,7 +358,8 @@ class _Stack:
         stiffness, rest, per_pressure = (np.ascontiguousarray(_lanes(order, part).swapaxes(0, 1)) for part in sections)
         lanes = LaneArguments(
             works.reshape(len(works), -1), stiffness, rest, per_pressure, _lanes(order, [p.free_per_pa for p in each]),
-            ends, loaded or bool(np.any(heavier)), any(one.cap_inertia for one in arms),
+            ends, loaded or bool(np.any(heavier)), any(one.cap_inertia and one.inertia for one in arms),
+            _lanes(order, [branch_factors(one.material, c0, dt_s) for one in arms]),
         )  # fmt: skip
         steps = np.array([change.step for change in changes], dtype=np.float64)
         return cls(first, lanes, load, loaded, first.work(), steps)

@@ -10,20 +10,24 @@ def main() -> int:
     """Compile, or load what is compiled already; report what was done. Returns the exit status."""
     start = time.perf_counter()
     try:
+        from dataclasses import replace
+
         from model import batch
         from model.arm import Arm
         from model.dynamics import Dynamics
         from model.kernels.jit import cache_folder
+        from model.material import MaxwellBranch
         from model.paper.rod import PaperRod
         from model.sensitivities import motion, tip_gradient
 
         print(f"model.warm: kernels are kept in {cache_folder()}", flush=True)
-        for variant in ("homogeneous", "inhomogeneous+rpe"):
-            arm = Arm.paper(variant)
+        arms = [Arm.paper("homogeneous"), Arm.paper("inhomogeneous+rpe")]
+        viscous = replace(arms[0].material, branches=(MaxwellBranch(0.05, 1.0),))
+        for arm in [*arms, replace(arms[0], material=viscous)]:
             dynamics = Dynamics(arm, 1 / 30)
             dynamics.start((0.0, 0.0, 0.0))
             if not (dynamics.step((1e4, 0.0, 0.0)).ok and dynamics.run([(1e4, 0.0, 0.0)]).ok.all()):
-                print(f"model.warm: failed: the {variant} arm could not be stepped", file=sys.stderr)
+                print(f"model.warm: failed: the {arm.variant} arm could not be stepped", file=sys.stderr)
                 return 1
             tip_gradient(arm, (1e4, 0.0, 0.0))
             motion(arm, [(1e4, 0.0, 0.0)] * 2, 1 / 30, ())

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
+from calibration.identify.pressure_course import PressureCourse, course_rows, mean_around
 from calibration.identify.pressure_history import PressureHistory, pressure_history
 from calibration.identify.pressure_smoothing import curve, noise_std, smoothed
 from runs.interpolation import interpolated
@@ -51,6 +52,7 @@ class Poses:
     in frames without a tip. frames (K,): camera frames per entry. time_s (K,) counts from the start of the run; for a
     plateau it is the end. period_s is zero for static poses. history: of the pressures. live_m (K, 3):
     tips of the model that ran beside the experiment, NaN where there was none; None if there was no such model.
+    course: of static poses, for models that remember; None where it is unknown, and each pose has long been held.
     """
 
     run_id: str
@@ -66,6 +68,7 @@ class Poses:
     time_s: Array
     history: PressureHistory
     live_m: Array | None = None
+    course: PressureCourse | None = None
 
     def __len__(self) -> int:
         return len(self.weight_kg)
@@ -105,6 +108,7 @@ class Poses:
             time_s=self.time_s[chosen],
             history=self.history.only(chosen),
             live_m=None if self.live_m is None else self.live_m[chosen],
+            course=None if self.course is None else self.course.only(chosen),
         )
 
 
@@ -141,13 +145,14 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
     spans = [np.searchsorted(samples.time_s, [tip.time_s[k[0]], tip.time_s[k[-1]]]) for k in plateaus]
     parts = [slice(first, max(last, first + 1)) for first, last in spans]
     pressure = [samples.pa[part] for part in parts]
+    middle_s, means = np.array([tip.time_s[k].mean() for k in plateaus]), np.array([p.mean(axis=0) for p in pressure])
     scatter = np.sqrt(np.mean([part.var(axis=0) / max(len(part) - 1, 1) for part in pressure], axis=0))
     clipped = np.array([samples.clipped[part].any(axis=0) for part in parts])
     return Poses(
         run_id=run.header.run_id,
         source=run.sha256,
         period_s=0.0,
-        pressure_pa=np.array([part.mean(axis=0) for part in pressure]),
+        pressure_pa=means,
         pressure_std_pa=np.where(clipped, np.hypot(scatter, samples.clipped_std_pa), scatter),
         weight_kg=np.array([tip.weight_g[k].mean() for k in plateaus]) * KG_PER_G,
         wrench=np.array([_wrench(run)[k].mean(axis=0) for k in plateaus]),
@@ -155,9 +160,21 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
         covariance_m2=covariance * averaged[:, None, None],
         frames=count,
         time_s=np.array([tip.time_s[k[-1]] for k in plateaus]),
-        history=pressure_history(samples.time_s, samples.pa, np.array([tip.time_s[k].mean() for k in plateaus])),
+        history=pressure_history(samples.time_s, samples.pa, middle_s),
         live_m=_live(np.array([_model_mm(run)[k].mean(axis=0) for k in plateaus])),
+        course=_course(run, samples, middle_s, means),
     )
+
+
+def _course(run: Run, samples: _Samples, pose_s: Array, pressure_pa: Array) -> PressureCourse:
+    """The course of a run up to its last pose; at the poses (K,) it has their pressures (K, N)."""
+    tip, loaded = run.tip, _load_is_known(run)
+    time_s, at = course_rows(float(samples.time_s[0]), pose_s)
+    pressure = mean_around(time_s, samples.time_s, samples.pa)
+    pressure[at] = pressure_pa
+    weight = tip.weight_g[np.clip(np.searchsorted(tip.time_s, time_s, side="right") - 1, 0, None)] * KG_PER_G
+    wrench = interpolated(time_s, tip.time_s[loaded], _wrench(run)[loaded])
+    return PressureCourse(float(time_s[1] - time_s[0]), pressure, weight, wrench, at)
 
 
 def in_motion(run: Run) -> Poses:
@@ -216,7 +233,9 @@ def quasi_static_poses(run: Run) -> Poses:
         NoDataError: no frame shows the tip.
     """
     motion = in_motion(run)
-    return replace(motion, period_s=0.0).only(motion.has_tip)
+    every = np.arange(len(motion))
+    course = PressureCourse(motion.period_s, motion.pressure_pa, motion.weight_kg, motion.wrench, every)
+    return replace(motion, period_s=0.0, course=course).only(motion.has_tip)
 
 
 def poses_of(run: Run) -> Poses:

@@ -123,7 +123,8 @@ def predict(fit: Fit, poses: Poses) -> Prediction:
     second, noise_m = fit.joint_covariance, fit.discrepancy_m
     if (found := fit.model_error) is not None:
         response = Predictor(poses).push_response(problem.setup(z, 0))
-        by_fit = np.concatenate([by_fit, error_columns(poses, response, found.reference_pa).tip_m], axis=2)
+        terms = [effect.term for effect in found.effects]
+        by_fit = np.concatenate([by_fit, error_columns(poses, response, found.reference_pa, terms).tip_m], axis=2)
         second, noise_m = found.second, found.noise_m
     covariance = np.nan_to_num(poses.covariance_m2) + problem.pressure_covariances(z)[0] + noise_m**2 * np.eye(3)
     covariance = covariance + np.einsum("kin,nm,kjm->kij", by_fit, second, by_fit, optimize=True)

@@ -13,10 +13,13 @@ from numpy.typing import NDArray
 from calibration.identify.data import NoDataError, Poses
 from calibration.identify.fit import identify
 from calibration.identify.least_squares import LeastSquaresProblem
+from calibration.identify.memory_parameters import memory_names
 from calibration.identify.parameters import PUSH_GROWTH, Prior, Setup, named
 from calibration.identify.tip_predictor import SUBSTEPS, Predictor
 from calibration.parallel_map import Progress, parallel_map
-from model.actuation import ACTUATION_LAWS, Proportional
+from model.actuation import ACTUATION_LAWS, Proportional, StopElement
+from model.arm import Arm
+from model.material import MaxwellBranch
 from model.variants import MODULUS_RULES, POINTWISE, VARIANTS
 
 Array = NDArray[np.float64]
@@ -25,6 +28,8 @@ Array = NDArray[np.float64]
 _MIN_BIC_GAIN = 10.0
 _DAMPED_FROM_S = 0.01
 DAMPING = "damping_s"
+# Where the fit of what an arm may remember begins: a creep and a friction that are usual for silicone and braids.
+TYPICAL_BRANCH, TYPICAL_STOP = MaxwellBranch(0.03, 5.0), StopElement(0.05, 2e3)
 # Leave-one-out for up to this many runs, else this many folds.
 _FOLDS = 10
 # Most data per run, to bound the time of slow candidates: first frames of a motion, or poses.
@@ -95,13 +100,18 @@ class ModelComparison:
 def candidates(setup: Setup, free: Iterable[str] = (), moving: bool = False) -> tuple[Candidate, ...]:
     """Every variant of the model, the inhomogeneous one by each rule for E_i, and linear walls with a growing push.
 
+    Then the variant that the setup has, with what it may remember: a Maxwell branch of the walls, a stop element of the
+    actuators, and both.
+
     With moving runs each has two variants: without damping and with fitted damping. Damping has no effect on static
     runs.
     """
     extra = tuple(free)
 
     def candidate(name: str, free: Iterable[str], **changes: Any) -> Candidate:
-        arm = replace(setup.arm, **{"actuation": Proportional(), "modulus_rule": POINTWISE, **changes})
+        elastic = replace(setup.arm.material, branches=())
+        plain = {"actuation": Proportional(), "modulus_rule": POINTWISE, "material": elastic}
+        arm = replace(setup.arm, **{**plain, **changes})
         return Candidate(name, replace(setup, arm=arm), (*arm.law.parameters, *extra, *free))
 
     out = []
@@ -119,9 +129,21 @@ def candidates(setup: Setup, free: Iterable[str] = (), moving: bool = False) -> 
         candidate(f"homogeneous, {push.name}", (PUSH_GROWTH,), variant="homogeneous", actuation=push)
         for push in growing
     ]
+    out += [_remembering(candidate, setup.arm, branches, stops) for branches, stops in ((1, 0), (0, 1), (1, 1))]
     return (
         tuple(one for still in out for one in (still.without_damping(), still.with_damping())) if moving else tuple(out)
     )
+
+
+def _remembering(candidate: Callable[..., Candidate], arm: Arm, branches: int, stops: int) -> Candidate:
+    """The arm's own variant with so many branches and stop elements, at most one each."""
+    material = replace(arm.material, branches=(TYPICAL_BRANCH,) * branches)
+    actuation = replace(arm.actuation, stops=(TYPICAL_STOP,) * stops)
+    radial = ("rpe_per_bar",) if arm.radial_effect else ()
+    growth = (PUSH_GROWTH,) if actuation.grows else ()
+    what = " and ".join([*["branch"] * branches, *["stop"] * stops])
+    names = memory_names(replace(arm, material=material, actuation=actuation))
+    return candidate(f"{arm.variant}, {what}", (*radial, *growth, *names), material=material, actuation=actuation)
 
 
 def _with_damping(setup: Setup, damping_s: float) -> Setup:

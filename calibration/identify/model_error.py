@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from calibration.identify.data import Poses
 from calibration.identify.tip_predictor import PushResponse
+from model.arm import Arm
 
 Array = NDArray[np.float64]
 
@@ -28,7 +29,8 @@ class ModelErrorTerm:
     scale: standard deviation of its amplitude over arms, before anything is known of this one. push: by poses and their
     reference pressure [Pa], the pressure errors (K, N, m) [Pa] per unit of its m coefficients; None for the load, whose
     one coefficient is a relative error of its effect. by_pair: its
-    coefficients belong to pairs of actuators. unit, factor: of its size for readers.
+    coefficients belong to pairs of actuators. unit, factor: of its size for readers. modelled: whether an arm's model
+    has the effect already.
     """
 
     name: str
@@ -38,6 +40,7 @@ class ModelErrorTerm:
     by_pair: bool = False
     unit: str = "%"
     factor: float = 100.0
+    modelled: Callable[[Arm], bool] = lambda _: False
 
     def size(self, coefficients: Array, actuators: int) -> Array:
         """Root mean square (S,) over the actuators, or pairs of them, of the errors by coefficients (S, m).
@@ -99,11 +102,20 @@ TERMS = (
     ModelErrorTerm("own pressure", "a push that is not proportional to the pressure", 0.08, _own_curvature),
     ModelErrorTerm("combination", "a push that depends on the pressures of the others", 0.04, _sum_curvature),
     ModelErrorTerm(
-        "direction", "hysteresis: the direction of the last change", 0.01, _direction, unit="mbar", factor=1000.0
+        "direction", "hysteresis: the direction of the last change", 0.01, _direction, unit="mbar", factor=1000.0,
+        modelled=lambda arm: bool(arm.actuation.stops),
     ),
-    ModelErrorTerm("time since step", "creep behind the pressure", 0.04, _creep),
+    ModelErrorTerm(
+        "time since step", "creep behind the pressure", 0.04, _creep,
+        modelled=lambda arm: bool(arm.material.branches),
+    ),
     ModelErrorTerm("load", "an arm that is stiffer or softer under loads", 0.03, None),
-)
+)  # fmt: skip
+
+
+def lacking(arm: Arm) -> tuple[ModelErrorTerm, ...]:
+    """The terms of what an arm's model does not have."""
+    return tuple(term for term in TERMS if not term.modelled(arm))
 
 
 @dataclass(frozen=True)
@@ -115,9 +127,9 @@ class ErrorColumns:
 
 
 def error_columns(
-    poses: Poses, response: PushResponse, reference_pa: float, terms: Sequence[ModelErrorTerm] = TERMS
+    poses: Poses, response: PushResponse, reference_pa: float, terms: Sequence[ModelErrorTerm]
 ) -> ErrorColumns:
-    """The columns of all terms for some poses."""
+    """The columns of terms for some poses."""
     columns, numbers = [], []
     for k, term in enumerate(terms):
         if term.push is None:

@@ -20,7 +20,7 @@ from scipy.special import ndtri
 
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.likelihood import OUTLIER, Weights, whitened
-from calibration.identify.model_error import TERMS, ModelErrorTerm, error_columns
+from calibration.identify.model_error import ModelErrorTerm, error_columns, lacking
 from calibration.identify.tip_predictor import Predictor
 
 Array = NDArray[np.float64]
@@ -98,17 +98,18 @@ def model_error_posterior(
 ) -> ModelErrorPosterior:
     """The posterior at the solution of a fit whose unknowns `fixed` are held."""
     reference_pa = max(float(np.abs(poses.pressure_pa).max()) for poses in problem.data) or 1.0
+    terms = lacking(problem.start.arm)
     columns = [
-        error_columns(poses, Predictor(poses).push_response(problem.setup(solution.z, run)), reference_pa)
+        error_columns(poses, Predictor(poses).push_response(problem.setup(solution.z, run)), reference_pa, terms)
         for run, poses in enumerate(problem.data)
     ]
     noises = [share * solution.discrepancy_m for share in _NOISE_SHARES] if solution.discrepancy_m else [0.0]
     equations = [normal_equations(problem, solution, fixed, [c.tip_m for c in columns], noise) for noise in noises]
-    drawn = sample(equations, columns[0].term, np.array([one.scale for one in TERMS]))
+    drawn = sample(equations, columns[0].term, np.array([one.scale for one in terms]))
     sizes = np.column_stack(
         [
             one.size(drawn.coefficients[:, columns[0].term == k], problem.data[0].actuators)
-            for k, one in enumerate(TERMS)
+            for k, one in enumerate(terms)
         ]
     )
     return ModelErrorPosterior(
@@ -116,7 +117,7 @@ def model_error_posterior(
         noise_m=float(np.sqrt(np.mean(np.square(noises)[drawn.noise]))),
         reference_pa=reference_pa,
         effects=tuple(
-            _effect(one, float(drawn.probability[k]), sizes[:, k], drawn.present[:, k]) for k, one in enumerate(TERMS)
+            _effect(one, float(drawn.probability[k]), sizes[:, k], drawn.present[:, k]) for k, one in enumerate(terms)
         ),
         absent=drawn.absent,
     )

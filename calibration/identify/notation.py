@@ -5,9 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from calibration.identify.memory_parameters import ALL_NAMES
+
 _UNITS = {"kg": ("g", 1e3), "m": ("mm", 1e3), "s": ("ms", 1e3), "rad": ("deg", 180 / math.pi), "Pa": ("mbar", 1e-2),
           "1": ("", 1.0), "1/N": ("/N", 1.0), "1/N^2": ("/N^2", 1.0), "1/bar": ("/bar", 1.0)}  # fmt: skip
-_OF_PARAMETER = {"youngs_modulus_pa": ("kPa", 1e-3)}
+_OF_PARAMETER = {
+    "youngs_modulus_pa": ("kPa", 1e-3),
+    **{name: ("s", 1.0) for name in ALL_NAMES if name.endswith("_time_s")},
+}
 # Values from a hundredth to this are printed without a power of ten.
 _SMALLEST_EXPONENT, _LARGEST_EXPONENT = -2, 4
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration.identify.data import Poses
+from calibration.identify.memory_parameters import ALL_NAMES, memory_names
 from calibration.identify.parameters import PUSH_GROWTH, Parameter, Prior, Setup, known, named
 from model.variants import VARIANTS, variant_named
 
@@ -37,6 +38,7 @@ def nuisance_parameters(setup: Setup, data: Sequence[Poses], free: Sequence[Para
         inert |= MOTION_ONLY | (set() if setup.arm.rod_weight else {"density_kg_m3"})
     if not setup.arm.actuation.grows:
         inert.add(PUSH_GROWTH)
+    inert |= ALL_NAMES - set(memory_names(setup.arm))
     gravity = np.array(setup.arm.gravity_m_s2)
     along = np.abs(gravity) >= _PARALLEL * np.linalg.norm(gravity)
     inert |= {f"gravity_r{axis}_rad" for axis, parallel in zip("xyz", along, strict=True) if parallel}

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import model
+from calibration.identify.memory_parameters import MemoryNumber, memory_numbers
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -164,6 +165,7 @@ def known(actuators: int) -> dict[str, Parameter]:
             PUSH_GROWTH, "1/bar", "k, growth of the push pressures", lambda s: s.arm.actuation.growth_per_bar, _grown,
             lambda x: max(abs(x), 0.2), _constant(GROWTH_PER_BAR), -0.5, 5.0,
         ),
+        *(_remembered(number) for number in memory_numbers()),
         Parameter(
             "cap_mass_kg", "kg", "mass of the end cap", lambda s: s.arm.cap_mass_kg,
             lambda s, x: replace(s, arm=replace(s.arm, cap_mass_kg=x)), lambda x: max(abs(x), 0.02), _cap_uncertainty,
@@ -302,6 +304,14 @@ def _grown(setup: Setup, x: float) -> Setup:
     """The setup with another growth of the push; the same where the push does not grow."""
     law = setup.arm.actuation
     return replace(setup, arm=replace(setup.arm, actuation=replace(law, growth_per_bar=x))) if law.grows else setup
+
+
+def _remembered(number: MemoryNumber) -> Parameter:
+    return Parameter(
+        number.name, number.unit, number.about, lambda s: number.read(s.arm),
+        lambda s, x: replace(s, arm=number.write(s.arm, x)), number.span, number.uncertainty, number.lower,
+        number.upper, decades=1.0 if number.scale else 0.0,
+    )  # fmt: skip
 
 
 def _constant(std: float) -> Callable[[float], float]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from calibration.identify.parameters import Prior, Setup
 from calibration.identify.profile_likelihood import LikelihoodProfile
 from calibration.identify.results import Estimate, RunFit
+from model.actuation import PA_PER_BAR
 
 VERSION = 2
 _MM = 1e3
@@ -171,8 +172,13 @@ def _arm(setup: Setup) -> dict[str, Any]:
             "shear_ratio": material.shear_ratio,
             "density_kg_m3": material.density_kg_m3,
             "damping_s": material.damping_s,
+            "branches": [{"relative_modulus": b.relative_modulus, "time_s": b.time_s} for b in material.branches],
         },
-        "actuation": {"law": arm.actuation.name, "growth_per_bar": arm.actuation.growth_per_bar},
+        "actuation": {
+            "law": arm.actuation.name,
+            "growth_per_bar": arm.actuation.growth_per_bar,
+            "stops": [{"weight": s.weight, "width_bar": s.width_pa / PA_PER_BAR} for s in arm.actuation.stops],
+        },
         "cap_mass_g": 1e3 * arm.cap_mass_kg,
     }
 

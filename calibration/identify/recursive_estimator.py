@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
+from calibration.identify.memory_parameters import ALL_NAMES
 from calibration.identify.parameters import Parameter, Prior, Setup, named
 from model.statics import statics
 
@@ -16,7 +17,7 @@ Array = NDArray[np.float64]
 
 _STEP = 1e-4
 # Parameters without effect on the static model.
-_DYNAMIC_ONLY = ("damping_s", "sensor_lag_s", "sensor_filter_s")
+_DYNAMIC_ONLY = {"damping_s", "sensor_lag_s", "sensor_filter_s", *ALL_NAMES}
 # Innovations beyond this many standard deviations are down-weighted as outliers.
 _GATE = 4.0
 

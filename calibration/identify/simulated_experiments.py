@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 from calibration.identify.data import MIN_FRAMES, Poses
 from calibration.identify.fit import identify
 from calibration.identify.parameters import Prior, Setup, known, named
+from calibration.identify.pressure_course import PressureCourse
 from calibration.identify.pressure_history import pressure_history
 from calibration.identify.pressure_smoothing import smoothed
 from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
@@ -63,6 +64,14 @@ def plan(
     )
 
 
+def plan_slow(run_id: str, pressure_pa: Array, period_s: float, errors: MeasurementErrors | None = None) -> Poses:
+    """A slow experiment whose pressures (K, N), period_s apart, are all measured: each pose with the course to it."""
+    still = plan(run_id, pressure_pa, None, 0.0, errors)
+    count = len(pressure_pa)
+    course = PressureCourse(period_s, pressure_pa, np.zeros(count), np.zeros((count, 6)), np.arange(count))
+    return replace(still, time_s=period_s * np.arange(count), frames=np.ones(count, np.int64), course=course)
+
+
 def perform(
     planned: Poses,
     truth: Setup,
@@ -98,9 +107,15 @@ def perform(
     else:
         tips = Predictor(planned if felt_pa is None else replace(planned, pressure_pa=felt_pa))(plant)
         measured_pa = read(planned.pressure_pa, errors.pressure_pa)
+    course = planned.course
+    if course is not None:
+        through_pa = read(course.pressure_pa, errors.pressure_pa)
+        through_pa[course.at] = measured_pa
+        course = replace(course, pressure_pa=through_pa)
     return replace(
         planned,
         pressure_pa=measured_pa,
+        course=course,
         tip_m=tips + rng.standard_normal((len(planned), 3)) * np.array(errors.tip_m),
     )
 

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 import model
 from calibration.identify.data import Poses
 from calibration.identify.parameters import Setup
+from calibration.identify.pressure_course import PressureCourse
 from calibration.identify.pressure_smoothing import curve
 from model import sensitivities
 from model.dynamics import Dynamics
@@ -47,9 +48,12 @@ class Predictor:
     poses: Poses
     substeps: int = SUBSTEPS
     _solved: dict[Key, Solved] = field(default_factory=dict)
+    _through: Predictor | None = None
 
     def __call__(self, setup: Setup) -> Array:
         """Tips (K, 3) [m] as they would be measured; NaN where the model has no solution."""
+        if (course := self._course(setup)) is not None:
+            return self._along(course)(_without_inertia(setup))[course.at]
         key = self._key(setup)
         found = self._solved.get(key)
         if found is None:
@@ -86,6 +90,9 @@ class Predictor:
 
         perturbed: the setup with one change each, so small that the answer is linear in it.
         """
+        if (course := self._course(setup)) is not None:
+            along = self._along(course).slopes(_without_inertia(setup), [_without_inertia(p) for p in perturbed], steps)
+            return along[course.at]
         poses, key = self.poses, self._key(setup)
         new = [k for k, other in enumerate(perturbed) if self._key(other) != key]
         repeats = self.substeps if poses.moving else 1
@@ -117,6 +124,16 @@ class Predictor:
             out[:, :, k] += shift + np.cross(turn, point) + (found.tip_rotation @ tool) @ base.T
         return out
 
+    def _course(self, setup: Setup) -> PressureCourse | None:
+        """The course that leads to the poses, where the arm remembers it."""
+        return self.poses.course if setup.arm.remembers and not self.poses.moving else None
+
+    def _along(self, course: PressureCourse) -> Predictor:
+        """The predictor of all rows of the course."""
+        if self._through is None:
+            self._through = Predictor(_as_motion(self.poses, course), 1)
+        return self._through
+
     def pressure_covariance(self, setup: Setup) -> Array:
         """Covariance (K, 3, 3) [m^2] that random pressure errors lend the predictions, by the arm's statics."""
         poses = self.poses
@@ -145,7 +162,31 @@ class Predictor:
         count = len(self.poses)
         some = np.unique(np.linspace(0, count - 1, min(count, _MAX_SENSITIVITIES)).round().astype(int))
         nearest = np.abs(np.arange(count)[:, None] - some).argmin(axis=1)
-        return Predictor(replace(self.poses.only(some), period_s=0.0)), nearest
+        return Predictor(replace(self.poses.only(some), period_s=0.0, course=None)), nearest
+
+
+def _without_inertia(setup: Setup) -> Setup:
+    """The setup of slow poses: no inertia, and sensors that keep up."""
+    return replace(setup, arm=replace(setup.arm, inertia=False), sensor_lag_s=0.0, sensor_filter_s=0.0)
+
+
+def _as_motion(poses: Poses, course: PressureCourse) -> Poses:
+    """The rows of a course as a motion without measured tips."""
+    count = len(course.pressure_pa)
+    return replace(
+        poses,
+        period_s=course.period_s,
+        pressure_pa=course.pressure_pa,
+        pressure_std_pa=np.zeros_like(course.pressure_pa),
+        weight_kg=course.weight_kg,
+        wrench=course.wrench,
+        tip_m=np.full((count, 3), np.nan),
+        covariance_m2=np.full((count, 3, 3), np.nan),
+        frames=np.ones(count, np.int64),
+        time_s=np.arange(count) * course.period_s,
+        live_m=None,
+        course=None,
+    )
 
 
 def _by_pressure(still: Predictor, setup: Setup) -> Array:
@@ -197,7 +238,7 @@ def _solve_static(setup: Setup, pressure_pa: Array, poses: Poses, _: int) -> Sol
 
 
 def _solve_dynamic(setup: Setup, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
-    if not poses.wrench.any():
+    if not poses.wrench.any() and substeps > 1:
         return _time_stepping(setup.turned_arm, pressure_pa, poses, substeps)
     found = _dynamic_sensitivities(setup, pressure_pa, (), poses, substeps, _tip_wrench(setup, poses, substeps))
     return found.tip_m, found.tip_rotation

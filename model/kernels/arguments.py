@@ -38,6 +38,7 @@ class LaneArguments(NamedTuple):
     ends: Array
     loaded: bool  # whether any lane has a distributed load
     heavy: bool  # whether the cap has inertia
+    branch_factors: Array  # (W, 1 + B, 3, 8), as of `MotionState`
 
 
 class MotionState(NamedTuple):
@@ -48,6 +49,8 @@ class MotionState(NamedTuple):
     coefficients: Array  # (5,), of the time scheme (eq 26)
     past_states: Array  # (2, 2 N + 2, 16)
     x: Array  # (2 N + 2, 16), states at the nodes, then their slopes
+    branch_factors: Array  # (1 + B, 3), of the walls' Maxwell branches, as of `relaxation.relax_branches`
+    branch_strains: Array  # (B, 2 N + 2, 6)
 
 
 class TipPoses(NamedTuple):

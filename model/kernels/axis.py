@@ -103,7 +103,11 @@ def motion(
         for k in range(walls.actuators):
             if not abs(pressure[t, k]) < np.inf:
                 return -1
-    total, sections, room = 0, arm.stiffness.shape[0], room_within(pool, state.x.shape[0] // 2 - 1)
+    total, sections, room = (
+        0,
+        arm.stiffness.shape[0],
+        room_within(pool, state.x.shape[0] // 2 - 1, state.branch_strains.shape[0]),
+    )
     for t in range(pressure.shape[0]):
         r, q = t % sections, t % arm.rest.shape[0]
         if sections > 1:
@@ -111,7 +115,7 @@ def motion(
         passes = advance(
             arm.work, walls, arm.rest[q], arm.per_pressure[r], arm.free_per_pa, state.before, pressure[t], arm.load,
             arm.loaded, arm.tip, arm.length, state.segments, arm.scale, state.coefficients, state.past_states, state.x,
-            room, tolerance,
+            state.branch_factors, state.branch_strains, room, tolerance,
         )  # fmt: skip
         tips.good[t] = passes > 0
         if passes > 0:

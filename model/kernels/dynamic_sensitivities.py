@@ -10,8 +10,9 @@ from model.kernels.arguments import ArmArguments, LaneArguments, MotionState, Ti
 from model.kernels.axis import place_tip
 from model.kernels.jit import kernel
 from model.kernels.lanes import FIRST, Lanes, apply_pressure, apply_tip_load, places
-from model.kernels.law import Walls
+from model.kernels.law import Walls, branched
 from model.kernels.layout import LANES, STATE
+from model.kernels.relaxation import relax_branches_in_lanes
 from model.kernels.shooting import Workspace
 from model.kernels.tangents import tangents
 from model.kernels.time_stepping import advance, stiffen
@@ -74,6 +75,16 @@ def _update_history(past: Array, room: Lanes, last: int, a: float, b: float, d: 
                 past[k, j, half + i] = a * slope[i] + b * slope_before[i] + d * past[k, j, half + i]
 
 
+@leaf
+def _relax_branches(factors: Array, strains: Array, past: Array, room: Lanes, last: int) -> None:
+    """The walls' past strains of the next time step, after `_update_history`."""
+    for p in range(past.shape[0]):
+        relax_branches_in_lanes(
+            factors[p], strains[p], past[p], room.states[last, p], room.states[1 - last, p],
+            room.derivatives[last, p], room.derivatives[1 - last, p],
+        )  # fmt: skip
+
+
 @kernel
 def dynamic_sensitivities(
     walls: Walls,
@@ -87,6 +98,7 @@ def dynamic_sensitivities(
     steps: Array,
     every: int,
     past: Array,
+    branch_strains: Array,
     solver: Workspace,
     room: Lanes,
     tolerance: float,
@@ -96,8 +108,9 @@ def dynamic_sensitivities(
 
     The arm stands at rest in the motion's x; `still` are the lanes of the arm at rest, `swinging` those of the moving
     one. pressure (1 + T, W, N, 8): at rest, then step by step; sections and tip_loads one for each of these rows, or
-    one for all. past (W, N + 1, 192): room for the lanes' history. steps (P,): sizes of the changes; without neighbours
-    the lanes rest. Fills the answers (1 + T / every,) of every so many steps.
+    one for all. past (W, N + 1, 192): room for the lanes' history; (W, N + 1, 288) where the walls have branches, whose
+    strains are branch_strains (W, B, N + 1, 96). steps (P,): sizes of the changes; without neighbours the lanes rest.
+    Fills the answers (1 + T / every,) of every so many steps.
     """
     row, here, x = np.empty(walls.actuators), arm.tip.copy(), motion.x
     scheme, segments = motion.coefficients, motion.segments
@@ -121,6 +134,8 @@ def dynamic_sensitivities(
             room.derivatives[1] = room.derivatives[0]
             # An arm at rest has no rates: y^h = -c0 y.
             _update_history(past, room, now, -c0, 0.0, 0.0)
+            if branched(walls.law):
+                _relax_branches(swinging.branch_factors, branch_strains, past, room, now)
         if t > 0:
             for k in range(walls.actuators):
                 row[k] = pressure[t, 0, k, 0]
@@ -128,11 +143,14 @@ def dynamic_sensitivities(
                 stiffen(arm.work, arm.stiffness[r])
             solved = advance(
                 arm.work, walls, arm.rest[q], arm.per_pressure[r], arm.free_per_pa, motion.before, row, arm.load,
-                arm.loaded, here, arm.length, segments, arm.scale, scheme, motion.past_states, x, solver, tolerance,
+                arm.loaded, here, arm.length, segments, arm.scale, scheme, motion.past_states, x,
+                motion.branch_factors, motion.branch_strains, solver, tolerance,
             )  # fmt: skip
             if solved > 0 and followed:
                 # y_t of the last step is c0 times its solution plus its history.
                 _update_history(past, room, now, c1 + d1 * c0, c2, d1)
+                if branched(walls.law):
+                    _relax_branches(swinging.branch_factors, branch_strains, past, room, now)
                 now = 1 - now
                 apply_pressure(
                     swinging.works, walls.actuators, swinging.stiffness[r], swinging.rest[q], swinging.per_pressure[r],

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from model.kernels.law import Walls
+from model.kernels.law import Walls, branched
 from model.kernels.layout import (
     AXIAL,
     CENTRE,
@@ -16,7 +16,6 @@ from model.kernels.layout import (
     FOURTH,
     GATHER,
     HANGS,
-    HISTORY,
     LANES,
     MORE,
     NODE,
@@ -38,7 +37,7 @@ from model.kernels.vec3 import called, cross, inlined, leaf, plus, put, rotation
 Array = Any
 
 FIRST = 7  # lane of the first neighbour
-OWN = ((0.0, 0.0, 0.0),) * 6  # in the place of a history that lanes share
+OWN = ((0.0, 0.0, 0.0),) * 8  # in the place of a history that lanes share
 
 
 class Lanes(NamedTuple):
@@ -73,24 +72,37 @@ def passes(neighbours: int) -> int:
 
 
 @inlined
-def _recall(w: Array, past: Array) -> None:
-    """The history at a node."""
-    for i in range(HISTORY * LANES):
+def _recall(w: Array, walls: Walls, past: Array) -> None:
+    """The history at a node, and the walls' past strains."""
+    for i in range(12 * LANES):
         w[PAST * LANES + i] = past[i]
+    slope = 30 * LANES if branched(walls.law) else 12 * LANES
+    for i in range(6 * LANES):
+        w[(PAST + 12) * LANES + i] = past[slope + i]
+    if branched(walls.law):
+        for i in range(6 * LANES):
+            w[(PAST + 18) * LANES + i] = past[24 * LANES + i]
 
 
 @inlined
-def _recall_between(w: Array, a: Array, b: Array) -> None:
-    """The history half-way between two nodes, as `time_stepping.between` finds it."""
+def _recall_between(w: Array, walls: Walls, a: Array, b: Array) -> None:
+    """The same half-way between two nodes, as `time_stepping.between` finds it."""
     for c in range(12):
         for i in range(LANES):
             at, to = c * LANES + i, (12 + c) * LANES + i
             bent = 0.125 * w[STRIDE * LANES + i] * (a[to] - b[to])
             w[PAST * LANES + at] = 0.5 * (a[at] + b[at]) + bent
+    own, slope = (24, 30) if branched(walls.law) else (0, 12)
     for c in range(6):
         for i in range(LANES):
-            at, to = c * LANES + i, (12 + c) * LANES + i
-            w[PAST * LANES + to] = 1.5 / w[STRIDE * LANES + i] * (b[at] - a[at]) - 0.25 * (a[to] + b[to])
+            at, to, k = (own + c) * LANES + i, (slope + c) * LANES + i, (12 + c) * LANES + i
+            w[PAST * LANES + k] = 1.5 / w[STRIDE * LANES + i] * (b[at] - a[at]) - 0.25 * (a[to] + b[to])
+    if branched(walls.law):
+        for c in range(6):
+            for i in range(LANES):
+                at, to = (24 + c) * LANES + i, (30 + c) * LANES + i
+                bent = 0.125 * w[STRIDE * LANES + i] * (a[to] - b[to])
+                w[(PAST + 18 + c) * LANES + i] = 0.5 * (a[at] + b[at]) + bent
 
 
 @leaf
@@ -101,7 +113,7 @@ def integrate_lanes(
     """Integrate the node's state, all lanes, from node `first` to node `last`, as `rod.integrate` does.
 
     past (N + 1, 192): history of velocities, strains and all their slopes at the nodes, of every lane, looked at when
-    `moving`.
+    `moving`; where the walls have branches (N + 1, 288), with their past strains and the slopes of these.
     """
     size, n = STATE * LANES, states.shape[0] - 1
     for j in range(first, last + 1):
@@ -110,18 +122,18 @@ def integrate_lanes(
         for i in range(size):
             states[j, i] = w[NODE * LANES + i]
         if moving:
-            _recall(w, past[j])
+            _recall(w, walls, past[j])
         stage(w, walls, OWN, True, load, loaded, 2 * j, NODE, STAGE, 0.5)
         for i in range(12 * LANES):
             derivatives[j, i] = w[SLOPE * LANES + i]
         if j == n:
             break
         if moving:
-            _recall_between(w, past[j], past[j + 1])
+            _recall_between(w, walls, past[j], past[j + 1])
         stage(w, walls, OWN, True, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5)
         stage(w, walls, OWN, True, load, loaded, 2 * j + 1, THIRD, FOURTH, 1.0)
         if moving:
-            _recall(w, past[j + 1])
+            _recall(w, walls, past[j + 1])
         stage(w, walls, OWN, True, load, loaded, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)
 
 

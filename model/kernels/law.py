@@ -1,7 +1,7 @@
 """How the walls respond, as an argument of the kernels.
 
 Each law of a tube is a numba type of its own, for which the kernels are compiled with the law's response in the place
-of the call.
+of the call. So is each law whose walls have Maxwell branches: without them the kernels have no trace of these.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ Function = Callable[[float, Constants, float], Response]
 class _LawType(types.Type):
     """Type of a law: by name and source, so that no kernel compiled for another law is taken from the disk."""
 
-    def __init__(self, name: str, digest: str) -> None:
-        self.law = name, digest
-        super().__init__(f"KernelLaw({name}, {digest})")
+    def __init__(self, name: str, digest: str, branched: bool) -> None:
+        self.law, self.branched = (name, digest), branched
+        super().__init__(f"KernelLaw({name}, {digest}{', branched' if branched else ''})")
 
     @property
-    def key(self) -> tuple[str, str]:
+    def key(self) -> tuple[str, str, bool]:
         """What makes two types the same."""
-        return self.law
+        return *self.law, self.branched
 
 
-_responses: dict[tuple[str, str], Function] = {}
+_responses: dict[tuple[str, str, bool], Function] = {}
 register_model(_LawType)(models.OpaqueModel)
 
 
@@ -46,10 +46,10 @@ def _unbox(kind: Any, value: Any, c: Any) -> Any:
 
 
 class KernelLaw:
-    """A law as the kernels take it. response: as of `model.laws.base.TubeLaw`."""
+    """A law as the kernels take it. response: as of `model.laws.base.TubeLaw`; branched: the walls have branches."""
 
-    def __init__(self, name: str, response: Function) -> None:
-        kind = _LawType(name, _digest(response))
+    def __init__(self, name: str, response: Function, branched: bool) -> None:
+        kind = _LawType(name, _digest(response), branched)
         _responses[kind.key] = response
         self.response = response
         self._numba_type_ = kind
@@ -74,9 +74,19 @@ class Walls(NamedTuple):
 
 
 @cache
-def kernel_law(name: str, response: Function) -> KernelLaw:
+def kernel_law(name: str, response: Function, branched: bool = False) -> KernelLaw:
     """The same object for the same law."""
-    return KernelLaw(name, response)
+    return KernelLaw(name, response, branched)
+
+
+def branched(law: KernelLaw) -> bool:
+    """Whether the walls have branches; of the kernels, which are compiled with the answer in place of the call."""
+    return bool(law._numba_type_.branched)
+
+
+@overload(branched)
+def _branched(law):  # type: ignore[no-untyped-def]
+    return (lambda law: True) if law.branched else (lambda law: False)
 
 
 def respond(law: KernelLaw, strain: float, constants: Constants, share: float) -> Response:

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 LANES = 8
 STATE = 16
-HISTORY = 18  # per point: history of v, u, q, w, and the arc-length derivative of that of v, u
+# Per point: history of v, u, q, w, and the arc-length derivative of that of v, u. Where the walls have branches, that
+# derivative is of their past strains, which follow.
+HISTORY = 24
 
 NODE = 0
 STAGE = NODE + STATE

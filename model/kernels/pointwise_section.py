@@ -97,9 +97,9 @@ def sum_others(w: Array, walls: Walls) -> None:
 
 
 @inlined
-def pointwise_wrench(w: Array, i: int, c0: float, v: Triple, u: Triple, v_h: Triple, u_h: Triple):  # type: ignore[no-untyped-def]
+def pointwise_wrench(w: Array, i: int, c0: float, v: Triple, u: Triple, v_p: Triple, u_p: Triple):  # type: ignore[no-untyped-def]
     """Total wrench of the strains from the tubes' sums; the blocks hold the damping time times the stiffness."""
-    v_t, u_t = plus(v_h, c0, v), plus(u_h, c0, u)
+    v_t, u_t = plus(v_p, c0, v), plus(u_p, c0, u)
     a = times(six(w, AXIAL, i), (v_t[2], u_t[0], u_t[1]))
     b = times(six(w, SHEAR, i), (v_t[0], v_t[1], u_t[2]))
     offset, pull = six(w, OFFSET, i), triple(w, PULLS, i)
@@ -118,13 +118,13 @@ def pointwise_wrench(w: Array, i: int, c0: float, v: Triple, u: Triple, v_h: Tri
 
 
 @inlined
-def pointwise_slopes(w: Array, i: int, c0: float, v: Triple, u: Triple, n: Triple, m: Triple, v_h: Triple, u_h: Triple):  # type: ignore[no-untyped-def]
-    """Strain slopes whose wrench has the slopes n, m, by the tangent; v_h, u_h are the slopes of the history."""
+def pointwise_slopes(w: Array, i: int, c0: float, v: Triple, u: Triple, n: Triple, m: Triple, v_p: Triple, u_p: Triple):  # type: ignore[no-untyped-def]
+    """Strain slopes whose wrench has the slopes n, m, by the tangent; v_p, u_p: slopes of the past strains."""
     a11, a12, a13, a22, a23, a33 = six(w, AXIAL, i)
     s11, s12, s13, s22, s23, s33 = six(w, SHEAR, i)
     # Viscous part first.
-    f3, f4, f5 = plus((n[2], m[0], m[1]), -1.0, times((a11, a12, a13, a22, a23, a33), (v_h[2], u_h[0], u_h[1])))
-    f1, f2, f6 = plus((n[0], n[1], m[2]), -1.0, times((s11, s12, s13, s22, s23, s33), (v_h[0], v_h[1], u_h[2])))
+    f3, f4, f5 = plus((n[2], m[0], m[1]), -1.0, times((a11, a12, a13, a22, a23, a33), (v_p[2], u_p[0], u_p[1])))
+    f1, f2, f6 = plus((n[0], n[1], m[2]), -1.0, times((s11, s12, s13, s22, s23, s33), (v_p[0], v_p[1], u_p[2])))
     v1, v2 = v[0], v[1]
     u1, u2, u3 = u
     gamma, spread = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i]

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from model.kernels.law import Walls
+from model.kernels.law import Walls, branched
 from model.kernels.layout import (
     AXIAL,
     AXIAL_INVERSE,
@@ -43,7 +43,7 @@ from model.kernels.pointwise_section import pointwise_slopes, pointwise_wrench, 
 from model.kernels.vec3 import Six, Triple, cross, dot, inlined, leaf, plus, put, rotation, six, three, times, triple
 
 Array = Any
-Past = tuple[Triple, Triple, Triple, Triple, Triple, Triple]
+Past = tuple[Triple, Triple, Triple, Triple, Triple, Triple, Triple, Triple]
 
 
 @inlined
@@ -106,7 +106,7 @@ def _move_motion(w: Array, i: int, past: Past, at: int, to: int, ahead: float) -
     Returns what the balance of the wrench needs of them: force and couple of the inertia, less the load, per length.
     """
     v, u, q, o = triple(w, at, i), triple(w, at + 3, i), triple(w, at + 6, i), triple(w, at + 9, i)
-    v_h, u_h, q_h, o_h, _, _ = past
+    v_h, u_h, q_h, o_h, _, _, _, _ = past
     c0, j = w[C0 * LANES + i], INERTIA * LANES + i
     q_s, o_s = compatibility(v, u, q, o, plus(v_h, c0, v), plus(u_h, c0, u))
     force, couple = inertia(
@@ -125,12 +125,13 @@ def _move_motion(w: Array, i: int, past: Past, at: int, to: int, ahead: float) -
 
 
 @inlined
-def linear_wrench(axial: Six, shear: Six, offset: Six, lag: float, v: Triple, u: Triple, v_h: Triple, u_h: Triple):  # type: ignore[no-untyped-def]
+def linear_wrench(axial: Six, shear: Six, offset: Six, lag: float, v: Triple, u: Triple, v_p: Triple, u_p: Triple):  # type: ignore[no-untyped-def]
     """Total wrench of the strains: a constant stiffness, coupled by the actuators' places (eqs 15, 16, 20).
 
-    Kelvin-Voigt damping with time tau: the blocks hold (1 + tau c0) times the stiffness, lag is tau / (1 + tau c0).
+    Viscous walls with time tau: the blocks hold (1 + tau c0) times the stiffness, lag is tau / (1 + tau c0), and v_p,
+    u_p are the walls' past strains, in place of the history v^h, u^h where they are only damped.
     """
-    e, g = plus(v, lag, v_h), plus(u, lag, u_h)
+    e, g = plus(v, lag, v_p), plus(u, lag, u_p)
     a = times(axial, (e[2], g[0], g[1]))
     b = times(shear, (e[0], e[1], g[2]))
     return (offset[0] + b[0], offset[1] + b[1], offset[2] + a[0]), (
@@ -141,43 +142,45 @@ def linear_wrench(axial: Six, shear: Six, offset: Six, lag: float, v: Triple, u:
 
 
 @inlined
-def linear_slopes(axial_inverse: Six, shear_inverse: Six, lag: float, n: Triple, m: Triple, v_h: Triple, u_h: Triple):  # type: ignore[no-untyped-def]
-    """Strain slopes whose wrench has the slopes n, m; v_h, u_h are the slopes of the strains' history."""
+def linear_slopes(axial_inverse: Six, shear_inverse: Six, lag: float, n: Triple, m: Triple, v_p: Triple, u_p: Triple):  # type: ignore[no-untyped-def]
+    """Strain slopes whose wrench has the slopes n, m; v_p, u_p are the slopes of the walls' past strains."""
     a = times(axial_inverse, (n[2], m[0], m[1]))
     b = times(shear_inverse, (n[0], n[1], m[2]))
-    return plus((b[0], b[1], a[0]), -lag, v_h), plus((a[1], a[2], b[2]), -lag, u_h)
+    return plus((b[0], b[1], a[0]), -lag, v_p), plus((a[1], a[2], b[2]), -lag, u_p)
 
 
 @inlined
-def past_of(history: Array, size: int, at: int) -> Past:
-    """History of v, u, q, w that stands at `at`, and the slopes of that of v, u, `size` further on."""
+def past_of(history: Array, walls_past: Array, size: int, at: int) -> Past:
+    """History of v, u, q, w that stands at `at`; the walls' past of v, u, and its slopes, `size` further on."""
     return (
         three(history, at), three(history, at + 3), three(history, at + 6), three(history, at + 9),
-        three(history, size + at), three(history, size + at + 3),
+        three(walls_past, at), three(walls_past, at + 3),
+        three(walls_past, size + at), three(walls_past, size + at + 3),
     )  # fmt: skip
 
 
 @inlined
-def own_past(w: Array, i: int) -> Past:
+def own_past(w: Array, walls: Walls, i: int) -> Past:
     """The same of one lane that has its own."""
+    at = PAST + 18 if branched(walls.law) else PAST
     return (
         triple(w, PAST, i), triple(w, PAST + 3, i), triple(w, PAST + 6, i), triple(w, PAST + 9, i),
-        triple(w, PAST + 12, i), triple(w, PAST + 15, i),
+        triple(w, at, i), triple(w, at + 3, i), triple(w, PAST + 12, i), triple(w, PAST + 15, i),
     )  # fmt: skip
 
 
 @inlined
-def _linear_stage(w: Array, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
+def _linear_stage(w: Array, walls: Walls, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
     """Slopes of the state at `at`, all lanes, for a constant stiffness, and the state at `to` that follows."""
     for i in range(LANES):
-        here = own_past(w, i) if own else past
-        v_h, u_h, _, _, v_hs, u_hs = here
+        here = own_past(w, walls, i) if own else past
+        _, _, _, _, v_p, u_p, v_ps, u_ps = here
         further = ahead * w[STRIDE * LANES + i]
         v, u, lag = triple(w, at, i), triple(w, at + 3, i), w[LAG * LANES + i]
-        n, m = linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), lag, v, u, v_h, u_h)
+        n, m = linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), lag, v, u, v_p, u_p)
         force, couple = _move_motion(w, i, here, at, to, further)
         n_s, m_s = balance(v, u, n, m, force, couple)
-        v_s, u_s = linear_slopes(six(w, AXIAL_INVERSE, i), six(w, SHEAR_INVERSE, i), lag, n_s, m_s, v_hs, u_hs)
+        v_s, u_s = linear_slopes(six(w, AXIAL_INVERSE, i), six(w, SHEAR_INVERSE, i), lag, n_s, m_s, v_ps, u_ps)
         _move_and_keep(w, 0, i, v_s, to, further)
         _move_and_keep(w, 3, i, u_s, to, further)
 
@@ -198,16 +201,16 @@ def _pointwise_stage(w: Array, walls: Walls, past: Past, own: bool, at: int, to:
     """
     _sum_others_at(w, walls, at)
     for i in range(LANES):
-        here = own_past(w, i) if own else past
-        v_h, u_h, _, _, v_hs, u_hs = here
+        here = own_past(w, walls, i) if own else past
+        _, _, _, _, v_p, u_p, v_ps, u_ps = here
         further = ahead * w[STRIDE * LANES + i]
         v, u, c0 = triple(w, at, i), triple(w, at + 3, i), w[C0 * LANES + i]
         answers = tubes(w, walls, i, v[2], u[0], u[1])
         force, couple = _move_motion(w, i, here, at, to, further)
         sum_tubes(w, i, answers, PULLS)
-        n, m = pointwise_wrench(w, i, c0, v, u, v_h, u_h)
+        n, m = pointwise_wrench(w, i, c0, v, u, v_p, u_p)
         n_s, m_s = balance(v, u, n, m, force, couple)
-        v_s, u_s = pointwise_slopes(w, i, c0, v, u, n_s, m_s, v_hs, u_hs)
+        v_s, u_s = pointwise_slopes(w, i, c0, v, u, n_s, m_s, v_ps, u_ps)
         _move_and_keep(w, 0, i, v_s, to, further)
         _move_and_keep(w, 3, i, u_s, to, further)
 
@@ -226,12 +229,12 @@ def _loads_in_section(w: Array, load: Array, own: bool, row: int, at: int) -> No
 
 
 @inlined
-def wrench(w: Array, walls: Walls, i: int, at: int, v_h: Triple, u_h: Triple) -> tuple[Triple, Triple]:
+def wrench(w: Array, walls: Walls, i: int, at: int, v_p: Triple, u_p: Triple) -> tuple[Triple, Triple]:
     """Total wrench of one lane, whose state stands at `at`; of a pointwise section, after its tubes were summed."""
     v, u = triple(w, at, i), triple(w, at + 3, i)
     if not walls.pointwise:
-        return linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), w[LAG * LANES + i], v, u, v_h, u_h)  # type: ignore[no-any-return]
-    return pointwise_wrench(w, i, w[C0 * LANES + i], v, u, v_h, u_h)  # type: ignore[no-any-return]
+        return linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), w[LAG * LANES + i], v, u, v_p, u_p)  # type: ignore[no-any-return]
+    return pointwise_wrench(w, i, w[C0 * LANES + i], v, u, v_p, u_p)  # type: ignore[no-any-return]
 
 
 @leaf
@@ -280,7 +283,7 @@ def stage(
     if loaded:
         _loads_in_section(w, load, own, row, at)
     if not walls.pointwise:
-        _linear_stage(w, past, own, at, to, ahead)
+        _linear_stage(w, walls, past, own, at, to, ahead)
     else:
         _pointwise_stage(w, walls, past, own, at, to, ahead)
 
@@ -290,6 +293,7 @@ def integrate(
     w: Array,
     walls: Walls,
     history: Array,
+    walls_past: Array,
     load: Array,
     loaded: bool,
     first: int,
@@ -299,24 +303,26 @@ def integrate(
 ) -> None:
     """Integrate the node's state, all lanes, from node `first` to node `last` by RK4, a stride each.
 
-    history: as of `time_stepping.advance`. load: one row of 6 per node and per mid-point, (2 N + 1) flat. states,
-    derivatives: (N + 1, 128), filled at each node but the last, unless this is the arm's tip: elsewhere, only its state
-    is left, in the work array. Of the derivatives the first twelve quantities are.
+    history, walls_past: as of `time_stepping.advance`. load: one row of 6 per node and per mid-point, (2 N + 1) flat.
+    states, derivatives: (N + 1, 128), filled at each node but the last, unless this is the arm's tip: elsewhere, only
+    its state is left, in the work array. Of the derivatives the first twelve quantities are.
     """
     n, size = states.shape[0] - 1, STATE * states.shape[0]
+    if not branched(walls.law):
+        walls_past = history
     for j in range(first, last + 1):
         if j == last and last < n:
             break
         for i in range(STATE * LANES):
             states[j, i] = w[NODE * LANES + i]
         at = STATE * j
-        stage(w, walls, past_of(history, size, at), False, load, loaded, 2 * j, NODE, STAGE, 0.5)
+        stage(w, walls, past_of(history, walls_past, size, at), False, load, loaded, 2 * j, NODE, STAGE, 0.5)
         for i in range(12 * LANES):
             derivatives[j, i] = w[SLOPE * LANES + i]
         if j == n:
             break
-        past = past_of(history, size, 2 * size + at)
+        past = past_of(history, walls_past, size, 2 * size + at)
         stage(w, walls, past, False, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5)
         stage(w, walls, past, False, load, loaded, 2 * j + 1, THIRD, FOURTH, 1.0)
-        past = past_of(history, size, at + STATE)
+        past = past_of(history, walls_past, size, at + STATE)
         stage(w, walls, past, False, load, loaded, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)

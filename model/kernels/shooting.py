@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from model.kernels.jit import kernel
-from model.kernels.law import Walls
+from model.kernels.law import Walls, branched
 from model.kernels.layout import END, HANGS, LANES, LOAD, NODE, PULL, STATE, STRIDE, WRENCH, aligned
 from model.kernels.linear_algebra import orthonormalise, solve_six
 from model.kernels.rod import Past, integrate, own_past, past_of, wrench
@@ -35,6 +35,7 @@ class Workspace(NamedTuple):
     """The arrays that the solver works in, made once so that no step waits for memory."""
 
     history: Array  # of the next time step, 4 x (N + 1) x 16, flat: as of `time_stepping.advance`
+    walls_past: Array  # the walls' past strains in the same places; the history itself where they are only damped
     states: Array  # (N + 1, 128), all lanes
     derivatives: Array  # the same of the slopes of strains and velocities
     x: Array  # (2 N + 2, 16), states at the nodes, a guess that is improved, and then their slopes
@@ -53,14 +54,16 @@ class Workspace(NamedTuple):
         return workspace_in(aligned(workspace_size(n)), n)
 
 
-def workspace_size(n: int) -> int:
-    """Numbers in a room."""
-    return (6 * STATE + 2 * STATE * LANES) * (n + 1) + 22 * LANES * n + 10 * LANES
+def workspace_size(n: int, branches: int = 0) -> int:
+    """Numbers in a room for n steps along an arm whose walls have so many Maxwell branches."""
+    own_past = 4 * STATE * (n + 1) if branches else 0
+    return (6 * STATE + 2 * STATE * LANES) * (n + 1) + 22 * LANES * n + 10 * LANES + own_past
 
 
-def workspace_in(pool: Array, n: int) -> Workspace:
+def workspace_in(pool: Array, n: int, branches: int = 0) -> Workspace:
     """A room in one array that holds it all; each of its own begins on a line of the cache."""
     a = 4 * STATE * (n + 1)
+    past = len(pool) - a if branches > 0 else 0
     b = a + STATE * LANES * (n + 1)
     c = b + STATE * LANES * (n + 1)
     d = c + 2 * STATE * (n + 1)
@@ -72,7 +75,8 @@ def workspace_in(pool: Array, n: int) -> Workspace:
     j = i + 4 * LANES
     k = j + 5 * LANES
     return Workspace(
-        pool[:a], pool[a:b].reshape(n + 1, STATE * LANES), pool[b:c].reshape(n + 1, STATE * LANES),
+        pool[:a], pool[past : past + a],
+        pool[a:b].reshape(n + 1, STATE * LANES), pool[b:c].reshape(n + 1, STATE * LANES),
         pool[c:d].reshape(2 * n + 2, STATE), pool[d:e].reshape(n, 7, STATE),
         pool[e : e + 36 * n].reshape(n, 6, 6), pool[f : f + 6 * n].reshape(n, 6), pool[g:h].reshape(n, LANES),
         pool[h : h + n], pool[i:j].reshape(2, STATE), pool[j : j + 36].reshape(6, 6), pool[k : k + 6],
@@ -108,8 +112,8 @@ def tip_residual(w: Array, walls: Walls, past: Past, own: bool, c0: float, heavy
     heavy: it resists acceleration.
     """
     for i in range(LANES):
-        v_h, u_h, q_h, o_h, _, _ = own_past(w, i) if own else past
-        n, m = wrench(w, walls, i, NODE, v_h, u_h)
+        _, _, q_h, o_h, v_p, u_p, _, _ = own_past(w, walls, i) if own else past
+        n, m = wrench(w, walls, i, NODE, v_p, u_p)
         h = (NODE + 12) * LANES + i
         d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
         force, moment, place = triple(w, END, i), triple(w, END + 3, i), triple(w, END + 10, i)
@@ -244,7 +248,8 @@ def newton(
     Returns the number of passes, or -1 when `most` were not enough (no int: numba would compile
     this anew for every constant) or an update was refused.
     """
-    history, states, derivatives, x = room.history, room.states, room.derivatives, room.x
+    history, walls_past = room.history, room.walls_past
+    states, derivatives, x = room.states, room.derivatives, room.x
     heavy = tip[6] > 0.0 or tip[7] > 0.0 or tip[8] > 0.0 or tip[9] > 0.0
     weights, moved = room.weights, room.moved
     n = states.shape[0] - 1
@@ -260,10 +265,10 @@ def newton(
     for passes in range(1, int(most) + 1):
         for s in range(segments):
             _start_segment(w, room, scale, s, s * per)
-            integrate(w, walls, history, load, loaded, s * per, (s + 1) * per, states, derivatives)
+            integrate(w, walls, history, walls_past, load, loaded, s * per, (s + 1) * per, states, derivatives)
             if s < last and not _carry_directions(w, room, scale, s, (s + 1) * per):
                 return -1
-        past = past_of(history, STATE * (n + 1), STATE * n)
+        past = past_of(history, walls_past if branched(walls.law) else history, STATE * (n + 1), STATE * n)
         tip_residual(w, walls, past, False, c0, heavy)
         if not _solve_tip(w, room, last):
             return -1

@@ -28,7 +28,7 @@ def tangents(
     """One pass from the solved arm x (2 N + 2, 16): fills states, derivatives (W, N + 1, 128) and the shares of them.
 
     A neighbour is its lane plus, in segment s, its shares of lanes 1 to 6, all against lane 0. Segments are joined as
-    in `shooting.newton`. past (W, N + 1, 192), at rest not looked at. False when no answer is found.
+    in `shooting.newton`. past (W, N + 1, 192 or 288), at rest not looked at. False when no answer is found.
     """
     directions, triangle, along, parts = room.directions, room.triangle, room.along, room.parts
     n, count = states.shape[1] - 1, parts.shape[0]

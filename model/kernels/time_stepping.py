@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from model.kernels.jit import kernel
-from model.kernels.law import Walls
+from model.kernels.law import Walls, branched
 from model.kernels.layout import AXIAL, LANES, MORE, OFFSET, PER_TUBE, STATE, TRIO
+from model.kernels.relaxation import recall_branches, relax_branches
 from model.kernels.shooting import Workspace, newton
 from model.kernels.vec3 import called, inlined, leaf
 
@@ -153,6 +154,8 @@ def advance(
     scheme: Array,
     past_states: Array,
     x: Array,
+    branch_factors: Array,
+    branch_strains: Array,
     room: Workspace,
     tolerance: float,
 ) -> int:
@@ -161,7 +164,8 @@ def advance(
     scheme: c0, c1, c2, c3, d1. x (2 N + 2, 16): the last solution and its slopes; past_states (2, 2 N + 2, 16): the two
     before. before (3, N): the last three's pressures. The guess is extrapolated if extrapolation also predicts the
     pressures better than the last ones do. room.history: y^h at the nodes, its slopes, and the same at the mid-points,
-    (N + 1) x 16 each. Where a step fails: more segments, then the pressures led from the last ones to the new ones in
+    (N + 1) x 16 each; room.walls_past the same of the walls' past strains, which differ where there are branches, see
+    `relaxation`. Where a step fails: more segments, then the pressures led from the last ones to the new ones in
     parts.
     """
     n = room.states.shape[0] - 1
@@ -193,8 +197,13 @@ def advance(
         before[2, k] = before[1, k]
         before[1, k] = before[0, k]
         before[0, k] = pressure[k]
+    if branched(walls.law):
+        relax_branches(branch_factors, branch_strains, y, x)
     _update_history(scheme, y, x, past_states, room.history)
     between(room.history, x.size // 2, length / n)
+    if branched(walls.law):
+        recall_branches(branch_factors, branch_strains, x, room.history, room.walls_past)
+        between(room.walls_past, x.size // 2, length / n)
     return int(passes)
 
 

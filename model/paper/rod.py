@@ -133,11 +133,11 @@ class PaperRod:
         return self._shape(known, ok=True)
 
     def start(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
-        """Begin at rest. Raises ValueError for a cap with inertia or a material with damping, which the paper lacks."""
-        if self._arm.cap_inertia or self._arm.material.damping_s > 0:
+        """Begin at rest. Raises ValueError for a cap with inertia, viscous walls and friction: not the paper's."""
+        if self._arm.cap_inertia or self._arm.material.damping_s > 0 or self._arm.remembers:
             raise ValueError(
-                "the paper's formulation has neither the cap's inertia nor damping in motion: "
-                "set cap_inertia=False and damping_s=0, or use model.dynamics.Dynamics"
+                "the paper's formulation has neither the cap's inertia nor viscous walls or friction in motion: "
+                "set cap_inertia=False and damping_s=0 without branches and stops, or use model.dynamics.Dynamics"
             )
         shape = self.statics(pressure_pa, loads)
         self._past[:] = self._samples

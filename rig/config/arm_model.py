@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
+from model.material import MaxwellBranch
 from rig.config.schema import RigConfig
 from rig.config.sections import GeometryConfig, MaterialConfig, Variant
 
@@ -62,6 +63,7 @@ def model_material(material: MaterialConfig) -> model.Material:
         shear_ratio=material.shear_ratio,
         density_kg_m3=material.density_kg_m3,
         damping_s=material.damping_s,
+        branches=tuple(MaxwellBranch(branch.relative_modulus, branch.time_s) for branch in material.branches),
     )
 
 

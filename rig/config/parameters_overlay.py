@@ -200,6 +200,10 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
     law, own = found.arm.actuation.law, config.arm.actuation.law
     if law != own:
         refuse(("arm", "actuation", "law"), law, f"{own}, the actuation law of {rig}")
+    for room, name, what in (("material", "branches", "branches"), ("actuation", "stops", "stop elements")):
+        theirs, mine = (len(getattr(getattr(arm, room), name)) for arm in (found.arm, config.arm))
+        if theirs != mine:
+            refuse(("arm", room, name), f"{theirs} {what}", f"{mine}, as {rig} has")
     now, then = config.arm.geometry, found.identified.geometry
     if len(then.actuator_angles_deg) != config.actuators:
         refuse(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
+from model.material import MOST_BRANCHES
 from model.variants import VARIANTS, variant_named
 from protocols.validation import ValidationFault, faults
 from rig.config.drivers import CAMERA_DRIVERS
@@ -345,8 +346,19 @@ class GeometryConfig(Section):
     actuator_angles_deg: Annotated[tuple[Number, ...], Field(min_length=1)]
 
 
+class BranchConfig(Section):
+    """A Maxwell branch of the walls, one term of a Prony series."""
+
+    relative_modulus: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False, strict=True)] = Field(
+        description="over the modulus at rest"
+    )
+    time_s: Annotated[float, Field(ge=1e-3, le=1e5, allow_inf_nan=False, strict=True)] = Field(
+        description="relaxation time"
+    )
+
+
 class MaterialConfig(Section):
-    """Eqs 16, 30, 32 and the identified gamma."""
+    """Eqs 16, 30, 32, the identified gamma, and what makes the walls viscous."""
 
     youngs_modulus_pa: ModulusPa = Field(description="homogeneous section")
     a1_per_N: Annotated[float, Field(ge=1e-6, le=10, allow_inf_nan=False, strict=True)] = Field(description="eq 32")
@@ -360,6 +372,9 @@ class MaterialConfig(Section):
     density_kg_m3: Annotated[float, Field(ge=1, le=25_000, allow_inf_nan=False, strict=True)] = 1080.0
     damping_s: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False, strict=True)] = Field(
         default=0.0, description="Kelvin-Voigt retardation time"
+    )
+    branches: Annotated[tuple[BranchConfig, ...], Field(max_length=MOST_BRANCHES)] = Field(
+        default=(), description="Prony series of the walls' slow relaxation"
     )
 
 

@@ -75,6 +75,12 @@ def quantities(config: RigConfig) -> tuple[Quantity, ...]:
     add("model", "shear_ratio", "1", material.shear_ratio)
     add("model", "density", "kg/m3", material.density_kg_m3)
     add("model", "damping", "s", material.damping_s)
+    for number, branch in enumerate(material.branches, start=1):
+        add("model", f"branch_{number}_modulus", "1", branch.relative_modulus)
+        add("model", f"branch_{number}_time", "s", branch.time_s)
+    for number, stop in enumerate(arm.actuation.stops, start=1):
+        add("model", f"stop_{number}_weight", "1", stop.weight)
+        add("model", f"stop_{number}_width", "bar", stop.width_bar)
     if arm.actuation.as_law().grows:
         add("model", "push_growth", "1/bar", arm.actuation.growth_per_bar)
     add("model", "cap_mass", "g", arm.cap_mass_g)

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
-from model.dynamics import Dynamics
 from model.statics import statics
 from rig.config.arm_model import TipLoad, model_arm
 from rig.execution.plan import RunPlan
 from rig.experiment.run import RunRequest, header
+from rig.observation.motion_model import motion_model
 from rig.observation.overlay import backbone
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
@@ -37,7 +37,7 @@ def simulate(request: RunRequest, plan: RunPlan, static: bool) -> Path:
     steps = int(trajectory.duration_s * rate_hz) + 1
     pressures = trajectory.sample(np.arange(steps) * dt_s)
     arm = model_arm(config, plan.variant)
-    dynamics = None if static else Dynamics(arm, dt_s)
+    dynamics = motion_model(arm, dt_s, static)
 
     samples = blank(steps, sample_dtype(config.actuators, len(config.valves)))
     samples["tick"] = np.arange(steps)

@@ -10,6 +10,7 @@ from calibration.identify.data import Poses, poses_of, quasi_static_poses
 from calibration.identify.figures import predictions
 from calibration.identify.fit import identify
 from calibration.identify.held_out_prediction import Prediction
+from calibration.identify.memory_parameters import memory_names
 from calibration.identify.nuisance import nuisance_parameters, stated_values
 from calibration.identify.parameters import Prior, Setup, UnknownParameter, named
 from calibration.identify.results import Fit
@@ -108,17 +109,19 @@ def from_poses(
 ) -> Fit:
     """Identify an arm from runs, starting from a rig's arm.
 
-    By default the parameters of `rig run --adapt` are free, and for dynamic runs the damping: otherwise base and law
-    would absorb the lag of a motion. Every other number that the tip depends on is a nuisance parameter: it is
-    estimated, too, with the rig's value and its standard uncertainty as prior. Parameters of `per_run`, free or not,
-    have a value of their own in each run.
+    By default the parameters of `rig run --adapt` are free, the branches and stop elements of the rig's arm, and for
+    dynamic runs the damping: otherwise base and law would absorb the lag of a motion. Every other number that the tip
+    depends on is a nuisance parameter: it is estimated, too, with the rig's value and its standard uncertainty as
+    prior. Parameters of `per_run`, free or not, have a value of their own in each run.
 
     Raises:
         UnknownParameter: a name is unknown, or a prior or `per_run` names a parameter without effect on the data.
     """
     moving = any(one.moving for one in data)
-    chosen = tuple(free) or (*default_parameters(config), *(("damping_s",) if moving else ()))
     start = Setup(model_arm(config))
+    chosen = tuple(free) or (
+        *default_parameters(config), *memory_names(start.arm), *(("damping_s",) if moving else ())
+    )  # fmt: skip
     beside = nuisance_parameters(start, data, named(chosen, config.actuators))
     check_priors(priors, (*chosen, *(p.name for p in beside)), config.actuators)
     stated = rig_uncertainties(config, start)

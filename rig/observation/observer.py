@@ -19,6 +19,7 @@ from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from rig.hardware.cameras.base import FrameSet
+from rig.observation.motion_model import motion_model
 from rig.observation.multi_camera import MultiCameraTipEstimator
 from rig.observation.overlay import backbone
 from rig.observation.single_camera import TipMeasurement
@@ -76,6 +77,11 @@ class PressureInterpolator:
             self._t_ns = np.concatenate([self._t_ns[keep], t_ns])
             self._pa = np.concatenate([self._pa[keep], pa])
 
+    @property
+    def first_ns(self) -> int | None:
+        """Time of the first sample that is kept; None before any."""
+        return int(self._t_ns[0]) if self._t_ns.size else None
+
     def at(self, t_ns: int) -> Floats:
         """Return pressures (N,) [Pa] at a time, the nearest sample beyond the ends; NaN before the first."""
         if not self._t_ns.size:
@@ -102,10 +108,14 @@ class _StaticModel:
 
 
 class _DynamicModel:
-    """Dynamics from frame to frame: over the time between them, in equal steps of about the camera's stated period."""
+    """Dynamics from frame to frame: over the time between them, in equal steps of about the camera's stated period.
 
-    def __init__(self, arm: model.Arm, period_s: float) -> None:
-        self._dynamics = Dynamics(arm, period_s)
+    An arm that remembers begins at the first sample known, and takes longer steps over a gap, however long: its past
+    must not be lost.
+    """
+
+    def __init__(self, dynamics: Dynamics, period_s: float, remembers: bool) -> None:
+        self._dynamics, self._remembers = dynamics, remembers
         self._period_ns = period_s * 1e9
         self._last: tuple[int, model.Shape] | None = None
 
@@ -113,8 +123,12 @@ class _DynamicModel:
         self, frame_set: FrameSet, pressures: PressureInterpolator, loads: model.Loads | None
     ) -> model.Shape | None:
         last, self._last = self._last, None
+        if last is None and self._remembers:
+            last = self._begin(frame_set.t_ns, pressures, loads)
         passed_ns = frame_set.t_ns - last[0] if last is not None else 0
         steps = max(1, round(passed_ns / self._period_ns))
+        if self._remembers:
+            steps = min(steps, _MOST_STEPS)
         if last is None or passed_ns <= 0 or steps > _MOST_STEPS:
             shape = _rest(self._dynamics.start, pressures.at(frame_set.t_ns), loads)
         elif passed_ns * 1e-9 < self._dynamics.shortest_step_s:
@@ -133,6 +147,16 @@ class _DynamicModel:
         if shape is not None:
             self._last = frame_set.t_ns, shape
         return shape
+
+    def _begin(
+        self, t_ns: int, pressures: PressureInterpolator, loads: model.Loads | None
+    ) -> tuple[int, model.Shape] | None:
+        """Time and shape at the first sample, at rest; None where there is none before the frame, or no solution."""
+        first_ns = pressures.first_ns
+        if first_ns is None or first_ns >= t_ns:
+            return None
+        shape = _rest(self._dynamics.start, pressures.at(first_ns), loads)
+        return None if shape is None else (first_ns, shape)
 
     def _step_s(self, step_ns: float) -> float | None:
         """The step, None for the stated period: times in whole nanoseconds do not count as uneven."""
@@ -172,8 +196,9 @@ class Observer:
         self._tip_estimator: _TipEstimator = MultiCameraTipEstimator(config) if config.cameras else _NoTip()
         rate_hz = config.observation_hz
         arm = model_arm(config, variant)
+        dynamics = motion_model(arm, 1 / rate_hz, config.model.mode == "static")
         self._model: _LiveModel = (
-            _StaticModel(arm) if config.model.mode == "static" else _DynamicModel(arm, 1 / rate_hz)
+            _StaticModel(arm) if dynamics is None else _DynamicModel(dynamics, 1 / rate_hz, arm.remembers)
         )
         self._tip_load = TipLoad(config)
         self._pressures = PressureInterpolator(config.actuators)

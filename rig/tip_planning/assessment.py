@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.identify.memory_parameters import ALL_NAMES
 from calibration.identify.parameters import Parameter, Setup, groups, known
 from model import batch, sensitivities
 from model.sensitivities import Variation
@@ -99,7 +100,8 @@ def _propagated(
     shares: dict[str, float] = {}
     needed = np.zeros((len(pressure), drive.valves))
     for name, parameter in known(arm.geometry.actuators).items():
-        if name.startswith(NOT_OF_THE_ARM):
+        # At rest nothing is remembered.
+        if name.startswith(NOT_OF_THE_ARM) or name in ALL_NAMES:
             continue
         std = stated.get(name, _usual(parameter, start))
         changed = parameter.write(start, parameter.read(start) + std)

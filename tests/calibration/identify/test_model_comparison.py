@@ -10,6 +10,7 @@ import pytest
 
 import model
 from calibration.identify import NoDataError, Poses, Setup
+from calibration.identify.memory_parameters import ALL_NAMES
 from calibration.identify.model_comparison import Candidate, candidates, compare_models, compared, sentence
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 
@@ -116,10 +117,14 @@ def test_one_run_is_not_enough() -> None:
 def test_the_candidates_are_the_papers_models_and_rules() -> None:
     still = candidates(START)
     assert [(c.inhomogeneous, c.radial) for c in still[:3]] == [(False, False), (False, True), (True, True)]
-    assert len(still) == 9
+    assert len(still) == 12
     pushes = {c.start.arm.actuation.name for c in still if "push_growth_per_bar" in c.free}
     assert pushes == {"own-pressure", "pressure-sum"}
     assert all(c.start.arm.actuation.name == "proportional" for c in still[:7])
+    remembered = [set(c.free) & ALL_NAMES for c in still]
+    branch, stop = {"branch_1_modulus", "branch_1_time_s"}, {"stop_1_weight", "stop_1_width_pa"}
+    assert remembered == [set()] * 9 + [branch, stop, branch | stop]
+    assert [c.start.arm.remembers for c in still] == [False] * 9 + [True] * 3
     assert all("damping_s" not in c.free for c in still)
 
 

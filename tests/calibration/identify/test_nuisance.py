@@ -9,11 +9,13 @@ import pytest
 
 import model
 from calibration.identify import Poses, Prior, Setup, identify, known
+from calibration.identify.memory_parameters import ALL_NAMES
 from calibration.identify.nuisance import nuisance_parameters, stated_values
 from calibration.identify.parameters import named
 from calibration.identify.search import search
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 from model.actuation import OwnPressure
+from model.material import MaxwellBranch
 
 START = Setup(model.Arm.paper())
 RAMP = np.linspace(0.15e5, 0.65e5, 8)[:, None]
@@ -58,7 +60,17 @@ def test_what_has_no_effect_on_the_data_is_not_estimated() -> None:
     in_motion = {p.name for p in nuisance_parameters(START, [replace(PLANNED[0], period_s=0.03)], free)}
     assert in_motion - at_rest == {"damping_s", "density_kg_m3", "sensor_lag_s", "sensor_filter_s"}
     every = set(known(3))
-    assert every - in_motion == {"a1_per_n", "a2_per_n2", "youngs_modulus_pa", "gravity_rz_rad", "push_growth_per_bar"}
+    assert every - in_motion - ALL_NAMES == {
+        "a1_per_n",
+        "a2_per_n2",
+        "youngs_modulus_pa",
+        "gravity_rz_rad",
+        "push_growth_per_bar",
+    }
+    assert ALL_NAMES & in_motion == set()
+    relaxing = replace(START.arm.material, branches=(MaxwellBranch(0.05, 2.0),))
+    names = {p.name for p in nuisance_parameters(Setup(replace(START.arm, material=relaxing)), PLANNED, free)}
+    assert names - at_rest == {"branch_1_modulus", "branch_1_time_s"}
     growing = Setup(replace(START.arm, actuation=OwnPressure()))
     assert {p.name for p in nuisance_parameters(growing, PLANNED, free)} - at_rest == {"push_growth_per_bar"}
 

@@ -1,0 +1,39 @@
+"""Rate-independent hysteresis of each actuator: friction, as between braid and wall, that lags the pressure.
+
+Prandtl-Ishlinskii operator of stop elements (Maxwell-slip model): a pressure P acts as P - sum_k w_k s_k. The stop s_k
+follows P between -r_k and r_k, like a spring in series with a slider. P - s_k is a play operator of width r_k.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.actuation import StopElement
+from model.kernels.hysteresis import slide
+
+Array = NDArray[np.float64]
+
+
+class Hysteresis:
+    """The operator with its state; it begins relaxed at a pressure (N,) [Pa]."""
+
+    def __init__(self, elements: Sequence[StopElement], pressure_pa: Array) -> None:
+        self._elements = np.array([(one.weight, one.width_pa) for one in elements]).reshape(-1, 2)
+        self._stops = np.zeros((len(elements), len(pressure_pa)))
+        self._before = np.array(pressure_pa, dtype=np.float64)
+
+    def advance(self, pressure_pa: Array) -> Array:
+        """Effective pressures (T, N) of a course of pressures (T, N) [Pa], which must be finite."""
+        if not len(self._elements):
+            return pressure_pa
+        effective = np.empty_like(pressure_pa)
+        slide(self._elements, self._stops, self._before, pressure_pa, effective)
+        return effective
+
+
+def effective_pa(elements: Sequence[StopElement], pressure_pa: Array) -> Array:
+    """Effective pressures (1 + T, N) of a course (1 + T, N) [Pa] that begins relaxed."""
+    return Hysteresis(elements, pressure_pa[0]).advance(pressure_pa)

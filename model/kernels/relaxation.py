@@ -1,0 +1,74 @@
+"""Kernels of the Maxwell branches of the walls: their strains, and the past strains that stand for them in a time step.
+
+A branch with the relaxation time T has the elastic strain h, h' = y' - h / T. For a strain y that is linear over a step
+of length dt this is exactly h_i = decay h_{i-1} + rise (y_i - y_{i-1}), with decay = exp(-dt / T) and
+rise = (1 - decay) T / dt. So the stress of all branches and of the Kelvin-Voigt damping tau,
+
+    K (tau (c0 y + y^h) + sum_k g_k h_k) = K theta (c0 y + y^p),    theta = tau + sum_k g_k rise_k / c0,
+
+has the form of damping alone, with the past strains y^p = (tau y^h + sum_k g_k (decay_k h_k - rise_k y_{i-1})) / theta.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from model.kernels.layout import LANES, STATE
+from model.kernels.vec3 import called, leaf
+
+Array = Any
+
+
+@leaf
+def relax_branches(factors: Array, strains: Array, now: Array, last: Array) -> None:
+    """Advance the branches' strains (B, 2 N + 2, 6) over a step from the states `last` to `now` (2 N + 2, 16).
+
+    factors (1 + B, 3): tau / theta, theta; then of each branch g / theta, decay and rise.
+    """
+    for b in range(strains.shape[0]):
+        decay, rise = factors[1 + b, 1], factors[1 + b, 2]
+        for j in range(strains.shape[1]):
+            for c in range(6):
+                strains[b, j, c] = decay * strains[b, j, c] + rise * (now[j, c] - last[j, c])
+
+
+@called
+def recall_branches(factors: Array, strains: Array, x: Array, history: Array, walls_past: Array) -> None:
+    """The past strains of the walls at the nodes, and their slopes, from the history y^h and the last states x."""
+    damped = factors[0, 0]
+    for j in range(x.shape[0]):
+        for c in range(6):
+            walls_past[STATE * j + c] = damped * history[STATE * j + c]
+    for b in range(strains.shape[0]):
+        share, decay, rise = factors[1 + b, 0], factors[1 + b, 1], factors[1 + b, 2]
+        for j in range(x.shape[0]):
+            for c in range(6):
+                walls_past[STATE * j + c] += share * (decay * strains[b, j, c] - rise * x[j, c])
+
+
+@leaf
+def relax_branches_in_lanes(
+    factors: Array, strains: Array, past: Array, now: Array, last: Array, slope: Array, last_slope: Array
+) -> None:
+    """The same for lanes: the branches' strains (B, N + 1, 96), and what stands behind the history in `past`.
+
+    factors (1 + B, 3, 8), by lane. past (N + 1, 288): history, its slopes, the walls' past strains and their slopes.
+    now, last, slope, last_slope: solutions (N + 1, 128) of the last two steps, and their slopes.
+    """
+    half, own = 6 * LANES, 24 * LANES
+    for j in range(past.shape[0]):
+        for c in range(6):
+            for i in range(LANES):
+                at = c * LANES + i
+                past[j, own + at] = factors[0, 0, i] * past[j, at]
+                past[j, own + half + at] = factors[0, 0, i] * past[j, 12 * LANES + at]
+        for b in range(strains.shape[0]):
+            for c in range(6):
+                for i in range(LANES):
+                    share, decay, rise = factors[1 + b, 0, i], factors[1 + b, 1, i], factors[1 + b, 2, i]
+                    at = c * LANES + i
+                    strain = decay * strains[b, j, at] + rise * (now[j, at] - last[j, at])
+                    bent = decay * strains[b, j, half + at] + rise * (slope[j, at] - last_slope[j, at])
+                    strains[b, j, at], strains[b, j, half + at] = strain, bent
+                    past[j, own + at] += share * (decay * strain - rise * now[j, at])
+                    past[j, own + half + at] += share * (decay * bent - rise * slope[j, at])

@@ -1,0 +1,36 @@
+"""Viscous walls in a time step: Kelvin-Voigt damping and Maxwell branches as one viscous time and past strains.
+
+model/kernels/relaxation.py derives both.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.material import Material
+
+Array = NDArray[np.float64]
+
+
+def viscous_time_s(material: Material, c0: float, dt_s: float) -> float:
+    """Theta: the time by which the walls of a step of dt_s [s] are viscous; at rest (c0 = 0) that of the damping."""
+    if not material.branches or not c0:
+        return material.damping_s
+    return material.damping_s + sum(b.relative_modulus * rise(b.time_s, dt_s) for b in material.branches) / c0
+
+
+def branch_factors(material: Material, c0: float, dt_s: float) -> Array:
+    """Numbers (1 + B, 3) by which the kernels advance B branches over a step, as of `relaxation.relax_branches`."""
+    theta = viscous_time_s(material, c0, dt_s)
+    over = 1 / theta if theta else 0.0
+    rows = [(b.relative_modulus * over, math.exp(-dt_s / b.time_s), rise(b.time_s, dt_s)) for b in material.branches]
+    return np.array([(material.damping_s * over, theta, 0.0), *rows])
+
+
+def rise(time_s: float, dt_s: float) -> float:
+    """Mean of exp(-t / T) over a step: how much of a strain that grows evenly is left in a branch at its end."""
+    ratio = dt_s / time_s
+    return -math.expm1(-ratio) / ratio if ratio else 1.0
