@@ -16,7 +16,7 @@ from protocols.steps.base import MOST_SEGMENTS, LeafStep
 from protocols.tip_inverse import HISTORY_S, HISTORY_STEP_S, TipInverse, TipRefusedError, TipRequest
 from protocols.tip_paths import TipPath, fade
 from protocols.tip_reference import GRID_S, TipMotion, TipReference
-from protocols.trajectory import Prompt, Segment, SetPointTrajectory
+from protocols.trajectory import Prompt, Segment, SetPointTrajectory, StreamInterval
 from protocols.waveforms import Samples, Waveform
 
 Path = tuple[str | int, ...]
@@ -69,7 +69,13 @@ def expand(
     if not segments:
         raise BadInputError([_problem(document, ("steps",), "at least one step that takes time", "")])
     return SetPointTrajectory(
-        expander.now_s, actuators, segments, tuple(expander.prompts), document.file, expander.tip()
+        expander.now_s,
+        actuators,
+        segments,
+        tuple(expander.prompts),
+        document.file,
+        expander.tip(),
+        tuple(expander.streams),
     )
 
 
@@ -82,6 +88,7 @@ class _Expander:
         self.now_s = 0.0
         self.segments: list[Segment] = []
         self.prompts: list[Prompt] = []
+        self.streams: list[StreamInterval] = []
         self.problems: list[Problem] = []
         self._level_pa = [0.0] * actuators
         self._document = document
@@ -122,6 +129,13 @@ class _Expander:
         for number, level in zip(actuators if levels_pa else (), levels_pa, strict=True):
             self._level_pa[number - 1] = level
         self._append(kind, label, actuators, duration_s, (), jumps=bool(levels_pa))
+
+    def stream(
+        self, label: str, actuators: tuple[int, ...], duration_s: float, timeout_s: float, connect_s: float
+    ) -> None:
+        start_s = self.now_s
+        self._append("stream", label, actuators, duration_s, ())
+        self.streams.append(StreamInterval(start_s, self.now_s, actuators, timeout_s, connect_s, self._line))
 
     def prompt(self, message: str, weight_g: float | None) -> None:
         self.prompts.append(Prompt(self.now_s, message, self._line, None if weight_g is None else weight_g * 1e-3))

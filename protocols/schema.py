@@ -16,6 +16,7 @@ from protocols.steps.prompt import PromptStep
 from protocols.steps.ramp import Ramp
 from protocols.steps.sine import Sine
 from protocols.steps.staircase import Staircase
+from protocols.steps.stream import Stream
 from protocols.steps.tip import Tip
 from protocols.validation import ValidationFault, faults
 
@@ -54,6 +55,7 @@ class Step(StepPart):
     hold: Hold | SkipJsonSchema[None] = None
     csv: Csv | SkipJsonSchema[None] = None
     tip: Tip | SkipJsonSchema[None] = None
+    stream: Stream | SkipJsonSchema[None] = None
     prompt: (
         Annotated[
             Annotated[Text, Tag("text")] | Annotated[PromptStep, Tag("with weight")], Discriminator(_text_or_weight)

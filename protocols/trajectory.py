@@ -59,6 +59,21 @@ class Prompt:
 
 
 @dataclass(frozen=True)
+class StreamInterval:
+    """From `start_s` to `stop_s` another program sets the pressures of `actuators` (numbers, from 1).
+
+    At most `timeout_s` may pass between two set-points, and `connect_s` until the first.
+    """
+
+    start_s: float
+    stop_s: float
+    actuators: tuple[int, ...]
+    timeout_s: float
+    connect_s: float
+    line: int
+
+
+@dataclass(frozen=True)
 class SetPointTrajectory:
     """Set-points of N actuators from 0 to `duration_s`; `source` names the protocol's file.
 
@@ -73,6 +88,8 @@ class SetPointTrajectory:
     source: str
     tip: TipReference = NO_TIP_REFERENCE
     """Where the tip has to be; the set-points of its motions are the feed-forward pressures."""
+    streams: tuple[StreamInterval, ...] = ()
+    """When another program sets pressures; the set-points here hold there."""
     _starts: tuple[float, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -99,6 +116,10 @@ class SetPointTrajectory:
             for index, wave in segment.waves:
                 rate[index] = wave.slope(t_s - segment.start_s)
         return rate
+
+    def stream_at(self, t_s: float) -> StreamInterval | None:
+        """The interval of streamed set-points at a protocol time; None outside."""
+        return next((one for one in self.streams if one.start_s <= t_s < one.stop_s), None)
 
     def weight_kg(self, t_s: float) -> float:
         """Weight on the end cap [kg] at a protocol time; at the time of a prompt the weight before it."""

@@ -7,12 +7,21 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from runs.columns import ADAPTATIONS, AUXILIARY, BACKBONE_POINTS, OBSERVATIONS, PLAN_AHEAD_S, SAMPLES, TIP_CONTROL
+from runs.columns import (
+    ADAPTATIONS,
+    AUXILIARY,
+    BACKBONE_POINTS,
+    OBSERVATIONS,
+    PLAN_AHEAD_S,
+    SAMPLES,
+    STREAMED,
+    TIP_CONTROL,
+)
 from runs.columns.declaration import Table
 
 _ZERO = {
     c.record
-    for t in (*SAMPLES, *AUXILIARY, *OBSERVATIONS, *ADAPTATIONS, *TIP_CONTROL)
+    for t in (*SAMPLES, *AUXILIARY, *OBSERVATIONS, *ADAPTATIONS, *TIP_CONTROL, *STREAMED)
     for c in t.columns()
     if c.record and c.missing == 0
 }
@@ -49,6 +58,11 @@ def adaptation_dtype(parameters: int) -> np.dtype[np.void]:
 def tip_control_dtype(valves: int) -> np.dtype[np.void]:
     """One plan of the tip controller: `TipControl`."""
     return _dtype(TIP_CONTROL, valve=valves)
+
+
+def streamed_dtype(actuators: int) -> np.dtype[np.void]:
+    """One set-point of another program: `StreamedSetPoints`."""
+    return _dtype(STREAMED, actuator=actuators)
 
 
 def _dtype(tables: Iterable[type[Table]], **sizes: int) -> np.dtype[np.void]:

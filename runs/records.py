@@ -22,6 +22,7 @@ from runs.record_dtypes import adaptation_dtype as adaptation_dtype
 from runs.record_dtypes import blank as blank
 from runs.record_dtypes import observation_dtype as observation_dtype
 from runs.record_dtypes import sample_dtype as sample_dtype
+from runs.record_dtypes import streamed_dtype as streamed_dtype
 from runs.record_dtypes import tip_control_dtype as tip_control_dtype
 
 MODEL_ALONE = "model alone"
@@ -219,6 +220,8 @@ class RunHeader:
     """Name of the tip controller; empty if the protocol has no tip reference."""
     learned_from: tuple[str, ...] = ()
     """Ids of the runs from which the tip controller has learned, in this order."""
+    streams: bool = False
+    """Whether the protocol has steps in which another program sends the set-points."""
     control_hz: float = 200.0
     camera_hz: float = 30.0
     cameras: tuple[str, ...] = ("camera",)

@@ -83,6 +83,11 @@ class Player(Protocol):
     ) -> None:
         """Append the segments in which the tip follows a path."""
 
+    def stream(
+        self, label: str, actuators: tuple[int, ...], duration_s: float, timeout_s: float, connect_s: float
+    ) -> None:
+        """Append a segment in which another program sets the pressures of these actuators."""
+
     def prompt(self, message: str, weight_g: float | None) -> None:
         """Pause here until the operator confirms the message."""
 

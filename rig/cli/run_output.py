@@ -55,6 +55,9 @@ def check_screen(request: RunRequest, plan: RunPlan) -> Group:
     facts.add_row("duration", f"{trajectory.duration_s:.1f} s, {_counted(len(trajectory.segments), 'segment')}")
     if trajectory.prompts:
         facts.add_row("operator", _counted(len(trajectory.prompts), "prompt"))
+    for stream in trajectory.streams:
+        numbers = ", ".join(map(str, stream.actuators))
+        facts.add_row("set-points", f"of another program for actuators {numbers}, {stream.stop_s - stream.start_s:g} s")
     limits = config.limits
     stopped_bar = limits.pressure_bar + limits.pressure_margin_bar
     held = f"at most {limits.pressure_bar:g} bar in each chamber, above {stopped_bar:g} bar the run is aborted"

@@ -14,6 +14,7 @@ from rig.config.sections import PA_PER_BAR
 from rig.control import step as control
 from rig.control.auxiliary import AuxiliaryMeans
 from rig.control.protocol_position import ProtocolPosition, advance, skip
+from rig.control.stream_follower import StreamFollower
 from rig.execution.plan import RunPlan
 from rig.hardware.bench import BenchScans
 from rig.tip_control.plan_follower import PlanFollower, SetPointSource
@@ -65,6 +66,8 @@ class ControlLoop:
                 limits.rate_bar_per_s * PA_PER_BAR,
                 limits.lowest_pressure_bar * PA_PER_BAR,
             )
+        self._stream = StreamFollower(config, plan.trajectory) if plan.trajectory.streams else None
+        self._held = False
         self._valve_of = [0] * config.actuators
         for index, valve in enumerate(config.valves):
             for actuator in valve.actuators:
@@ -106,6 +109,11 @@ class ControlLoop:
         if self._follower is None or reference is None or not self._follower.take(now_s, *plan):
             row["status"] = SolveStatus.REFUSED
         return row
+
+    def take_setpoint(self, row: NDArray[np.void] | np.void, now_ns: int) -> NDArray[np.void] | np.void:
+        """Follow a set-point of another program, or refuse it; return its row for the record, completed."""
+        assert self._stream is not None
+        return self._stream.take(row, now_ns, self.position.protocol_s, held=self._held)
 
     def _followed(
         self, protocol_s: float, periods: int, feed_pa: NDArray[np.float64], feed_rate_pa_s: NDArray[np.float64]
@@ -155,9 +163,12 @@ class ControlLoop:
             dt_s = periods * self.period_ns * 1e-9
             self.position = advance(self.position, dt_s, self._prompts_s, answered, held)
         protocol_s = min(self.position.protocol_s, self._trajectory.duration_s)
-        still = held or self.position.waiting
+        still = self._held = held or self.position.waiting
         setpoint_pa = self._trajectory.setpoint_pa(protocol_s)
         rate_pa_s = np.zeros_like(setpoint_pa) if still else self._trajectory.rate_pa_s(protocol_s)
+        if self._stream is not None:
+            dt_s = periods * self.period_ns * 1e-9
+            setpoint_pa, rate_pa_s = self._stream.follow(protocol_s, dt_s, setpoint_pa, rate_pa_s, held=still)
         if self._follower is not None:
             setpoint_pa, rate_pa_s = self._followed(protocol_s, periods, setpoint_pa, rate_pa_s)
         sample = control.Sample(
@@ -168,6 +179,7 @@ class ControlLoop:
             stalled_ns=self._stalled_ns(now_ns, lateness_ns + missed * self.period_ns),
             time_stopped=self._time_may_stop,
             stops_closed=self._stops_closed,
+            stream=None if self._stream is None else self._stream.silence,
         )
         self._state, command = control.step(self._prepared, self._state, sample, setpoint_pa, rate_pa_s)
         self._bench.write(command.valve_v)

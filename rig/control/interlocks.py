@@ -24,6 +24,19 @@ EVIDENCE = 2.0
 """A constant reading counts as frozen once the valve should have moved it by this multiple of the accuracy."""
 
 
+class StreamSilence(NamedTuple):
+    """For how long another program that sends the set-points has sent none.
+
+    `first`: it has sent none since the step in this `line` of the protocol began. `sequence`: number of the last one.
+    """
+
+    silent_s: float
+    limit_s: float
+    first: bool
+    line: int
+    sequence: int
+
+
 class Sample(NamedTuple):
     """Input of one control cycle.
 
@@ -31,7 +44,7 @@ class Sample(NamedTuple):
     `pressure_pa` (N,) come from the scans since the last cycle, or repeat the last values if there were none.
     `stops_closed` (E,): whether the contact of each emergency stop is closed now.
     `stalled_ns`: duration of a stall of this program just now, else 0. `time_stopped`: the bench is a simulation whose
-    time stopped during the stall.
+    time stopped during the stall. `stream`: the silence of another program that sends the set-points.
     """
 
     t_ns: int
@@ -41,6 +54,7 @@ class Sample(NamedTuple):
     stalled_ns: int = 0
     time_stopped: bool = False
     stops_closed: tuple[bool, ...] = ()
+    stream: StreamSilence | None = None
 
 
 @dataclass(frozen=True)
@@ -130,6 +144,29 @@ class StaleSamples(SampleInterlock):
             f"no pressure sample for {age_s * 1e3:.0f} ms {limit}" if sample.scan_t_ns else "no pressure sample yet"
         )
         return Trip(sample.t_ns, "stale samples", message, age_s, self.stale_s, "s")
+
+
+@dataclass(frozen=True)
+class SilentStream(SampleInterlock):
+    """Another program sends the set-points, and none has come for the time that the step of the protocol allows.
+
+    The duration of a stall of this computer does not count, as for `StaleSamples`.
+    """
+
+    @classmethod
+    def of(cls, config: RigConfig) -> Self:
+        """The limit is that of the step."""
+        return cls()
+
+    def trip(self, sample: Sample, *, new: bool) -> Trip | None:
+        """Compare the time since the last set-point."""
+        stream = sample.stream
+        if stream is None or stream.silent_s - sample.stalled_ns * 1e-9 <= stream.limit_s:
+            return None
+        key = "connect_s" if stream.first else "timeout_s"
+        what = "no program has sent a set-point" if stream.first else f"no set-point after number {stream.sequence}"
+        message = f"{what} for {stream.silent_s:.2f} s (limit {stream.limit_s:g} s: {key} of line {stream.line})"
+        return Trip(sample.t_ns, "stream", message, stream.silent_s, stream.limit_s, "s")
 
 
 @dataclass(frozen=True)
@@ -311,7 +348,7 @@ class Tracking(ActuatorInterlock):
         return None
 
 
-SAMPLE_INTERLOCKS: tuple[type[SampleInterlock], ...] = (EmergencyStops, StaleSamples, BrokenSensors)
+SAMPLE_INTERLOCKS: tuple[type[SampleInterlock], ...] = (EmergencyStops, StaleSamples, SilentStream, BrokenSensors)
 ACTUATOR_INTERLOCKS: tuple[type[ActuatorInterlock], ...] = (
     OverPressure,
     UnderPressure,

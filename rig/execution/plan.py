@@ -94,6 +94,9 @@ class Recorder(Protocol):
     def plans(self, rows: NDArray[np.void]) -> None:
         """Record plans of the tip controller."""
 
+    def streamed(self, rows: NDArray[np.void]) -> None:
+        """Record set-points of another program."""
+
     def picture(self, picture: Picture) -> None:
         """Record a camera picture."""
 

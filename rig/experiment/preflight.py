@@ -53,7 +53,7 @@ class _PreflightCheck:
                 if key not in worst or excess > worst[key][0]:
                     worst[key] = (excess, problem)
             before = segment.level_pa
-        problems = [problem for _, problem in worst.values()]
+        problems = [*self._streams(), *(problem for _, problem in worst.values())]
         return tuple(sorted((*self._duration(), *problems), key=lambda problem: problem.line))
 
     def _duration(self) -> Iterator[Problem]:
@@ -61,6 +61,17 @@ class _PreflightCheck:
         if takes > longest:
             expected = f"at most {longest:g} s (limits, duration_s{self._rig})"
             yield Problem(self._trajectory.source, 0, 0, "the whole protocol", f"{takes:.6g} s", expected)
+
+    def _streams(self) -> Iterator[Problem]:
+        """Check that a step that another program drives has all actuators of each of its valves."""
+        for interval in self._trajectory.streams:
+            for number, valve in enumerate(self._config.valves, start=1):
+                lacking = sorted(set(valve.actuators) - set(interval.actuators))
+                if lacking and len(lacking) < len(valve.actuators):
+                    where, column = self._protocol.step_at(interval.line) if self._protocol else ("stream", 0)
+                    found = f"actuators {', '.join(map(str, interval.actuators))}"
+                    expected = f"also actuator {lacking[0]}: valves #{number}{self._rig} drives it with another one"
+                    yield Problem(self._trajectory.source, interval.line, column, where, found, expected)
 
     def _violations(self, segment: Segment, before: tuple[float, ...]) -> Iterator[tuple[str, float, Problem]]:
         """Yield each violated rule, the excess, and the problem."""

@@ -196,6 +196,11 @@ def plan(request: RunRequest) -> RunPlan:
     """
     inverse, learned_from = tip_inverse(request.protocol, request.rig, request.variant, request.learn_from)
     trajectory = request.protocol.expand(request.config.actuators, inverse)
+    if request.fast and trajectory.streams:
+        where, column = request.protocol.step_at(trajectory.streams[0].line)
+        expected = "real time: virtual time cannot wait for another program; a step csv plays set-points of a file"
+        line = trajectory.streams[0].line
+        raise BadInputError([Problem(trajectory.source, line, column, where, "virtual time (--fast)", expected)])
     if problems := check(request.config, trajectory, request.protocol, request.rig_file):
         raise BadInputError(problems)
     return RunPlan(
@@ -347,6 +352,7 @@ def header(request: RunRequest, decided: RunPlan, t_ns: int, ahead_ns: int = 0) 
         adapted=decided.adapted,
         tip_controller=decided.tip_controller,
         learned_from=decided.learned_from,
+        streams=bool(decided.trajectory.streams),
         control_hz=config.control.rate_hz,
         camera_hz=config.observation_hz,
         cameras=tuple(config.cameras),

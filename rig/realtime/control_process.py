@@ -184,6 +184,8 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
             loop.skip()
         for plan in memory.new_plans.read() if job.plan.controls_tip else ():
             memory.plans.push(loop.take_plan(StampedPlan.of(plan), plan["row"]))
+        for setpoint in memory.new_setpoints.read() if job.plan.trajectory.streams else ():
+            memory.streamed.push(loop.take_setpoint(setpoint, now))
         row, trip = loop.cycle(tick, now, 1 + skipped, memory.prompts_answered, memory.paused, now - deadline, skipped)
         memory.samples.push(row)
         memory.lost_scans = loop.lost

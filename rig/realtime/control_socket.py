@@ -1,9 +1,10 @@
 """The supervisor's control socket: clients of the same user read the data of the run and send commands.
 
 Packets are JSON objects. `{"do": "attach"}` is answered with two file descriptors: the run's memory, read-only, and a
-pickle of its plan. `{"do": "watch"}` reports that a viewer is present. Any other `do` is a `CommandKind`; `via` names
-the client program, `who` its user, if known. The record names the account of the connection, which the kernel reports
-(SO_PEERCRED), whatever `who` contains. Only the user of the run and root may connect.
+pickle of its plan. `{"do": "watch"}` reports that a viewer is present. `{"do": "stream", ..}` is a set-point of another
+program, `{"do": "state"}` asks for what that program needs (`rig.realtime.stream_receiver`). Any other `do` is a
+`CommandKind`; `via` names the client program, `who` its user, if known. The record names the account of the connection,
+which the kernel reports (SO_PEERCRED), whatever `who` contains. Only the user of the run and root may connect.
 The supervisor never waits for a client: one that does not read its answer, or sends no valid packet, is disconnected.
 """
 
@@ -26,6 +27,7 @@ from rig.execution.plan import RunPlan
 from rig.hardware.runtime_folder import subfolder
 from rig.realtime.operator_commands import CommandKind, CommandResult, OperatorCommand, user_name
 from rig.realtime.shared_state import SharedState
+from rig.realtime.stream_receiver import StreamReceiver
 
 PACKET_BYTES = 4096
 MAX_CLIENTS = 32
@@ -66,14 +68,16 @@ def _remove_stale_sockets() -> None:
 class ControlSocket:
     """The listening control socket of one run. `close` may be called more than once."""
 
-    def __init__(self, plan: RunPlan, memory: SharedState) -> None:
+    def __init__(self, plan: RunPlan, memory: SharedState, stream: StreamReceiver) -> None:
         """Create and bind the socket.
 
         Raises:
             OSError: the socket cannot be created.
         """
-        self._memory = memory
-        self._clients: list[socket.socket] = []
+        self._memory, self._stream = memory, stream
+        self._clients: dict[socket.socket, int] = {}
+        """The connections, each with its number."""
+        self._accepted = 0
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         _remove_stale_sockets()
         self.path = socket_of(os.getpid())
@@ -93,7 +97,7 @@ class ControlSocket:
             # A new client has often sent its first packet already.
             client = self._accept() if end is self._socket else end
             if client is not None and not self._read_packets(client, handle):
-                self._clients.remove(client)
+                self._stream.disconnected(self._clients.pop(client))
                 client.close()
 
     def close(self) -> None:
@@ -112,7 +116,8 @@ class ControlSocket:
             client, _ = self._socket.accept()
             client.setblocking(False)
             if _uid(client) in (0, os.getuid()) and len(self._clients) < MAX_CLIENTS:
-                self._clients.append(client)
+                self._accepted += 1
+                self._clients[client] = self._accepted
                 return client
             client.close()
         return None
@@ -139,6 +144,11 @@ class ControlSocket:
             socket.send_fds(client, [b'{"done": true, "said": ""}'], [self._view_fd, self._plan_fd])
         elif not isinstance(do, str):
             raise TypeError("a command is a string")
+        elif do == "state":
+            client.send(json.dumps({"done": True, "said": "", **self._stream.state()}).encode())
+        elif do == "stream":
+            sender = _named(_uid(client), packet.get("who"), packet.get("via"))
+            client.send(json.dumps(self._stream.take(self._clients[client], sender, packet)).encode())
         else:
             answer = handle(
                 OperatorCommand(CommandKind(do), _named(_uid(client), packet.get("who"), packet.get("via")))

@@ -66,6 +66,9 @@ class DataRecorder:
         if len(plans):
             journal.plans(plans)
             self.report(*self._health.plans(plans))
+        streamed = memory.streamed.read()
+        if len(streamed):
+            journal.streamed(streamed)
         for picture in memory.read_pictures(list(self._config.cameras), self._config.recording.encoding):
             journal.picture(picture)
 

@@ -10,6 +10,7 @@ from rig.realtime.control_socket import ControlSocket
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.operator_commands import CommandHandler, CommandKind, CommandResult, OperatorCommand, user_name
 from rig.realtime.shared_state import SharedState
+from rig.realtime.stream_receiver import StreamReceiver
 from runs.records import Level, Status
 
 SHOW_S = 0.1
@@ -24,6 +25,7 @@ class OperatorSession:
         """`event` records an event; it is called only after the run has begun."""
         self._plan, self._memory, self._operator, self._event = plan, memory, operator, event
         self._commands = CommandHandler(memory, plan.trajectory)
+        self._stream = StreamReceiver(plan, memory, event)
         self._socket: ControlSocket | None = None
         self._shown = 0.0
         self._shown_prompt = -1
@@ -31,7 +33,7 @@ class OperatorSession:
     def open(self) -> str:
         """Open the control socket; return why pages cannot attach, else empty."""
         try:
-            self._socket = ControlSocket(self._plan, self._memory)
+            self._socket = ControlSocket(self._plan, self._memory, self._stream)
         except OSError as error:
             return f"no page can watch this run: {error}"
         return ""
@@ -64,6 +66,8 @@ class OperatorSession:
     def update(self, record: DataRecorder) -> None:
         """Handle the prompt of the protocol, and show the progress every SHOW_S."""
         self._prompt(record)
+        if self._socket is not None:
+            self._stream.update(str(self._socket.path))
         if (now := time.monotonic()) - self._shown > SHOW_S:
             self._shown = now
             self._operator.show(self._progress(record))

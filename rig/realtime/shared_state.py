@@ -22,7 +22,16 @@ from rig.realtime.scheduling import Scheduling
 from rig.tip_control.plan_follower import SetPointSource
 from rig.tip_control.plan_record import plan_dtype
 from runs.journal.messages import marks_from_bytes, marks_to_bytes
-from runs.records import Event, Level, Picture, adaptation_dtype, observation_dtype, sample_dtype, tip_control_dtype
+from runs.records import (
+    Event,
+    Level,
+    Picture,
+    adaptation_dtype,
+    observation_dtype,
+    sample_dtype,
+    streamed_dtype,
+    tip_control_dtype,
+)
 
 T = TypeVar("T", bound=float)
 
@@ -33,6 +42,7 @@ MESSAGE_BYTES = 480
 EVENTS = 256
 VIEWS = 4
 PLANS = 256
+SETPOINTS = 1024
 TIP_CONTROLLER = "tip_controller"
 CLOCKS = 8
 """Number of cards whose sampling clocks are published."""
@@ -172,7 +182,8 @@ class SharedState:
 
     `board` is one structured row of flags; each flag has one writer and is read and written through the property of
     the same name. Times are CLOCK_MONOTONIC [ns], 0 before the event; a process id is 0 before the process exists.
-    `samples`, `observations`, `adaptations` and `plans` are rings of the records of `runs.records`.
+    `samples`, `observations`, `adaptations`, `plans` and `streamed` are rings of the records of `runs.records`;
+    `new_setpoints` are those of another program that control has not taken yet.
 
     The process of the tip controller may run code of the user: it can write to pages of its own only, which hold its
     stage, its heartbeat and `new_plans` (rows of `plan_dtype`).
@@ -218,6 +229,7 @@ class SharedState:
         self.layout = layout
         sample = sample_dtype(layout.actuators, layout.valves, layout.inputs)
         observation = observation_dtype(layout.actuators, layout.cameras)
+        streamed = streamed_dtype(layout.actuators)
         sizes = (
             -(-_BOARD.itemsize // 64) * 64,
             ring_bytes(sample, SAMPLES),
@@ -229,6 +241,8 @@ class SharedState:
             layout.picture_bytes * VIEWS,
             ring_bytes(adaptation_dtype(layout.adapted), OBSERVATIONS),
             ring_bytes(tip_control_dtype(layout.valves), PLANS),
+            ring_bytes(streamed, SETPOINTS),
+            ring_bytes(streamed, SETPOINTS),
         )
         edges = [0, *np.cumsum(sizes).tolist()]
         own_start = -(-edges[-1] // mmap.ALLOCATIONGRANULARITY) * mmap.ALLOCATIONGRANULARITY
@@ -250,6 +264,8 @@ class SharedState:
         self._shown = parts[7]
         self.adaptations: RingBuffer[np.void] = RingBuffer(parts[8], adaptation_dtype(layout.adapted), OBSERVATIONS)
         self.plans: RingBuffer[np.void] = RingBuffer(parts[9], tip_control_dtype(layout.valves), PLANS)
+        self.new_setpoints: RingBuffer[np.void] = RingBuffer(parts[10], streamed, SETPOINTS)
+        self.streamed: RingBuffer[np.void] = RingBuffer(parts[11], streamed, SETPOINTS)
         self.new_plans: RingBuffer[np.void] = RingBuffer(own[_ROW_BYTES:], plan_dtype(layout.valves), PLANS)
         self._tip_controller: NDArray[np.void] = np.frombuffer(own, _PROCESS, 1)
 

@@ -87,6 +87,11 @@ def tip_control(journal: Journal) -> Group | None:
     return _group(journal, columns.TipControl, journal.plans, (name,))
 
 
+def stream(journal: Journal) -> Group | None:
+    """Return the set-points of another program; None for a protocol without a step `stream`."""
+    return _group(journal, columns.StreamedSetPoints, journal.streamed) if journal.header.streams else None
+
+
 def seconds(journal: Journal, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return times [s] since the start of the run."""
     return np.asarray((t_ns - journal.header.started_t_ns) / 1e9)

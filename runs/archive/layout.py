@@ -56,6 +56,7 @@ def groups(journal: Journal) -> tuple[Group, ...]:
             column_groups.tip(journal),
             column_groups.adaptation(journal),
             column_groups.tip_control(journal),
+            column_groups.stream(journal),
             _timing(journal),
             _counters(journal),
             _frames(journal),

@@ -22,6 +22,7 @@ from runs.columns import (
     Pressure,
     Reference,
     Simulated,
+    StreamedSetPoints,
     Timing,
     Tip,
     TipControl,
@@ -98,6 +99,7 @@ class ArchiveReader:
             adapted=_adapted(self._group("entry/adaptation")),
             tip_controller=str(self._group("entry/tip_control").get("controller", "")),
             learned_from=tuple(self._group("entry/learning").get("run", ())),
+            streams=bool(self._group("entry/stream", without="setpoint_bar")),
             control_hz=float(self._group("entry/timing")["control_rate"]),
             camera_hz=float(self._group("entry/timing")["camera_rate"]),
             cameras=self._cameras,
@@ -154,6 +156,12 @@ class ArchiveReader:
         """Plans of the tip controller; None for a run without one."""
         values = self._values(TipControl)
         return TipControl(values) if values else None
+
+    @cached_property
+    def streamed(self) -> StreamedSetPoints | None:
+        """Set-points of another program; None for a protocol without a step `stream`."""
+        values = self._values(StreamedSetPoints)
+        return StreamedSetPoints(values) if values else None
 
     @cached_property
     def timing(self) -> Timing:

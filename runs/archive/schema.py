@@ -31,6 +31,7 @@ from runs.records import (
     adaptation_dtype,
     observation_dtype,
     sample_dtype,
+    streamed_dtype,
     tip_control_dtype,
 )
 
@@ -188,6 +189,7 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         cameras=("camera",) if everything else (),
         tip_controller="controller" if everything else "",
         learned_from=("run",) if everything else (),
+        streams=everything,
         auxiliary=(AuxiliaryChannel("input", ""),) if everything else (),
         study=StudyRun("", StudyRole.RUN, 1, 1, 1, "", "") if everything else None,
     )
@@ -199,6 +201,7 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         observations=_rows(observation_dtype(actuators, len(header.cameras)), rows),
         adaptations=_rows(adaptation_dtype(len(header.adapted)), 0),
         plans=_rows(tip_control_dtype(valves), 0),
+        streamed=_rows(streamed_dtype(actuators), 0),
         events=(),
         pictures=StoredPictures(memoryview(b"")),
         damage=(),

@@ -12,6 +12,7 @@ from runs.columns.control_cycles import Auxiliary, Pressure, Timing
 from runs.columns.conversions import COUNT, SECONDS
 from runs.columns.declaration import Column, Table
 from runs.columns.observations import BACKBONE_POINTS, Backbone, DetectionStatus, Simulated, Tip
+from runs.columns.streamed import StreamedSetPoints, StreamStatus
 from runs.columns.tip_control import PLAN_AHEAD_S, Learning, Reference, SolveStatus, TipControl
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "PLAN_AHEAD_S",
     "SAMPLES",
     "SECONDS",
+    "STREAMED",
     "TIP_CONTROL",
     "Adaptation",
     "Auxiliary",
@@ -35,6 +37,8 @@ __all__ = [
     "Reference",
     "Simulated",
     "SolveStatus",
+    "StreamStatus",
+    "StreamedSetPoints",
     "Table",
     "Timing",
     "Tip",
@@ -59,4 +63,5 @@ AUXILIARY: tuple[type[Table], ...] = (Auxiliary,)
 OBSERVATIONS: tuple[type[Table], ...] = (Tip, Backbone, Simulated, Reference, Learning)
 ADAPTATIONS: tuple[type[Table], ...] = (Adaptation,)
 TIP_CONTROL: tuple[type[Table], ...] = (TipControl,)
+STREAMED: tuple[type[Table], ...] = (StreamedSetPoints,)
 """The tables of each record."""

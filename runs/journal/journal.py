@@ -22,7 +22,18 @@ from numpy.typing import NDArray
 from runs.journal import mcap_records, messages
 from runs.journal.append_only_file import AppendOnlyFile, BufferedFile, DiskFile, JournalError
 from runs.journal.mcap_records import JournalBlock, JournalDamage
-from runs.journal.messages import ADAPTATIONS, EVENTS, FOOTER, HEADER, MARKS, OBSERVATIONS, PICTURES, PLANS, SAMPLES
+from runs.journal.messages import (
+    ADAPTATIONS,
+    EVENTS,
+    FOOTER,
+    HEADER,
+    MARKS,
+    OBSERVATIONS,
+    PICTURES,
+    PLANS,
+    SAMPLES,
+    STREAMED,
+)
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
 from runs.records import (
     Event,
@@ -32,6 +43,7 @@ from runs.records import (
     adaptation_dtype,
     observation_dtype,
     sample_dtype,
+    streamed_dtype,
     tip_control_dtype,
 )
 
@@ -56,10 +68,12 @@ class JournalWriter:
         self._observations = _TopicRows(OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras)))
         self._adaptations = _TopicRows(ADAPTATIONS, adaptation_dtype(len(header.adapted)))
         self._plans = _TopicRows(PLANS, tip_control_dtype(header.valves))
+        self._streamed = _TopicRows(STREAMED, streamed_dtype(header.actuators))
         self._utc_minus_t_ns = header.started_utc_ns - header.started_t_ns
         self.newest_t_ns = header.started_t_ns
         kinds = [self._samples, self._observations, *([self._adaptations] if header.adapted else [])]
         kinds += [self._plans] if header.tip_controller else []
+        kinds += [self._streamed] if header.streams else []
         first = block_of_header(header, {kind.channel: kind.form["row"] for kind in kinds})
         file = DiskFile(self.path, mcap_records.opening() + first + first)
         self._file: AppendOnlyFile = BufferedFile(file, patience_s) if live else file
@@ -84,6 +98,10 @@ class JournalWriter:
     def plans(self, rows: NDArray[np.void]) -> None:
         """Append plans of the tip controller: `tip_control_dtype` rows (n,)."""
         self._rows(self._plans, rows)
+
+    def streamed(self, rows: NDArray[np.void]) -> None:
+        """Append set-points of another program: `streamed_dtype` rows (n,)."""
+        self._rows(self._streamed, rows)
 
     def picture(self, picture: Picture) -> None:
         """Append an encoded picture and what was seen in it, both or neither."""
@@ -170,6 +188,7 @@ class Journal:
     observations: StoredRows
     adaptations: StoredRows
     plans: StoredRows
+    streamed: StoredRows
     events: tuple[Event, ...]
     pictures: StoredPictures
     damage: tuple[JournalDamage, ...]
@@ -206,7 +225,7 @@ class _Contents:
         self.footer: RunFooter | None = None
         self.data = data
         self.stored: dict[int, np.dtype[np.void]] = {}
-        self.rows = {channel: Index() for channel in (SAMPLES, OBSERVATIONS, ADAPTATIONS, PLANS)}
+        self.rows = {channel: Index() for channel in (SAMPLES, OBSERVATIONS, ADAPTATIONS, PLANS, STREAMED)}
         self.events: list[Event] = []
         self.pictures = StoredPictures(data)
         self.damage: list[JournalDamage] = []
@@ -253,6 +272,7 @@ class _Contents:
             observations=rows(OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras))),
             adaptations=rows(ADAPTATIONS, adaptation_dtype(len(header.adapted))),
             plans=rows(PLANS, tip_control_dtype(header.valves)),
+            streamed=rows(STREAMED, streamed_dtype(header.actuators)),
             events=tuple(self.events),
             pictures=self.pictures,
             damage=tuple(self.damage),

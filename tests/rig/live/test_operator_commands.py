@@ -26,6 +26,7 @@ from rig.live.client_session import ClientSession, connect, running_runs
 from rig.realtime.control_socket import ControlSocket, socket_paths
 from rig.realtime.operator_commands import CommandHandler, CommandKind, CommandResult, OperatorCommand, user_name
 from rig.realtime.shared_state import SharedState, StateLayout, Stop, view_dtype
+from rig.realtime.stream_receiver import StreamReceiver
 from runs.records import Event, Level, Status
 
 _KNOCK_AS_NOBODY = """
@@ -127,7 +128,7 @@ class ServedRun:
     """A door that is attended in a thread, and what came through it."""
 
     def __init__(self, plan: experiment.Plan, memory: SharedState) -> None:
-        self.socket = ControlSocket(plan, memory)
+        self.socket = ControlSocket(plan, memory, StreamReceiver(plan, memory, lambda *_: None))
         self.asked: list[OperatorCommand] = []
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._attend)

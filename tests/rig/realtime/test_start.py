@@ -31,6 +31,7 @@ from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.process_group import ProcessFault, ProcessGroup
 from rig.realtime.scheduling import Scheduling
 from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
+from rig.realtime.stream_receiver import StreamReceiver
 from rig.realtime.timing_limits import TimingLimits, TimingProfile
 from rig.simulator.plant_launcher import Simulation
 from rig.simulator.registers import Registers
@@ -343,7 +344,7 @@ def test_control_sockets_of_killed_runs_are_removed_and_others_kept(
         going.bind(os.fspath(socket_of(2)))
         going.listen()
         left.close()
-        door = ControlSocket(plan, memory)
+        door = ControlSocket(plan, memory, StreamReceiver(plan, memory, lambda *_: None))
         assert sorted(socket_paths().iterdir()) == sorted([socket_of(2), door.path])
         door.close()
     os.close(memory.fd)

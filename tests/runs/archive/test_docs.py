@@ -26,6 +26,7 @@ from runs.records import (
     adaptation_dtype,
     observation_dtype,
     sample_dtype,
+    streamed_dtype,
     tip_control_dtype,
 )
 
@@ -44,6 +45,7 @@ SIZES = {
     "P": 10,
     "I": 15,
     "R": 14,
+    "T": 16,
 } | {str(n): n for n in (2, 3, 4, 6)}
 FREE = ("calibration", "model", "versions", "timing/counters")
 """Groups whose names come from elsewhere."""
@@ -79,6 +81,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
         auxiliary=tuple(AuxiliaryChannel(f"input {k}", "N") for k in range(SIZES["I"])),
         tip_controller="horizon",
         learned_from=tuple(f"run {k}" for k in range(SIZES["R"])),
+        streams=True,
         metadata=dict.fromkeys(("specimen", *USER), "-"),
         study=StudyRun("study", StudyRole.RUN, 1, 1, 1, "-", "-"),
     )
@@ -89,6 +92,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
     writer.observations(observations)
     writer.adaptations(np.zeros(SIZES["M"], adaptation_dtype(SIZES["P"])))
     writer.plans(np.zeros(SIZES["M"], tip_control_dtype(SIZES["V"])))
+    writer.streamed(np.zeros(SIZES["T"], streamed_dtype(SIZES["A"])))
     for index in range(SIZES["K"]):
         writer.picture(made_up.picture(index))
     writer.event(made_up.ARMED)

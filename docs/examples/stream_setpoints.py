@@ -1,0 +1,30 @@
+"""Streams set-points to the newest run of this user while its protocol is at a step `stream`.
+
+Only the standard library is used: a ROS 2 node can do the same."""
+
+import json
+import math
+import os
+import pathlib
+import socket
+import time
+
+run = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+sockets = pathlib.Path("/dev/shm").glob(f"softrig-{os.getuid()}*/sockets/run-*")
+run.connect(str(max(sockets, key=lambda path: path.stat().st_mtime)))
+
+
+def ask(**packet):
+    run.send(json.dumps({"via": "stream_setpoints.py", **packet}).encode())
+    return json.loads(run.recv(4096) or "{}")
+
+
+while not ask(do="state").get("stream"):
+    time.sleep(0.05)
+begun, sequence, answer = time.monotonic(), 0, ask(do="state")
+while step := answer.get("stream"):
+    turn = math.tau * (time.monotonic() - begun) / 4
+    levels = [0.1 - 0.1 * math.cos(turn)] * len(step["actuators"])
+    answer, sequence = ask(do="stream", sequence=sequence, setpoint_bar=levels), sequence + 1
+    print(answer["protocol_s"], answer["pressure_bar"], answer["tip_mm"], answer["said"])
+    time.sleep(0.02)

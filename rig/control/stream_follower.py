@@ -1,0 +1,130 @@
+"""Follows the set-points of another program in the control loop, within the limits of the rig whatever it sends."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols import SetPointTrajectory
+from protocols.trajectory import StreamInterval
+from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR
+from rig.control.interlocks import StreamSilence
+from runs.columns import StreamStatus
+
+Array = NDArray[np.float64]
+
+
+class StreamLimits(NamedTuple):
+    """Limits: the highest pressure [Pa], and equal values for the actuators (indices) on a valve."""
+
+    pressure_pa: float
+    valves: tuple[tuple[int, ...], ...]
+
+    @classmethod
+    def of(cls, config: RigConfig) -> StreamLimits:
+        """Those of a rig."""
+        valves = tuple(tuple(number - 1 for number in valve.actuators) for valve in config.valves)
+        return cls(config.limits.pressure_bar * PA_PER_BAR, valves)
+
+    def kept(self, asked_pa: Array, interval: StreamInterval) -> bool:
+        """Whether set-points (N,) of the actuators of an interval are within the limits."""
+        named = asked_pa[[number - 1 for number in interval.actuators]]
+        return (
+            bool(np.isfinite(named).all() and (named >= 0.0).all() and (named <= self.pressure_pa).all())
+            and self.unequal(asked_pa) is None
+        )
+
+    def unequal(self, asked_pa: Array) -> tuple[int, ...] | None:
+        """The actuators (indices) of a valve whose set-points differ; None if there is no such valve."""
+        return next((v for v in self.valves if not np.isnan(asked_pa[v[0]]) and np.ptp(asked_pa[list(v)]) > 0.0), None)
+
+
+class StreamPosition(NamedTuple):
+    """The newest followed set-point: its connection and sequence number; (0, -1) before the first."""
+
+    connection: int = 0
+    sequence: int = -1
+
+
+def judged(
+    row: NDArray[np.void] | np.void, interval: StreamInterval | None, before: StreamPosition, limits: StreamLimits
+) -> StreamStatus:
+    """Whether a set-point (a row of `streamed_dtype`) may be followed in an interval, None outside of one."""
+    if row["status"] != StreamStatus.FOLLOWED:
+        return StreamStatus(int(row["status"]))
+    if interval is None:
+        return StreamStatus.NOT_NOW
+    if not limits.kept(row["setpoint_pa"], interval):
+        return StreamStatus.OUT_OF_LIMITS
+    if row["connection"] == before.connection and row["sequence"] <= before.sequence:
+        return StreamStatus.OUT_OF_ORDER
+    return StreamStatus.FOLLOWED
+
+
+class StreamFollower:
+    """The set-points of a protocol with steps in which another program sends them.
+
+    Outside of these steps the set-points are those of the protocol; after such a step they return to them within the
+    rate limit.
+    """
+
+    def __init__(self, config: RigConfig, trajectory: SetPointTrajectory) -> None:
+        self._trajectory = trajectory
+        self._limits = StreamLimits.of(config)
+        self._rate_pa_s = config.limits.rate_bar_per_s * PA_PER_BAR
+        self._interval: StreamInterval | None = None
+        self._newest = StreamPosition()
+        self._asked_pa: Array | None = None
+        self._last_pa: Array | None = None
+        self._silent_s = 0.0
+
+    def take(
+        self, row: NDArray[np.void] | np.void, now_ns: int, protocol_s: float, *, held: bool
+    ) -> NDArray[np.void] | np.void:
+        """Follow a set-point from now on, or refuse it; return its row for the record, completed."""
+        interval = None if held else self._trajectory.stream_at(protocol_s)
+        row["status"] = judged(row, interval, self._newest, self._limits)
+        row["protocol_s"], row["late_s"] = protocol_s, (now_ns - row["t_ns"]) * 1e-9
+        if row["status"] == StreamStatus.FOLLOWED:
+            self._enter(interval)
+            self._newest = StreamPosition(int(row["connection"]), int(row["sequence"]))
+            self._asked_pa, self._silent_s = row["setpoint_pa"].copy(), 0.0
+        return row
+
+    def follow(
+        self, protocol_s: float, dt_s: float, feed_pa: Array, feed_rate_pa_s: Array, *, held: bool
+    ) -> tuple[Array, Array]:
+        """Set-points and rates (N,) at a protocol time, `dt_s` after those before; `feed_pa` are the protocol's."""
+        self._enter(self._trajectory.stream_at(protocol_s))
+        if self._interval is None and self._last_pa is None:
+            return feed_pa, feed_rate_pa_s
+        if not held:
+            self._silent_s += dt_s
+        last = feed_pa if self._last_pa is None else self._last_pa
+        wanted = feed_pa
+        if self._interval is not None and self._asked_pa is not None:
+            wanted = np.where(np.isfinite(self._asked_pa), self._asked_pa, feed_pa)
+        elif self._interval is not None:
+            wanted = last  # no set-point has come: the pressures stay
+        room = 0.0 if held else self._rate_pa_s * dt_s
+        given = np.clip(np.clip(wanted, 0.0, self._limits.pressure_pa), last - room, last + room)
+        returned = self._interval is None and bool((given == feed_pa).all())
+        self._last_pa = None if returned else given
+        # What comes next is not known, so a streamed set-point has no rate, as a jump.
+        return given, feed_rate_pa_s if returned else np.zeros_like(given)
+
+    @property
+    def silence(self) -> StreamSilence | None:
+        """For how long no set-point has come; None outside of a stream."""
+        if self._interval is None:
+            return None
+        first = self._asked_pa is None
+        limit_s = self._interval.connect_s if first else self._interval.timeout_s
+        return StreamSilence(self._silent_s, limit_s, first, self._interval.line, self._newest.sequence)
+
+    def _enter(self, interval: StreamInterval | None) -> None:
+        if interval is not self._interval:
+            self._interval, self._asked_pa, self._silent_s = interval, None, 0.0
