@@ -137,7 +137,7 @@ def fit_pose(
         else:
             damping *= 10.0
         if done:
-            return cost
+            return float(cost)
     return np.nan
 
 

@@ -28,14 +28,12 @@ _OTHER_NOISE = 1_000_003
 
 @dataclass(frozen=True)
 class Exposure:
-    """Input of rendering: the board in the camera frame at the begin, the middle and the end of the exposure."""
+    """Input of rendering: the tip's poses at the begin and the middle of the exposure."""
 
     index: int
     t_ns: int
-    opened: RigidTransform
-    middle: RigidTransform
-    closed: RigidTransform
-    truth_m: NDArray[np.float64]
+    opened: TipPose
+    middle: TipPose
     fault: CameraFault
 
 
@@ -127,27 +125,27 @@ class MockCamera:
     def expose(self, index: int, t_ns: int) -> Exposure:
         """The exposure of frame `index`; takes microseconds and uses the poses of the source up to `t_ns`.
 
-        The motion in the second half of the exposure is extrapolated from the first half.
-
         Raises:
             CameraError: the camera gives no pictures.
         """
         if self._faults.camera(self._number) in (CameraFault.UNPLUGGED, CameraFault.SILENT):
             raise CameraError("the camera gives no more pictures: is it plugged in?")
-        before = self._source.pose_at(t_ns - self._exposure_ns // 2)
-        pose = self._source.pose_at(t_ns)
-        opened, middle = self._board_before_camera(before), self._board_before_camera(pose)
+        opened, middle = (self._source.pose_at(at_ns) for at_ns in (t_ns - self._exposure_ns // 2, t_ns))
+        return Exposure(index, t_ns, opened, middle, self._faults.camera(self._number))
+
+    def develop(self, exposure: Exposure) -> Frame:
+        """Render the picture of an exposure; called by one thread in the order of the exposures.
+
+        The motion in the second half of the exposure is extrapolated from the first half.
+        """
+        opened, middle = self._board_before_camera(exposure.opened), self._board_before_camera(exposure.middle)
         # The rotation continues by the same angle: R_middle R_opened^T R_middle.
         closed = RigidTransform(
             middle.rotation @ opened.rotation.T @ middle.rotation, 2 * middle.translation_m - opened.translation_m
         )
-        truth_m = self._base.apply(np.array(pose.position_m, dtype=np.float64))
-        return Exposure(index, t_ns, opened, middle, closed, truth_m, self._faults.camera(self._number))
-
-    def develop(self, exposure: Exposure) -> Frame:
-        """Render the picture of an exposure; called by one thread in the order of the exposures."""
-        image = self.scene.render(exposure.opened, exposure.middle, exposure.closed, exposure.index)
-        return Frame(exposure.index, exposure.t_ns, self._seen(exposure, image), exposure.truth_m)
+        image = self.scene.render(opened, middle, closed, exposure.index)
+        truth_m = self._base.apply(np.array(exposure.middle.position_m, dtype=np.float64))
+        return Frame(exposure.index, exposure.t_ns, self._seen(exposure, image), truth_m)
 
     def read(self, timeout_s: float) -> Frame:
         """Wait for the next exposure to end, then return its picture."""
