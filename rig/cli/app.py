@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import io
 import sys
-from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Annotated
@@ -124,9 +123,9 @@ def run(
         fail("--listen and --port need --live", BAD_INPUT)
     if free and not adapt:
         fail("--free needs --adapt", BAD_INPUT)
-    write_report: Callable[[Path], Path] = report_process.here
+    begin_report: report_process.BeginReport = report_process.begin_here
     if fast and not no_report:  # in real time nothing is imported beside the control loop
-        write_report = ctx.with_resource(report_process.waiting())
+        begin_report = ctx.with_resource(report_process.waiting())
 
     from rig.cli import assignments, recovery_offer, run_output
     from rig.cli.console import console
@@ -169,7 +168,7 @@ def run(
         StopSignals() as signals,
         Terminal(screen, lambda: signals.reason, run_output.title(request)) as terminal,
     ):
-        result = experiment.run(request, decided, terminal, write_report)
+        result = experiment.run(request, decided, terminal, begin_report)
     run_output.last_screen(screen, result)
     if json:
         typer.echo(run_output.result_json(result))

@@ -203,18 +203,15 @@ def last_screen(screen: Console, result: RunResult) -> None:
     outcome = result.outcome
     ending = f"{outcome.status}: {outcome.message}" if outcome.message else str(outcome.status)
     parts: list[Text | Table | str] = [Text(printable(ending), _STATUS[outcome.status])]
-    if result.archive is not None:
+    if (summary := result.summary) is not None:
         from rig.cli.archive_output import summary_table
-        from runs.run import Run
-        from runs.summary import summarise
 
-        run = Run(result.archive)
-        summary = summarise(run)
-        parts.append(summary_table(summary, run.timing.counters))
+        parts.append(summary_table(summary, outcome.counters))
         if summary.frames and summary.camera and not summary.frames_measured:
             parts.append(
                 Text(f"no tip was measured in {summary.frames} frames: does the camera see the board?", "bold red")
             )
+    if result.archive is not None:
         parts.append(f"archive  {result.archive}")
     if result.report is not None:
         parts.append(f"report   {result.report}")

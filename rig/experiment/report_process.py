@@ -7,12 +7,16 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
+
+BeginReport = Callable[[Path], Callable[[], Path]]
+"""Begins the report of an archive; returns a function that waits until it is written and returns its path."""
 
 
 @contextmanager
-def waiting() -> Iterator[Callable[[Path], Path]]:
-    """Start the report process; yield a function that writes the report of one archive and returns its path.
+def waiting() -> Iterator[BeginReport]:
+    """Start the report process; yield a function that begins the report of one archive in it.
 
     After a failure of that process this one writes the report, and raises its error.
     """
@@ -26,19 +30,29 @@ def waiting() -> Iterator[Callable[[Path], Path]]:
             start_new_session=True,
         )
 
-    def draw(archive: Path) -> Path:
-        if process is not None:
-            drawn, _ = process.communicate(os.fsencode(archive))
-            if process.returncode == 0:
-                return Path(os.fsdecode(drawn))
-        return here(archive)
+    def begin(archive: Path) -> Callable[[], Path]:
+        if process is None:
+            return partial(here, archive)
+        assert process.stdin is not None
+        with suppress(OSError), process.stdin as archives:
+            archives.write(os.fsencode(archive))
+        return partial(_finished, process, archive)
 
     try:
-        yield draw
+        yield begin
     finally:
-        if process is not None and process.returncode is None:
+        if process is not None:
             process.kill()
-            process.communicate()
+            for pipe in (process.stdin, process.stdout):
+                with suppress(OSError):
+                    pipe.close()  # type: ignore[union-attr]
+            process.wait()
+
+
+def _finished(process: subprocess.Popen[bytes], archive: Path) -> Path:
+    assert process.stdout is not None
+    drawn = process.stdout.read()
+    return Path(os.fsdecode(drawn)) if process.wait() == 0 else here(archive)
 
 
 def here(archive: Path) -> Path:
@@ -48,10 +62,17 @@ def here(archive: Path) -> Path:
     return write([archive])
 
 
+def begin_here(archive: Path) -> Callable[[], Path]:
+    """The report is written in this process, by the function that waits for it."""
+    return partial(here, archive)
+
+
 def main() -> int:
     """Report process: import, wait for an archive, write its report; exit at end of input."""
     import runs.report.page  # noqa: F401
+    from runs.report.drawing import load_fonts_and_layouts
 
+    load_fonts_and_layouts()
     if archive := sys.stdin.buffer.read():
         sys.stdout.buffer.write(os.fsencode(here(Path(os.fsdecode(archive)))))
     return 0

@@ -47,6 +47,7 @@ from runs.records import (
 
 if TYPE_CHECKING:
     from runs.journal.journal import JournalWriter
+    from runs.summary import Summary
 
 Loaded = TypeVar("Loaded")
 Name = TypeVar("Name")
@@ -96,6 +97,8 @@ class RunResult:
     outcome: Outcome
     archive: Path | None
     report: Path | None
+    summary: Summary | None = None
+    """The summary of the archive."""
     parameters: Path | None = None
     """The parameters that the recursive estimator identified, if one ran."""
     warnings: tuple[str, ...] = ()
@@ -219,9 +222,9 @@ def run(
     request: RunRequest,
     decided: RunPlan,
     operator: OperatorInterface,
-    write_report: Callable[[Path], Path] = report_process.here,
+    begin_report: report_process.BeginReport = report_process.begin_here,
 ) -> RunResult:
-    """Run a plan and write an archive, whatever ends the run. `write_report` writes the report of the archive.
+    """Run a plan and write an archive, whatever ends the run; `begin_report` begins the report of the archive.
 
     Raises:
         CardError, StartError, JournalError: the run did not start; the valves are safe and no archive exists.
@@ -235,7 +238,7 @@ def run(
     from runs.archive.writer import ArchiveError, finalise
 
     outcome, journal = _execute(request, decided, operator)
-    archive = report = parameters = None
+    archive = report = parameters = summary = None
     warnings: list[str] = []
     try:
         if not journal.wait_until_synced(DISK_WARNING_AFTER_S):
@@ -245,9 +248,12 @@ def run(
         archive = finalise(journal.path)
     except (ArchiveError, JournalError) as error:
         warnings.append(f"{error}; the journal is kept: {journal.path}; run `rig recover {request.folder}` later")
-    if archive is not None and request.report:
+    finish_report = begin_report(archive) if archive is not None and request.report else None
+    if archive is not None:
+        summary = _summary(archive)
+    if finish_report is not None:
         try:
-            report = write_report(archive)
+            report = finish_report()
         except OSError as error:
             warnings.append(f"no report: {error}; run `rig report {archive}` later")
     if archive is not None and decided.adapted:
@@ -255,7 +261,7 @@ def run(
             parameters = _parameters(archive)
         except OSError as error:
             warnings.append(f"the adapted parameters could not be written: {error}; they are in {archive}")
-    return RunResult(outcome, archive, report, parameters, tuple(warnings))
+    return RunResult(outcome, archive, report, summary, parameters, tuple(warnings))
 
 
 def _execute(request: RunRequest, decided: RunPlan, operator: OperatorInterface) -> tuple[Outcome, JournalWriter]:
@@ -307,6 +313,13 @@ def _abort_message(error: Exception) -> str:
     if isinstance(error, JournalError):
         return f"the record could not be written: {error}"
     return str(error) if isinstance(error, _EXPECTED) else f"{type(error).__name__}: {error}"
+
+
+def _summary(archive: Path) -> Summary:
+    from runs.run import Run
+    from runs.summary import summarise
+
+    return summarise(Run(archive))
 
 
 def _parameters(archive: Path) -> Path | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from functools import partial
 from pathlib import Path
@@ -208,15 +208,15 @@ def _run(request: RunRequest, plan: RunPlan, answer: Answer | None) -> RunResult
     """Run a plan. Signals reach only the main thread of Python; a run in another thread leaves them alone."""
     in_main_thread = threading.current_thread() is threading.main_thread()
     with ExitStack() as stack:
-        write_report: Callable[[Path], Path] = report_process.here
+        begin_report: report_process.BeginReport = report_process.begin_here
         if request.fast and request.report:  # in real time nothing is imported beside the control loop
-            write_report = stack.enter_context(report_process.waiting())
+            begin_report = stack.enter_context(report_process.waiting())
         stopping: AbstractContextManager[StopSignals | None] = (
             StopSignals(restore=True) if in_main_thread else nullcontext()
         )
         signals = stack.enter_context(stopping)
         operator = FunctionOperator(lambda: signals.reason if signals else None, answer)
-        return experiment.run(request, plan, operator, write_report)
+        return experiment.run(request, plan, operator, begin_report)
 
 
 def _archive(result: RunResult) -> Run:

@@ -14,6 +14,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -90,6 +92,23 @@ def svg(draw: Callable[..., None], size: tuple[float, float], salt: str, *about:
     drawing = text.getvalue()
     drawing = _PATHS.sub(lambda path: _DIGITS.sub("", path[0]), drawing[drawing.index("<svg") :])
     return drawing.replace("'DejaVu Sans'", _FONTS)
+
+
+def load_fonts_and_layouts() -> None:
+    """Draw a small figure: what later figures load when they are first drawn is then loaded."""
+
+    def everything(figure: Figure) -> None:
+        for axes in panels(figure, columns=2)[0]:
+            axes.errorbar([0.0, 1.0], [0.0, 1.0], [0.1, 0.1], fmt="o", label="-1.5 [mm]")
+            axes.fill_between([0.0, 1.0], [0.0, 1.0], alpha=0.2)
+            axes.bar([0.0, 1.0], [0.0, 1.0])
+            axes.annotate("0", (0, 0))
+            axes.set_xlabel("x [mm]")
+            axes.set_ylabel("z [mm]")
+            legend(axes)
+        figure.colorbar(ScalarMappable(Normalize(0.0, 1.0), "viridis"), ax=axes, label="pressure [bar]")
+
+    svg(everything, (6.0, 3.0), "")
 
 
 def save(draw: Callable[..., None], size: tuple[float, float], path: Path, *about: object, mark: str = "") -> None:

@@ -115,7 +115,7 @@ def _paths(axes: Axes, run: Run, summary: Summary, project: Callable[[Floats], F
 
 def backbones(figure: Figure, run: Run, summary: Summary) -> None:
     """The model's backbone and the measured tip at the end of each step, or at even times (the paper's Fig 12)."""
-    whole, near = figure.subplots(1, 2, width_ratios=[1, 1.5])
+    whole, near = panels(figure, columns=2, width_ratios=[1, 1.5])[0]
     project, name = across(run, summary)
     assert run.backbone is not None
     rows, values, label = _shapes(run, summary)

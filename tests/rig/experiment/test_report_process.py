@@ -24,22 +24,22 @@ def archive(tmp_path: Path) -> Path:
 
 
 def test_the_report_is_the_one_that_rig_report_draws(archive: Path, tmp_path: Path) -> None:
-    with report_process.waiting() as draw:
-        drawn = draw(archive)
+    with report_process.waiting() as begin:
+        drawn = begin(archive)()
     assert drawn == archive.with_suffix(".html")
     assert drawn.read_bytes() == write([archive], tmp_path / "other.html").read_bytes()
 
 
 def test_a_report_that_cannot_be_written_is_raised_here(archive: Path) -> None:
     archive.with_suffix(".html").mkdir()
-    with report_process.waiting() as draw, pytest.raises(OSError, match=r"run\.html"):
-        draw(archive)
+    with report_process.waiting() as begin, pytest.raises(OSError, match=r"run\.html"):
+        begin(archive)()
 
 
 def test_where_the_process_cannot_draw_the_report_is_drawn_here(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    with report_process.waiting() as draw:
-        drawn = draw(archive)
+    with report_process.waiting() as begin:
+        drawn = begin(archive)()
     assert drawn.stat().st_size > 0
 
 
