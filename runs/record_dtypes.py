@@ -25,7 +25,7 @@ _ZERO = {
     for c in t.columns()
     if c.record and c.missing == 0
 }
-_SIZES = {"axis": 3, "ahead": len(PLAN_AHEAD_S), "station": BACKBONE_POINTS}
+_SIZES = {"axis": 3, "turn": 3, "ahead": len(PLAN_AHEAD_S), "station": BACKBONE_POINTS}
 
 
 def sample_dtype(actuators: int, valves: int, inputs: int = 0) -> np.dtype[np.void]:

@@ -143,6 +143,10 @@ class Summary:
     """Plans of the tip controller; None for a run without one."""
     periodic: tuple[PeriodicMotion, ...] = ()
     """The segments whose set-points repeat."""
+    frames_oriented: int = 0
+    """Measured frames with an orientation of the tip."""
+    orientation_std_deg: float = NAN
+    """Its standard uncertainty about one axis, root mean square over frames and axes."""
 
     @property
     def measured_fraction(self) -> float:
@@ -154,6 +158,7 @@ def summarise(run: ArchiveReader) -> Summary:
     """Return the summary of one run."""
     tip, pressure, timing = run.tip, run.pressure, run.timing
     measured = tip.seen == DetectionStatus.MEASURED
+    oriented = measured & np.isfinite(tip.orientation_deg).all(axis=1)
     modelled = np.isfinite(tip.model_mm).any()
     plane = plane_of_motion((tip.model_mm if modelled else tip.measured_mm)[measured if measured.any() else ...])
     difference = tip.measured_mm - tip.model_mm
@@ -193,6 +198,8 @@ def summarise(run: ArchiveReader) -> Summary:
         tip_path=tip_error(run),
         tip_plans=tip_plans(run),
         periodic=periodic_motions(run),
+        frames_oriented=int(oriented.sum()),
+        orientation_std_deg=_rms(tip.orientation_uncertainty_deg[oriented].ravel()),
     )
 
 

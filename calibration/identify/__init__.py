@@ -1,6 +1,7 @@
 """From archives to parameters of an arm, with error bars."""
 
-from calibration.identify.data import NoDataError, Poses, at_rest, in_motion, poses_of, quasi_static_poses, split_at
+from calibration.identify.data import Poses, at_rest, in_motion, poses_of, quasi_static_poses, split_at
+from calibration.identify.errors import NoDataError
 from calibration.identify.fit import identify
 from calibration.identify.parameters import Parameter, Prior, Setup, UnknownParameter, known, named
 from calibration.identify.results import Estimate, Fit, RunFit, Verdict

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from calibration.identify.data import Poses
 from calibration.identify.least_squares import LeastSquaresProblem
@@ -57,6 +58,7 @@ class Refit:
     fixed: tuple[int, ...]
     kind: Kind
     predicted: tuple[Array, ...]
+    rotation: tuple[Array, ...]
     covariance: tuple[Array, ...]
     seed: int
 
@@ -90,6 +92,7 @@ def bootstrap(
         fixed=fixed,
         kind=kind,
         predicted=tuple(run.predicted_m for run in fit.runs),
+        rotation=tuple(problem.rotations(fit.solution.z)),
         covariance=tuple(_covariance(weights.whitener) for weights in fit.solution.weights),
         seed=0,
     )
@@ -109,8 +112,10 @@ def refit(task: Refit) -> Array:
     counts: list[Array] | None = None
     if task.kind == "drawn":
         data = [
-            replace(poses, tip_m=_drawn(rng, tips, covariance, poses))
-            for poses, tips, covariance in zip(task.data, task.predicted, task.covariance, strict=True)
+            _drawn(rng, tips, rotation, covariance, poses)
+            for poses, tips, rotation, covariance in zip(
+                task.data, task.predicted, task.rotation, task.covariance, strict=True
+            )
         ]
     else:
         counts = [_counts(rng, poses) for poses in data]
@@ -129,19 +134,22 @@ def refit(task: Refit) -> Array:
 
 
 def _covariance(whitener: Array) -> Array:
-    """Covariances (K, 3, 3) of a whitener; zero where it is zero."""
+    """Covariances (K, D, D) of a whitener; zero where it is zero."""
     out: Array = np.asarray(np.linalg.pinv(np.swapaxes(whitener, 1, 2) @ whitener), dtype=np.float64)
     return out
 
 
-def _drawn(rng: np.random.Generator, tips: Array, covariance: Array, poses: Poses) -> Array:
-    """Tips (K, 3) with random errors of the stated covariance; NaN without a measurement."""
+def _drawn(rng: np.random.Generator, tips: Array, rotation: Array, covariance: Array, poses: Poses) -> Poses:
+    """Poses with tips (K, 3) and orientations (K, 3, 3) that err as the covariance says; NaN without a measurement."""
     values, vectors = np.linalg.eigh(covariance)
-    unit = rng.standard_normal((len(covariance), 3))
+    unit = rng.standard_normal(values.shape)
     error: Array = np.asarray(np.einsum("kij,kj->ki", vectors, np.sqrt(np.maximum(values, 0.0)) * unit))
-    out = tips + error
-    out[~poses.has_tip] = np.nan
-    return out
+    drawn = replace(poses, tip_m=np.where(poses.has_tip[:, None], tips + error[:, :3], np.nan))
+    if poses.orientation is None:
+        return drawn
+    turned = Rotation.from_rotvec(error[:, 3:]).as_matrix() @ rotation
+    known = poses.has_orientation[:, None, None]
+    return replace(drawn, orientation=replace(poses.orientation, rotation=np.where(known, turned, np.nan)))
 
 
 def _counts(rng: np.random.Generator, poses: Poses) -> Array:

@@ -9,6 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
+from calibration.identify.errors import NoDataError
+from calibration.identify.orientation import (
+    M_PER_MM,
+    MIN_FRAMES,
+    Orientations,
+    averaged_share,
+    mean_orientations,
+    orientations,
+)
 from calibration.identify.pressure_course import PressureCourse, course_rows, mean_around
 from calibration.identify.pressure_history import PressureHistory, pressure_history
 from calibration.identify.pressure_smoothing import curve, noise_std, smoothed
@@ -19,15 +28,11 @@ from runs.run import Run
 Array = NDArray[np.float64]
 
 PA_PER_BAR = 1e5
-M_PER_MM = 1e-3
 KG_PER_G = 1e-3
 
 SETTLE_S = 1.5
-MIN_FRAMES = 5
 # Fewest entries of a quasi-static motion for which the correlation of neighbours can be estimated.
 MIN_IN_SEQUENCE = 32
-# Lens, camera placement and the print of the board give all frames a common error that scatter does not show.
-_MIN_COMMON_VARIANCE = 0.1
 # A frame is used if it lies at most this many camera periods outside the pressure record.
 _PRESSURE_MARGIN_FRAMES = 1.5
 # Samples around a clipped one that count as clipped.
@@ -36,10 +41,6 @@ _CLIP_WINDOW = 21
 _CLIP_STD = 1.0
 # A sensor that is clipped in a larger share of a motion has a constant error there, which its offset describes.
 _MOSTLY = 0.9
-
-
-class NoDataError(ValueError):
-    """The runs do not contain the data that the identification needs."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,7 @@ class Poses:
     plateau it is the end. period_s is zero for static poses. history: of the pressures. live_m (K, 3):
     tips of the model that ran beside the experiment, NaN where there was none; None if there was no such model.
     course: of static poses, for models that remember; None where it is unknown, and each pose has long been held.
+    orientation: of the tips; None if no entry has one.
     """
 
     run_id: str
@@ -69,6 +71,7 @@ class Poses:
     history: PressureHistory
     live_m: Array | None = None
     course: PressureCourse | None = None
+    orientation: Orientations | None = None
 
     def __len__(self) -> int:
         return len(self.weight_kg)
@@ -90,6 +93,41 @@ class Poses:
         return found
 
     @property
+    def has_orientation(self) -> NDArray[np.bool_]:
+        """Which entries have a measured tip with an orientation (K,)."""
+        if self.orientation is None:
+            return np.zeros(len(self), np.bool_)
+        known: NDArray[np.bool_] = np.asarray(np.isfinite(self.orientation.rotation).all(axis=(1, 2)))
+        return known & self.has_tip
+
+    @property
+    def numbers(self) -> int:
+        """Numbers of each entry that a fit compares: the tip, and its rotation if some entry has one."""
+        return 3 if self.orientation is None else 6
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Which of these numbers (K, D) were measured."""
+        columns = [self.has_tip] if self.orientation is None else [self.has_tip, self.has_orientation]
+        return np.repeat(np.stack(columns, axis=1), 3, axis=1)
+
+    @property
+    def pose_covariance(self) -> Array:
+        """Covariances (K, D, D) of these numbers; that of a rotation that was not measured is the unit matrix."""
+        if self.orientation is None:
+            return self.covariance_m2
+        known = self.has_orientation[:, None, None]
+        cross = np.where(known, self.orientation.cross_m_rad, 0.0)
+        turning = np.where(known, self.orientation.covariance_rad2, np.eye(3))
+        return np.concatenate(
+            [
+                np.concatenate([self.covariance_m2, cross], axis=2),
+                np.concatenate([np.swapaxes(cross, 1, 2), turning], axis=2),
+            ],
+            axis=1,
+        )
+
+    @property
     def actuators(self) -> int:
         """Number of actuators N."""
         return int(self.pressure_pa.shape[1])
@@ -109,6 +147,7 @@ class Poses:
             history=self.history.only(chosen),
             live_m=None if self.live_m is None else self.live_m[chosen],
             course=None if self.course is None else self.course.only(chosen),
+            orientation=None if self.orientation is None else self.orientation.only(chosen),
         )
 
 
@@ -139,30 +178,32 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
         raise NoDataError(f"{run.header.run_id}: no plateau longer than {settle_s:g} s with a measured tip")
     covariance = np.array([tip.covariance_mm2[k].mean(axis=0) for k in plateaus]) * M_PER_MM**2
     count = np.array([len(k) for k in plateaus])
-    shared = _common_variance([tip.measured_mm[k] * M_PER_MM for k in plateaus], covariance)
-    averaged = shared + (1 - shared) / count
+    middle = np.array([tip.measured_mm[k].mean(axis=0) for k in plateaus]) * M_PER_MM
+    scatter = [tip.measured_mm[k] * M_PER_MM - at for k, at in zip(plateaus, middle, strict=True)]
+    averaged = averaged_share(scatter, covariance)
     samples = _pressure_samples(run)
     spans = [np.searchsorted(samples.time_s, [tip.time_s[k[0]], tip.time_s[k[-1]]]) for k in plateaus]
     parts = [slice(first, max(last, first + 1)) for first, last in spans]
     pressure = [samples.pa[part] for part in parts]
     middle_s, means = np.array([tip.time_s[k].mean() for k in plateaus]), np.array([p.mean(axis=0) for p in pressure])
-    scatter = np.sqrt(np.mean([part.var(axis=0) / max(len(part) - 1, 1) for part in pressure], axis=0))
+    noise = np.sqrt(np.mean([part.var(axis=0) / max(len(part) - 1, 1) for part in pressure], axis=0))
     clipped = np.array([samples.clipped[part].any(axis=0) for part in parts])
     return Poses(
         run_id=run.header.run_id,
         source=run.sha256,
         period_s=0.0,
         pressure_pa=means,
-        pressure_std_pa=np.where(clipped, np.hypot(scatter, samples.clipped_std_pa), scatter),
+        pressure_std_pa=np.where(clipped, np.hypot(noise, samples.clipped_std_pa), noise),
         weight_kg=np.array([tip.weight_g[k].mean() for k in plateaus]) * KG_PER_G,
         wrench=np.array([_wrench(run)[k].mean(axis=0) for k in plateaus]),
-        tip_m=np.array([tip.measured_mm[k].mean(axis=0) for k in plateaus]) * M_PER_MM,
+        tip_m=middle,
         covariance_m2=covariance * averaged[:, None, None],
         frames=count,
         time_s=np.array([tip.time_s[k[-1]] for k in plateaus]),
         history=pressure_history(samples.time_s, samples.pa, middle_s),
         live_m=_live(np.array([_model_mm(run)[k].mean(axis=0) for k in plateaus])),
         course=_course(run, samples, middle_s, means),
+        orientation=mean_orientations(run, plateaus, averaged),
     )
 
 
@@ -209,6 +250,8 @@ def in_motion(run: Run) -> Poses:
     live = np.full((length, 3), np.nan)
     live[index[usable]] = _model_mm(run)[usable]
     covariance[index[usable]] = tip.covariance_mm2[usable] * M_PER_MM**2
+    at = np.full(length, -1)
+    at[index[usable]] = np.flatnonzero(usable)
     return Poses(
         run_id=run.header.run_id,
         source=run.sha256,
@@ -223,6 +266,7 @@ def in_motion(run: Run) -> Poses:
         time_s=frame_s,
         history=pressure_history(samples.time_s, course, frame_s),
         live_m=_live(live),
+        orientation=orientations(run, at),
     )
 
 
@@ -371,17 +415,3 @@ def _true_ranges(true: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
     """Start and stop of every contiguous range of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]])))
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-
-
-def _common_variance(measured_m: list[Array], covariance_m2: Array) -> float:
-    """Fraction of the stated variance that is common to all frames of a plateau.
-
-    Pooled over the plateaus, minus two standard errors.
-    """
-    ratio, freedom = 0.0, 0
-    for tips, covariance in zip(measured_m, covariance_m2, strict=True):
-        difference = tips - tips.mean(axis=0)
-        ratio += float((difference * np.linalg.solve(covariance, difference.T).T).sum())
-        freedom += 3 * (len(tips) - 1)
-    random = ratio / freedom
-    return float(np.clip(1 - random - 2 * np.sqrt(2 / freedom), _MIN_COMMON_VARIANCE, 1.0))

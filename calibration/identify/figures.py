@@ -103,7 +103,7 @@ def quantiles(figure: Figure, fit: Fit) -> None:
     """Residuals in their stated standard deviations against the normal distribution's."""
     axes = figure.subplots()
     for k, (run, poses, weights) in enumerate(zip(fit.runs, fit.problem.data, fit.solution.weights, strict=True)):
-        values = np.sort(whitened(poses, run.predicted_m, weights)[poses.has_tip].ravel())
+        values = np.sort(whitened(poses, run.gap, weights)[poses.measured])
         at = ndtri((np.arange(len(values)) + 0.5) / len(values))
         axes.plot(at, values, ".", ms=3.5, color=colour(k), label=run.run_id)
     axes.plot([-3, 3], [-3, 3], color=INK, lw=0.8)

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.data import NoDataError, Poses
+from calibration.identify.data import Poses
+from calibration.identify.errors import NoDataError
 from calibration.identify.information import covariance as covariance_of
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
-from calibration.identify.likelihood import OUTLIER, drifting, whitened
+from calibration.identify.likelihood import drifting, outlying, whitened
 from calibration.identify.model_error_posterior import model_error_posterior
 from calibration.identify.nuisance import nuisance_parameters
 from calibration.identify.parameters import Prior, Setup, named
@@ -91,7 +92,7 @@ def identify(
         runs=_runs(problem, solution),
         log_likelihood=solution.log_likelihood,
         loss=solution.loss,
-        discrepancy_m=solution.discrepancy_m,
+        discrepancy=solution.discrepancy,
         measured=problem.measured,
         fitted=sum(not e.nuisance for e in estimates) - len(fixed),
         starts=len(searched.losses),
@@ -214,7 +215,7 @@ def _joint_covariance(problem: LeastSquaresProblem, solution: Solution, fixed: C
     if not fixed:
         return covariance_of(solution.information)
     every = range(len(problem.unknowns))
-    whole = problem.solution(solution.z, every, solution.weights, solution.discrepancy_m, solution.solved)
+    whole = problem.solution(solution.z, every, solution.weights, solution.discrepancy, solution.solved)
     guessed = np.diag([1 / UNDETERMINED_SPANS**2 if i in fixed else 0.0 for i in every])
     return covariance_of(whole.information + guessed)
 
@@ -269,19 +270,21 @@ def _estimate(
 
 def _runs(problem: LeastSquaresProblem, solution: Solution) -> tuple[RunFit, ...]:
     predicted, at_start = problem.predicted(solution.z), problem.predicted(np.zeros(len(solution.z)))
+    gaps = problem.gaps(solution.z)
     out = []
     for run, poses in enumerate(problem.data):
-        residual = whitened(poses, predicted[run], solution.weights[run])
+        residual = whitened(poses, gaps[run], solution.weights[run])
         out.append(
             RunFit(
                 run_id=poses.run_id,
                 source=poses.source,
                 moving=poses.moving,
                 frames=int(poses.frames[poses.has_tip].sum()),
-                residual_m=poses.tip_m - predicted[run],
+                gap=gaps[run],
                 predicted_m=predicted[run],
                 before_m=at_start[run] if poses.live_m is None else poses.live_m,
-                outliers=int((np.linalg.norm(residual[poses.has_tip], axis=1) > OUTLIER).sum()),
+                outliers=int(outlying(residual).sum()),
+                oriented=int(poses.frames[poses.has_orientation].sum()),
                 correlation=solution.correlation[run],
                 setup=problem.setup(solution.z, run),
                 before_live=poses.live_m is not None,

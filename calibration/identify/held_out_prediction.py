@@ -113,7 +113,7 @@ def predict(fit: Fit, poses: Poses) -> Prediction:
         [poses], fit.start, fit.problem.free, fit.problem.priors, substeps=fit.problem.substeps
     )
     z = np.array([u.of(u.parameter.read(setup)) for u in problem.unknowns])
-    slope = problem.slopes(z, range(len(z)))[0]
+    slope = problem.slopes(z, range(len(z)))[0][:, :3]
     place = {(u.parameter.name, u.run): i for i, u in enumerate(fit.problem.unknowns)}
     # A per-run unknown of a new run is not among those of the fit.
     at = [place.get((u.parameter.name, None if u.run is None else seen)) for u in problem.unknowns]
@@ -124,9 +124,11 @@ def predict(fit: Fit, poses: Poses) -> Prediction:
     if (found := fit.model_error) is not None:
         response = Predictor(poses).push_response(problem.setup(z, 0))
         terms = [effect.term for effect in found.effects]
-        by_fit = np.concatenate([by_fit, error_columns(poses, response, found.reference_pa, terms).tip_m], axis=2)
+        of_effects = error_columns(poses, response, found.reference_pa, terms).pose[:, :3]
+        by_fit = np.concatenate([by_fit, of_effects], axis=2)
         second, noise_m = found.second, found.noise_m
-    covariance = np.nan_to_num(poses.covariance_m2) + problem.pressure_covariances(z)[0] + noise_m**2 * np.eye(3)
+    by_pressure = problem.pressure_covariances(z)[0][:, :3, :3]
+    covariance = np.nan_to_num(poses.covariance_m2) + by_pressure + noise_m**2 * np.eye(3)
     covariance = covariance + np.einsum("kin,nm,kjm->kij", by_fit, second, by_fit, optimize=True)
     for k, unknown in enumerate(problem.unknowns):
         if at[k] is None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from calibration.identify.data import Poses
 from calibration.identify.information import determined_covariance, sandwich
 from calibration.identify.likelihood import (
+    Discrepancy,
     Weights,
     apply_frequency_mask,
     discrepancy,
@@ -55,10 +56,15 @@ class Solution:
     loss: float
     """Robust sum of squares, priors included, at the final weights."""
     log_likelihood: float
-    discrepancy_m: float
+    discrepancy: Discrepancy
     correlation: tuple[float, ...]
     weights: tuple[Weights, ...]
     solved: bool
+
+    @property
+    def discrepancy_m(self) -> float:
+        """Standard deviation [m] per axis of the tips that no stated error explains."""
+        return self.discrepancy.tip_m
 
 
 @dataclass
@@ -100,8 +106,8 @@ class LeastSquaresProblem:
 
     @property
     def measured(self) -> int:
-        """Numbers measured: three per tip."""
-        return 3 * int(sum(poses.has_tip.sum() for poses in self.data))
+        """Numbers measured: three per tip, and three per orientation."""
+        return int(sum(poses.measured.sum() for poses in self.data))
 
     def setup(self, z: Array, run: int | None = None) -> Setup:
         """The setup at z, with the per-run values of run number `run`, if given."""
@@ -126,6 +132,14 @@ class LeastSquaresProblem:
         """Tips (K, 3) of every run."""
         return [predictor(self.setup(z, run)) for run, predictor in enumerate(self._predictors)]
 
+    def rotations(self, z: Array) -> list[Array]:
+        """Orientations (K, 3, 3) of every run."""
+        return [predictor.rotations(self.setup(z, run)) for run, predictor in enumerate(self._predictors)]
+
+    def gaps(self, z: Array) -> list[Array]:
+        """Measured minus predicted (K, D) of every run; see `Predictor.gap`."""
+        return [predictor.gap(self.setup(z, run)) for run, predictor in enumerate(self._predictors)]
+
     def rms_m(self, z: Array) -> float:
         """Root mean square distance [m] from measured to predicted at z (n,)."""
         gaps = [poses.tip_m - tips for poses, tips in zip(self.data, self.predicted(z), strict=True)]
@@ -133,7 +147,7 @@ class LeastSquaresProblem:
         return float(np.sqrt(np.nanmean(squares)))
 
     def slopes(self, z: Array, only: Sequence[int]) -> list[Array]:
-        """Derivatives (K, 3, n) of every run's tips by the unknowns `only`; the last ones are cached.
+        """Derivatives (K, D, n) of every run's predictions by the unknowns `only`; the last ones are cached.
 
         They are reused if z has changed by less than a few thousandths of a span.
         """
@@ -146,14 +160,14 @@ class LeastSquaresProblem:
         for run, predictor in enumerate(self._predictors):
             mine = [(column, i) for column, i in enumerate(only) if i in self._columns[run]]
             perturbed, steps = self._perturbed(z, run, [i for _, i in mine])
-            slope = np.zeros((len(self.data[run]), 3, len(only)))
+            slope = np.zeros((len(self.data[run]), self.data[run].numbers, len(only)))
             slope[:, :, [column for column, _ in mine]] = predictor.slopes(self.setup(z, run), perturbed, steps)
             out.append(np.nan_to_num(slope, nan=0.0))
         self._kept_slopes = (z.copy(), tuple(only), out)
         return out
 
     def whitened_slopes(self, z: Array, masked: bool = True) -> tuple[list[Array], Array]:
-        """Slopes (K, 3, n) of every run's tips in standard deviations, and of the priors (m, n).
+        """Slopes (K, D, n) of every run's predictions in standard deviations, and of the priors (m, n).
 
         masked: after the frequency masks, as the fit uses them.
         """
@@ -182,12 +196,12 @@ class LeastSquaresProblem:
         only = [i for i in range(len(self.unknowns)) if i not in set(fixed)]
         z = z.copy()
         weights, sigma = self.weights(z, sum(self.unknowns[i].parameter.name not in self.priors for i in only))
-        solved, before = True, np.inf
+        solved, before = True, Discrepancy(np.inf, np.inf)
         for _ in range(rounds):
             if only:
                 z, solved = self.gauss_newton(z, only, weights, evaluations)
             weights, sigma = self.weights(z, self._fitted(z, only, weights))
-            if abs(sigma - before) <= 0.02 * sigma:
+            if sigma.close_to(before):
                 break
             before = sigma
         return self.solution(z, only, weights, sigma, solved)
@@ -197,38 +211,41 @@ class LeastSquaresProblem:
         if not only:
             return 0.0
         slope = self._slope_rows(z, only, weights)
-        data = slope[: 3 * sum(len(poses) for poses in self.data)]
+        data = slope[: sum(len(poses) * poses.numbers for poses in self.data)]
         return float(np.trace(determined_covariance(slope.T @ slope) @ (data.T @ data)))
 
-    def weights(self, z: Array, fitted: float) -> tuple[tuple[Weights, ...], float]:
-        """The weights of the residuals near z, and the model discrepancy [m]."""
-        predicted = self.predicted(z)
-        pressure = self.pressure_covariances(z)
-        covariances, residuals, seen_covariances = [], [], []
-        for run, (poses, tips) in enumerate(zip(self.data, predicted, strict=True)):
-            covariance = poses.covariance_m2 + pressure[run]
-            known = poses.has_tip & np.isfinite(tips).all(axis=1)
-            covariances.append(covariance)
-            residuals.append((poses.tip_m - tips)[known])
-            seen_covariances.append(covariance[known])
-        sigma = discrepancy(residuals, seen_covariances, fitted)
-        extra = sigma**2 * np.eye(3)
-        return tuple(Weights.of(c + extra, p.has_tip) for c, p in zip(covariances, self.data, strict=True)), sigma
+    def weights(self, z: Array, fitted: float) -> tuple[tuple[Weights, ...], Discrepancy]:
+        """The weights of the residuals near z, and the model discrepancy."""
+        pressure, gaps = self.pressure_covariances(z), self.gaps(z)
+        covariances = [poses.pose_covariance + pressure[run] for run, poses in enumerate(self.data)]
+        # Each kind of numbers determines its part of the unknowns.
+        count = [sum(int(p.measured[:, part].sum()) for p in self.data) for part in (slice(0, 3), slice(3, 6))]
+        sigma = Discrepancy(
+            *(
+                _discrepancy_of(self.data, gaps, covariances, part, fitted * own / max(sum(count), 1)) if own else 0.0
+                for part, own in zip((slice(0, 3), slice(3, 6)), count, strict=True)
+            )
+        )
+        weights = (
+            Weights.of(covariance + sigma.covariance(poses.numbers), poses.measured)
+            for covariance, poses in zip(covariances, self.data, strict=True)
+        )
+        return tuple(weights), sigma
 
     def log_likelihood(self, z: Array) -> float:
         """Log likelihood of the data at z (n,), with the model discrepancy estimated there."""
         weights, _ = self.weights(z, 0)
         total = 0.0
-        for run, (poses, tips) in enumerate(zip(self.data, self.predicted(z), strict=True)):
-            rows = self._filtered(run, huber(whitened(poses, tips, weights[run]))[0])
+        for run, (poses, gap) in enumerate(zip(self.data, self.gaps(z), strict=True)):
+            rows = self._filtered(run, huber(whitened(poses, gap, weights[run]))[0])
             total -= 0.5 * (float((rows**2 * self._count(run)[:, None]).sum()) + weights[run].log_det)
         return total
 
     def solution(
-        self, z: Array, only: Sequence[int], weights: tuple[Weights, ...], sigma: float, solved: bool
+        self, z: Array, only: Sequence[int], weights: tuple[Weights, ...], sigma: Discrepancy, solved: bool
     ) -> Solution:
         """Likelihood and information at z; only the fitted unknowns `only` get information."""
-        at = self.predicted(z)
+        at = self.gaps(z)
         loss, log_likelihood = 0.0, 0.0
         slopes = self.slopes(z, only)
         rows = []
@@ -275,13 +292,13 @@ class LeastSquaresProblem:
         """Robust sum of squares at given weights, with priors; each run is divided by its correlation factor."""
         gap = self.prior_rows(z)[1]
         total = float(gap @ gap)
-        for run, (poses, tips) in enumerate(zip(self.data, self.predicted(z), strict=True)):
-            robust, _ = huber(whitened(poses, tips, weights[run]))
+        for run, (poses, own) in enumerate(zip(self.data, self.gaps(z), strict=True)):
+            robust, _ = huber(whitened(poses, own, weights[run]))
             total += float((self._filtered(run, robust) ** 2 * self._count(run)[:, None]).sum()) / correlation[run]
         return total
 
     def pressure_covariances(self, z: Array) -> list[Array]:
-        """Tip covariances (K, 3, 3) by pressure errors, per run; recomputed only after a noticeable change of z."""
+        """Covariances (K, D, D) by pressure errors, per run; recomputed only after a noticeable change of z."""
         if self._pressure is None or np.abs(z - self._pressure[0]).max(initial=0.0) > _SAME_COVARIANCE:
             found = [p.pressure_covariance(self.setup(z, run)) for run, p in enumerate(self._predictors)]
             self._pressure = (z.copy(), found)
@@ -347,14 +364,14 @@ class LeastSquaresProblem:
     def _rows(self, z: Array, only: list[int], weights: tuple[Weights, ...]) -> Array:
         """The residual vector: tips, priors, ridge."""
         rows = []
-        for run, tips in enumerate(self.predicted(z)):
-            robust, _ = huber(whitened(self.data[run], tips, weights[run]))
+        for run, gap in enumerate(self.gaps(z)):
+            robust, _ = huber(whitened(self.data[run], gap, weights[run]))
             rows.append((self._filtered(run, robust) * np.sqrt(self._count(run))[:, None]).ravel())
         return np.concatenate([*rows, self.prior_rows(z)[1], z[only] / _RIDGE_SPANS])
 
     def _slope_rows(self, z: Array, only: list[int], weights: tuple[Weights, ...]) -> Array:
         """Jacobian of `_rows` by the unknowns `only`."""
-        at = self.predicted(z)
+        at = self.gaps(z)
         rows = []
         for run, tips_slope in enumerate(self.slopes(z, only)):
             turned = -np.einsum("kij,kjn->kin", weights[run].whitener, tips_slope)
@@ -382,3 +399,17 @@ class LeastSquaresProblem:
 
     def _count(self, run: int) -> Array:
         return np.ones(len(self.data[run])) if self.entry_weights is None else self.entry_weights[run]
+
+
+def _discrepancy_of(
+    data: Sequence[Poses], gaps: Sequence[Array], covariances: Sequence[Array], part: slice, fitted: float
+) -> float:
+    """The discrepancy of tips or rotations, a part of the numbers."""
+    residuals, stated = [], []
+    for poses, gap, covariance in zip(data, gaps, covariances, strict=True):
+        own = gap[:, part]
+        if own.shape[1]:
+            known = poses.measured[:, part].all(axis=1) & np.isfinite(own).all(axis=1)
+            residuals.append(own[known])
+            stated.append(covariance[known, part, part])
+    return discrepancy(residuals, stated, fitted)

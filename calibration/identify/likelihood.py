@@ -22,7 +22,9 @@ OUTLIER = math.sqrt(chdtri(3, 0.01))
 # Expected square per axis of a normal tip, clipped at the threshold.
 _EXPECTED_SQUARE = float(chdtr(5, OUTLIER**2)) + OUTLIER**2 * 0.01 / 3
 _UNSOLVED_RESIDUAL = 1e3
-_MAX_DISCREPANCY_M = 10.0
+# Discrepancies that differ by a smaller share give the same weights.
+_SAME = 0.02
+_MAX_DISCREPANCY = 10.0
 # Pressures have a signal at a frequency where their power, smoothed over so many bins, exceeds this ratio to noise.
 _SMOOTHING_BINS, _MIN_SNR = 5, 200.0
 # The mask falls from 1 at the highest of these frequencies to 0 at this multiple of it.
@@ -35,28 +37,53 @@ _DRIFT_RATIO = 5.0
 
 
 @dataclass(frozen=True)
-class Weights:
-    """Weights of one `Poses`: `whitener` (K, 3, 3) makes residuals [m] unit normal; zero without a tip.
+class Discrepancy:
+    """Standard deviations per axis of the model error beyond the stated covariances: of tips and of their rotations."""
 
-    log_det: sum of ln det(2 pi C) over the measured tips.
+    tip_m: float
+    rotation_rad: float = 0.0
+
+    def close_to(self, other: Discrepancy) -> bool:
+        """Whether it differs from another by so little that the weights are the same."""
+        pairs = ((self.tip_m, other.tip_m), (self.rotation_rad, other.rotation_rad))
+        return all(abs(one - two) <= _SAME * one for one, two in pairs)
+
+    def scaled(self, share: float) -> Discrepancy:
+        """A share of it."""
+        return Discrepancy(share * self.tip_m, share * self.rotation_rad)
+
+    def covariance(self, numbers: int) -> Array:
+        """Covariance (3, 3) or (6, 6) of the numbers of an entry."""
+        out: Array = np.diag(np.square([self.tip_m] * 3 + [self.rotation_rad] * 3)[:numbers])
+        return out
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of one `Poses` with D numbers per entry: `whitener` (K, D, D) makes residuals [m, rad] unit normal.
+
+    Its rows are zero where nothing was measured. It is lower triangular: the tips are whitened as without rotations.
+    log_det: sum of ln det(2 pi C) over what was measured.
     """
 
     whitener: Array
     log_det: float
 
     @classmethod
-    def of(cls, covariance_m2: Array, seen: NDArray[np.bool_]) -> Weights:
-        """From covariances (K, 3, 3) [m^2] of measured minus predicted."""
-        whitener = np.zeros_like(covariance_m2)
-        lower = np.linalg.cholesky(covariance_m2[seen])
+    def of(cls, covariance: Array, measured: NDArray[np.bool_]) -> Weights:
+        """From covariances (K, D, D) of measured minus predicted, and which numbers (K, D) were measured."""
+        whitener = np.zeros_like(covariance)
+        seen = measured[:, 0]
+        lower = np.linalg.cholesky(covariance[seen])
         whitener[seen] = np.linalg.inv(lower)
-        log_det = 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum() + 3 * seen.sum() * math.log(2 * math.pi)
-        return cls(whitener, float(log_det))
+        whitener[~measured] = 0.0
+        logs = np.log(np.diagonal(lower, axis1=1, axis2=2))[measured[seen]]
+        return cls(whitener, float(2 * logs.sum() + logs.size * math.log(2 * math.pi)))
 
 
-def whitened(poses: Poses, predicted_m: Array, weights: Weights) -> Array:
-    """Residuals (K, 3) in standard deviations; zero where no tip was measured."""
-    difference = np.where(poses.has_tip[:, None], poses.tip_m - predicted_m, 0.0)
+def whitened(poses: Poses, gap: Array, weights: Weights) -> Array:
+    """Residuals (K, D) in standard deviations of gaps (K, D) [m, rad]; zero where nothing was measured."""
+    difference = np.where(poses.measured, gap, 0.0)
     # An unsolved prediction is a bad one, not a missing one.
     unsolved = ~np.isfinite(difference)
     out: Array = np.einsum("kij,kj->ki", weights.whitener, np.where(unsolved, 0.0, difference))
@@ -64,32 +91,48 @@ def whitened(poses: Poses, predicted_m: Array, weights: Weights) -> Array:
     return out
 
 
-def huber(residual: Array, slope: Array | None = None) -> tuple[Array, Array | None]:
-    """Residuals (K, 3) whose squares sum to the Huber loss of each tip's Mahalanobis distance, and their slopes.
+def outlying(residual: Array) -> NDArray[np.bool_]:
+    """Which entries (K,) have a tip or a rotation beyond the threshold; residual (K, D) in standard deviations."""
+    found: NDArray[np.bool_] = np.asarray((_distances(residual) > OUTLIER).any(axis=1))
+    return found
 
-    slope (K, 3, n): derivatives of the residuals; returned transformed alike.
+
+def _distances(residual: Array) -> Array:
+    """Mahalanobis distances (K, D / 3) of tips and rotations."""
+    out: Array = np.linalg.norm(residual.reshape(len(residual), -1, 3), axis=2)
+    return out
+
+
+def huber(residual: Array, slope: Array | None = None) -> tuple[Array, Array | None]:
+    """Residuals (K, D) whose squares sum to the Huber loss of the Mahalanobis distances, and their slopes.
+
+    Each tip and each rotation has a distance of its own. slope (K, D, n): derivatives of the residuals; returned
+    transformed alike.
     """
-    distance = np.linalg.norm(residual, axis=1)
+    shape = residual.shape
+    triples = residual.reshape(-1, 3)
+    distance = np.linalg.norm(triples, axis=1)
     far = distance > OUTLIER
     r = np.where(far, distance, 1.0)
     scale = np.where(far, np.sqrt(np.maximum(2 * OUTLIER * r - OUTLIER**2, 0.0)) / r, 1.0)
+    robust = (triples * scale[:, None]).reshape(shape)
     if slope is None:
-        return residual * scale[:, None], None
+        return robust, None
     # d scale / d r by the definition above; zero where the tip is no outlier.
     change = np.where(far, OUTLIER / (r**2 * scale) - scale / r, 0.0)
-    along = np.einsum("ki,kin->kn", residual, slope) / r[:, None]
-    return residual * scale[:, None], slope * scale[:, None, None] + residual[:, :, None] * (change[:, None] * along)[
-        :, None, :
-    ]
+    slopes = slope.reshape(len(triples), 3, slope.shape[2])
+    along = np.einsum("ki,kin->kn", triples, slopes) / r[:, None]
+    turned = slopes * scale[:, None, None] + triples[:, :, None] * (change[:, None] * along)[:, None, :]
+    return robust, turned.reshape(slope.shape)
 
 
-def discrepancy(residual_m: Sequence[Array], covariance_m2: Sequence[Array], free: float) -> float:
-    """Standard deviation [m] per axis of the model error beyond the stated covariances.
+def discrepancy(residuals: Sequence[Array], covariances: Sequence[Array], free: float) -> float:
+    """Standard deviation per axis of the model error beyond the stated covariances, in the unit of the residuals.
 
-    residual_m, covariance_m2: per run (K, 3), (K, 3, 3) of measured tips only. Zero unless the residuals are
+    residuals, covariances: per run (K, 3), (K, 3, 3) of what was measured only. Zero unless the residuals are
     significantly too large; else the value for which the mean clipped square has its expectation.
     """
-    residual, covariance = np.concatenate(residual_m), np.concatenate(covariance_m2)
+    residual, covariance = np.concatenate(residuals), np.concatenate(covariances)
     freedom = max(residual.size - free, 1.0)
     values, vectors = np.linalg.eigh(covariance)
     turned2 = np.einsum("kji,kj->ki", vectors, residual) ** 2
@@ -100,9 +143,9 @@ def discrepancy(residual_m: Sequence[Array], covariance_m2: Sequence[Array], fre
 
     if excess(0.0) <= math.sqrt(2 / freedom) * 2.33:
         return 0.0
-    if excess(_MAX_DISCREPANCY_M) > 0:
-        return _MAX_DISCREPANCY_M
-    return float(brentq(excess, 0.0, _MAX_DISCREPANCY_M, xtol=1e-9))
+    if excess(_MAX_DISCREPANCY) > 0:
+        return _MAX_DISCREPANCY
+    return float(brentq(excess, 0.0, _MAX_DISCREPANCY, xtol=1e-9))
 
 
 def frequency_mask(poses: Poses) -> Array:
@@ -132,7 +175,7 @@ def apply_frequency_mask(rows: Array, gain: Array) -> Array:
 
 
 def drifting(residual: Array) -> bool:
-    """Whether residuals (K, 3), in standard deviations, correlate over more than a tenth of the entries.
+    """Whether residuals (K, D), in standard deviations, correlate over more than a tenth of the entries.
 
     Their power then still rises at the lowest frequencies, and its limit at frequency zero is not observable.
     """
@@ -145,7 +188,7 @@ def drifting(residual: Array) -> bool:
 def score_covariance(residual: Array, slope: Array, gain: Array, seen: float, covariance: Array) -> Array:
     """Score covariance (n, n) of correlated residuals, by a HAC estimator; slope' slope if they are independent.
 
-    residual (K, 3), slope (K, 3, n): in standard deviations, after `apply_frequency_mask`. seen: fraction of entries
+    residual (K, D), slope (K, D, n): in standard deviations, after `apply_frequency_mask`. seen: fraction of entries
     with a tip. covariance (n, n): of the unknowns under independence. The noise spectrum is estimated per octave and
     axis, corrected for the fitted degrees of freedom. Bands with few bins are shrunk towards the next higher band,
     extrapolated by its significant growth. The mean level is at least the stated one: an error common to a whole run

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.data import NoDataError, Poses
+from calibration.identify.data import Poses
+from calibration.identify.errors import NoDataError
 from calibration.identify.fit import identify
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.memory_parameters import memory_names

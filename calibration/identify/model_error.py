@@ -120,9 +120,9 @@ def lacking(arm: Arm) -> tuple[ModelErrorTerm, ...]:
 
 @dataclass(frozen=True)
 class ErrorColumns:
-    """How tips respond to each coefficient of the terms: tip_m (K, 3, m), and the term (m,) of each coefficient."""
+    """How predictions respond to each coefficient of the terms: pose (K, D, m), and the term (m,) of each one."""
 
-    tip_m: Array
+    pose: Array
     term: NDArray[np.intp]
 
 

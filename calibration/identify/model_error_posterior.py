@@ -19,7 +19,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import ndtri
 
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
-from calibration.identify.likelihood import OUTLIER, Weights, whitened
+from calibration.identify.likelihood import Discrepancy, Weights, outlying, whitened
 from calibration.identify.model_error import ModelErrorTerm, error_columns, lacking
 from calibration.identify.tip_predictor import Predictor
 
@@ -103,8 +103,10 @@ def model_error_posterior(
         error_columns(poses, Predictor(poses).push_response(problem.setup(solution.z, run)), reference_pa, terms)
         for run, poses in enumerate(problem.data)
     ]
-    noises = [share * solution.discrepancy_m for share in _NOISE_SHARES] if solution.discrepancy_m else [0.0]
-    equations = [normal_equations(problem, solution, fixed, [c.tip_m for c in columns], noise) for noise in noises]
+    off = solution.discrepancy
+    shares = _NOISE_SHARES if off.tip_m or off.rotation_rad else (0.0,)
+    noises = [off.scaled(share) for share in shares]
+    equations = [normal_equations(problem, solution, fixed, [c.pose for c in columns], noise) for noise in noises]
     drawn = sample(equations, columns[0].term, np.array([one.scale for one in terms]))
     sizes = np.column_stack(
         [
@@ -114,7 +116,7 @@ def model_error_posterior(
     )
     return ModelErrorPosterior(
         second=drawn.second,
-        noise_m=float(np.sqrt(np.mean(np.square(noises)[drawn.noise]))),
+        noise_m=off.tip_m * float(np.sqrt(np.mean(np.square(shares)[drawn.noise]))),
         reference_pa=reference_pa,
         effects=tuple(
             _effect(one, float(drawn.probability[k]), sizes[:, k], drawn.present[:, k]) for k, one in enumerate(terms)
@@ -133,7 +135,11 @@ def _effect(term: ModelErrorTerm, probability: float, size: Array, present: NDAr
 
 
 def normal_equations(
-    problem: LeastSquaresProblem, solution: Solution, fixed: Collection[int], columns: Sequence[Array], noise_m: float
+    problem: LeastSquaresProblem,
+    solution: Solution,
+    fixed: Collection[int],
+    columns: Sequence[Array],
+    noise: Discrepancy,
 ) -> NormalEquations:
     n, z = len(solution.z), solution.z
     prior, gap = problem.prior_rows(z)
@@ -143,17 +149,17 @@ def normal_equations(
     on_coefficients = [np.zeros((len(prior) + n, m))]
     residual = [-gap, np.zeros(n)]
     constant = 0.0
-    predicted, pressure = problem.predicted(z), problem.pressure_covariances(z)
+    gaps, pressure = problem.gaps(z), problem.pressure_covariances(z)
     slopes = problem.slopes(z, range(n))
     for run, poses in enumerate(problem.data):
-        usual = whitened(poses, predicted[run], solution.weights[run])
-        good = poses.has_tip & (np.linalg.norm(usual, axis=1) <= OUTLIER)
+        good = poses.has_tip & ~outlying(whitened(poses, gaps[run], solution.weights[run]))
         if not good.any():
             continue
-        weights = Weights.of(poses.covariance_m2 + pressure[run] + noise_m**2 * np.eye(3), good)
+        covariance = poses.pose_covariance + pressure[run] + noise.covariance(poses.numbers)
+        weights = Weights.of(covariance, poses.measured & good[:, None])
         # Correlated entries count as fewer independent ones.
         whitener = weights.whitener[good] / math.sqrt(max(solution.correlation[run], 1.0))
-        own = np.einsum("kij,kj->ki", whitener, (poses.tip_m - predicted[run])[good]).ravel()
+        own = np.einsum("kij,kj->ki", whitener, np.nan_to_num(gaps[run][good])).ravel()
         on_unknowns.append(np.einsum("kij,kjn->kin", whitener, slopes[run][good]).reshape(-1, n))
         on_coefficients.append(np.einsum("kij,kjn->kin", whitener, columns[run][good]).reshape(-1, m))
         residual.append(own)

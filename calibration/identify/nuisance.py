@@ -8,7 +8,7 @@ import numpy as np
 
 from calibration.identify.data import Poses
 from calibration.identify.memory_parameters import ALL_NAMES, memory_names
-from calibration.identify.parameters import PUSH_GROWTH, Parameter, Prior, Setup, known, named
+from calibration.identify.parameters import PUSH_GROWTH, TOOL_ROTATION, Parameter, Prior, Setup, known, named
 from model.variants import VARIANTS, variant_named
 
 # A turn about an axis with this share of gravity along it does not change the direction of gravity.
@@ -39,6 +39,8 @@ def nuisance_parameters(setup: Setup, data: Sequence[Poses], free: Sequence[Para
     if not setup.arm.actuation.grows:
         inert.add(PUSH_GROWTH)
     inert |= ALL_NAMES - set(memory_names(setup.arm))
+    if not any(poses.has_orientation.any() for poses in data):
+        inert |= set(TOOL_ROTATION)
     gravity = np.array(setup.arm.gravity_m_s2)
     along = np.abs(gravity) >= _PARALLEL * np.linalg.norm(gravity)
     inert |= {f"gravity_r{axis}_rad" for axis, parallel in zip("xyz", along, strict=True) if parallel}

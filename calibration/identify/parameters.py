@@ -26,7 +26,8 @@ class Setup:
 
     A tip of the model at (p, R) is measured at B (p + R tool) + base: `base_translation_m` and the rotation vector
     `base_rotation_rad` are the rod base in the frame of the measurements, `tool_offset_m` the measured point in the
-    tip frame. `actuator_turn_rad` (N,) moves each actuator about the arm's axis. The rotation vector
+    tip frame. Its orientation is measured as B R T: the rotation vector `tool_rotation_rad` is the measured frame in
+    the tip frame. `actuator_turn_rad` (N,) moves each actuator about the arm's axis. The rotation vector
     `gravity_turn_rad` turns gravity in the rod-base frame: a base that is not plumb. Sensors read `sensor_gain` (N,)
     times their pressure plus `sensor_offset_pa` (N,), `sensor_lag_s` late as clocks are, and behind a filter of first
     order with the time constant `sensor_filter_s`.
@@ -36,6 +37,7 @@ class Setup:
     base_translation_m: Triple = (0.0, 0.0, 0.0)
     base_rotation_rad: Triple = (0.0, 0.0, 0.0)
     tool_offset_m: Triple = (0.0, 0.0, 0.0)
+    tool_rotation_rad: Triple = (0.0, 0.0, 0.0)
     actuator_turn_rad: tuple[float, ...] = ()
     gravity_turn_rad: Triple = (0.0, 0.0, 0.0)
     sensor_offset_pa: tuple[float, ...] = ()
@@ -66,12 +68,13 @@ class Setup:
 
     def without_baseline(self, baseline: Setup) -> Setup:
         """The same arm as a rig without `baseline` measures it, where this is how a rig with `baseline` in it does."""
-        turn = Rotation.from_rotvec(baseline.base_rotation_rad)
+        turn, tool = Rotation.from_rotvec(baseline.base_rotation_rad), Rotation.from_rotvec(self.tool_rotation_rad)
         return replace(
             self,
             base_translation_m=_three(turn.apply(self.base_translation_m) + baseline.base_translation_m),
             base_rotation_rad=_three((turn * Rotation.from_rotvec(self.base_rotation_rad)).as_rotvec()),
-            tool_offset_m=_three(np.add(self.tool_offset_m, baseline.tool_offset_m)),
+            tool_offset_m=_three(self.tool_offset_m + tool.apply(baseline.tool_offset_m)),
+            tool_rotation_rad=_three((tool * Rotation.from_rotvec(baseline.tool_rotation_rad)).as_rotvec()),
             sensor_gain=tuple(np.multiply(self.sensor_gain, baseline.sensor_gain).tolist()),
         )
 
@@ -84,6 +87,12 @@ class Setup:
         """Where tips (K, 3) with orientations (K, 3, 3) of the model are measured, (K, 3) [m]."""
         point = tip_m + rotation @ np.array(self.tool_offset_m)
         out: Array = Rotation.from_rotvec(self.base_rotation_rad).apply(point) + np.array(self.base_translation_m)
+        return out
+
+    def oriented(self, rotation: Array) -> Array:
+        """How orientations (K, 3, 3) of the model are measured, (K, 3, 3)."""
+        base, tool = (Rotation.from_rotvec(own).as_matrix() for own in (self.base_rotation_rad, self.tool_rotation_rad))
+        out: Array = base @ rotation @ tool
         return out
 
 
@@ -195,6 +204,10 @@ def known(actuators: int) -> dict[str, Parameter]:
         ),
         *_triple("tool_offset_m", "tool_{}_m", "m", "measured point in the tip frame", 0.02, MOUNTING_M, 1.0),
         *_triple(
+            "tool_rotation_rad", "tool_r{}_rad", "rad", "rotation vector of the measured frame in the tip frame", 0.1,
+            MOUNTING_RAD, math.pi,
+        ),
+        *_triple(
             "gravity_turn_rad", "gravity_r{}_rad", "rad", "rotation vector of gravity from its stated direction", 0.1,
             MOUNTING_RAD, math.pi,
         ),
@@ -221,12 +234,14 @@ def known(actuators: int) -> dict[str, Parameter]:
 
 _BASE_TRANSLATION = ("base_x_m", "base_y_m", "base_z_m")
 _BASE_ROTATION = ("base_rx_rad", "base_ry_rad", "base_rz_rad")
+TOOL_ROTATION = ("tool_rx_rad", "tool_ry_rad", "tool_rz_rad")
 _GROUPS = {
     "law": ("a1_per_n", "a2_per_n2"),
     "base": (*_BASE_TRANSLATION, *_BASE_ROTATION),
     "base_translation": _BASE_TRANSLATION,
     "base_rotation": _BASE_ROTATION,
     "tool": ("tool_x_m", "tool_y_m", "tool_z_m"),
+    "tool_rotation": TOOL_ROTATION,
     "gravity": ("gravity_rx_rad", "gravity_ry_rad", "gravity_rz_rad"),
 }
 
@@ -276,7 +291,8 @@ def _material(
         return float(getattr(setup.arm.material, name))
 
     def write(setup: Setup, x: float) -> Setup:
-        return replace(setup, arm=replace(setup.arm, material=replace(setup.arm.material, **{name: x})))
+        changed: dict[str, Any] = {name: x}
+        return replace(setup, arm=replace(setup.arm, material=replace(setup.arm.material, **changed)))
 
     def span(x: float) -> float:
         return max(abs(x), least)

@@ -128,6 +128,7 @@ def content(
                 "outliers": run.outliers,
                 "rms_before_mm": _MM * run.rms_before_m,
                 "rms_mm": _MM * run.rms_m,
+                **({"oriented_frames": run.oriented, "rms_deg": math.degrees(run.rms_rad)} if run.oriented else {}),
                 "residual_mm": _residuals(run),
             }
             for run in fit.runs
@@ -144,6 +145,7 @@ def _mounting(setup: Setup) -> dict[str, list[float]]:
         "base_translation_mm": [_MM * x for x in setup.base_translation_m],
         "base_rotation_deg": [math.degrees(x) for x in setup.base_rotation_rad],
         "tool_offset_mm": [_MM * x for x in setup.tool_offset_m],
+        "tool_rotation_deg": [math.degrees(x) for x in setup.tool_rotation_rad],
     }
 
 

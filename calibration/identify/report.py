@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from html import escape
 from importlib import resources
@@ -73,6 +74,7 @@ def _tiles(fit: Fit, left_out: Sequence[Prediction]) -> str:
     tiles = [
         (f"{1e3 * fit.rms_m:.3f} <small>mm</small>", "rms distance, measured to model"),
         (f"{1e3 * fit.discrepancy_m:.3f} <small>mm</small>", "per axis that no stated error explains"),
+        *_orientation_tile(fit),
         (f"{sum(e.identified for e in fit.estimates)} <small>of {len(fit.estimates)}</small>", "parameters identified"),
         (f"{fit.agreeing_starts} <small>of {fit.starts}</small>", "searches that ended here"),
     ]
@@ -82,6 +84,12 @@ def _tiles(fit: Fit, left_out: Sequence[Prediction]) -> str:
         + "".join(f'<div class="tile"><b>{v}</b><span>{t}</span></div>' for v, t in tiles)
         + "</div>"
     )
+
+
+def _orientation_tile(fit: Fit) -> list[tuple[str, str]]:
+    if not any(run.oriented for run in fit.runs):
+        return []
+    return [(f"{math.degrees(fit.rms_rad):.2f} <small>deg</small>", "rms angle, measured to model orientation")]
 
 
 def _notes(fit: Fit, shown: Findings, simulated: bool) -> str:
@@ -143,7 +151,8 @@ def _model_error(shown: Findings) -> str:
 
 
 def _runs(fit: Fit, left_out: Sequence[Prediction]) -> str:
-    heads = ["run", "used as", "frames", "outliers", "rms before [mm]", "rms [mm]", "SHA-256"]
+    heads = ["run", "used as", "frames", "outliers", "rms before [mm]", "rms [mm]", "with orientation", "rms [deg]"]
+    heads.append("SHA-256")
     rows = [
         [
             run.run_id,
@@ -152,12 +161,15 @@ def _runs(fit: Fit, left_out: Sequence[Prediction]) -> str:
             str(run.outliers),
             f"{1e3 * run.rms_before_m:.3f}",
             f"{1e3 * run.rms_m:.3f}",
+            str(run.oriented),
+            f"{run.rms_deg:.2f}" if run.oriented else "",
             run.source,
         ]
         for run in fit.runs
     ]
     rows += [
-        [p.run_id, "left out", "", "", f"{1e3 * p.rms_before_m:.3f}", f"{1e3 * p.rms_m:.3f}", ""] for p in left_out
+        [p.run_id, "left out", "", "", f"{1e3 * p.rms_before_m:.3f}", f"{1e3 * p.rms_m:.3f}", "", "", ""]
+        for p in left_out
     ]
     left = "".join(
         f'<div class="note">{escape(p.run_id)} leaves the range of the fit: {escape(words)}</div>'

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.data import Poses
-from calibration.identify.likelihood import OUTLIER, whitened
+from calibration.identify.likelihood import outlying, whitened
 from calibration.identify.results import Fit
 
 Array = NDArray[np.float64]
@@ -76,11 +76,11 @@ _COVARIATES: tuple[tuple[str, str, Callable[[Poses], Array]], ...] = (
 
 
 def residual_dependence(fit: Fit) -> tuple[Dependence, ...]:
-    """The dependence of a fit's residuals on each quantity."""
+    """The dependence of a fit's residuals on each quantity, of the positions only."""
     residuals, chosen = [], []
     for poses, run, weights in zip(fit.problem.data, fit.runs, fit.solution.weights, strict=True):
-        rows = whitened(poses, run.predicted_m, weights)
-        good = poses.has_tip & (np.linalg.norm(rows, axis=1) <= OUTLIER)
+        rows = whitened(poses, run.gap, weights)[:, :3]
+        good = poses.has_tip & ~outlying(rows)
         residuals.append(rows[good])
         chosen.append(poses.only(good))
     return dependence(residuals, chosen, [poses.in_sequence for poses in fit.problem.data])

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
+from calibration.identify.likelihood import Discrepancy
 from calibration.identify.model_error_posterior import ModelErrorPosterior
 from calibration.identify.parameters import Prior, Setup, known
 
@@ -95,13 +96,17 @@ def with_means_of_runs(setup: Setup, estimates: Sequence[Estimate]) -> Setup:
 
 @dataclass(frozen=True)
 class RunFit:
-    """Fit of one run. residual_m (K, 3): measured minus predicted, NaN without a tip. error_m: its length."""
+    """Fit of one run. gap (K, D): measured minus predicted, tips [m] and rotations [rad]; NaN without a measurement.
+
+    oriented: number of frames whose orientation was used.
+    """
 
     run_id: str
     source: str
     moving: bool
     frames: int
-    residual_m: Array
+    oriented: int
+    gap: Array
     predicted_m: Array
     before_m: Array
     """Tips of the model that ran beside the experiment, or else predictions of the starting setup."""
@@ -112,6 +117,27 @@ class RunFit:
     """`before_m` is of the model that ran beside the experiment."""
     drifting: bool = False
     """The residuals correlate over more than a tenth of the run; error bars include this only as far as it shows."""
+
+    @property
+    def residual_m(self) -> Array:
+        """Measured minus predicted tips (K, 3)."""
+        return self.gap[:, :3]
+
+    @property
+    def angle_rad(self) -> Array:
+        """Angles (K,) between measured and predicted orientations, measured entries only."""
+        angle: Array = np.linalg.norm(self.gap[:, 3:], axis=1)
+        return angle[np.isfinite(angle)] if self.oriented else np.empty(0)
+
+    @property
+    def rms_rad(self) -> float:
+        """Root mean square angle from measured to predicted orientations; NaN without any."""
+        return rms(self.angle_rad)
+
+    @property
+    def rms_deg(self) -> float:
+        """The same in degrees."""
+        return math.degrees(self.rms_rad)
 
     @property
     def error_m(self) -> Array:
@@ -137,7 +163,7 @@ class Fit:
     setup: with every shared `used` value, and the means of the identified values per run. covariance (n, n): of the
     fitted values, in the order of `estimates`; zero for fixed parameters, whose assumed error of half a span enters the
     other error bars. joint_covariance (n, n): of all unknowns with that error of the fixed ones, in spans. Both include
-    the model error; fitted_covariance (n, n) is `covariance` without it. discrepancy_m: standard deviation per axis of
+    the model error; fitted_covariance (n, n) is `covariance` without it. discrepancy: standard deviations per axis of
     the model error that the stated errors do not explain.
     """
 
@@ -150,7 +176,7 @@ class Fit:
     runs: tuple[RunFit, ...]
     log_likelihood: float
     loss: float
-    discrepancy_m: float
+    discrepancy: Discrepancy
     measured: int
     fitted: int
     starts: int
@@ -217,6 +243,16 @@ class Fit:
         return f"what is left of {names} drifts as slowly as the run: error bars may be too narrow" if names else ""
 
     @property
+    def discrepancy_m(self) -> float:
+        """Discrepancy of the tips [m]."""
+        return self.discrepancy.tip_m
+
+    @property
+    def rms_rad(self) -> float:
+        """Root mean square angle over all measured orientations; NaN without any."""
+        return rms(np.concatenate([run.angle_rad for run in self.runs]))
+
+    @property
     def rms_m(self) -> float:
         """Root mean square distance over all measured tips."""
         return rms(np.concatenate([run.error_m for run in self.runs]))
@@ -229,5 +265,5 @@ class Fit:
     @property
     def bic(self) -> float:
         """Bayesian information criterion (BIC, Schwarz); the sample size is the number of independent tips."""
-        new = sum(3 * len(run.error_m) / max(run.correlation, 1.0) for run in self.runs)
+        new = sum(np.isfinite(run.gap).sum() / max(run.correlation, 1.0) for run in self.runs)
         return float((self.fitted + 1) * np.log(max(new, 2.0)) - 2 * self.log_likelihood)

@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
-from calibration.identify.data import MIN_FRAMES, Poses
+from calibration.identify.data import Poses
 from calibration.identify.fit import identify
+from calibration.identify.orientation import MIN_FRAMES, Orientations
 from calibration.identify.parameters import Prior, Setup, known, named
 from calibration.identify.pressure_course import PressureCourse
 from calibration.identify.pressure_history import pressure_history
@@ -30,12 +32,14 @@ _SAMPLES = 7
 class MeasurementErrors:
     """What goes wrong in measuring: standard deviations, per axis of the tip and per sensor.
 
-    pressure_pa: of a plateau's mean, or of the mean of the samples within one frame of a motion.
+    pressure_pa: of a plateau's mean, or of the mean of the samples within one frame of a motion. rotation_rad: of the
+    orientation about each axis; None if it is not measured.
     """
 
     tip_m: tuple[float, float, float] = (2e-4, 4e-4, 2e-4)
     pressure_pa: float = 50.0
     offset_pa: float = 200.0
+    rotation_rad: float | None = None
 
 
 def plan(
@@ -61,6 +65,7 @@ def plan(
         frames=np.full(k, 1 if period_s else MIN_FRAMES, np.int64),
         time_s=time_s,
         history=pressure_history(time_s, pressure_pa, time_s),
+        orientation=None if errors.rotation_rad is None else _unmeasured(k, errors.rotation_rad),
     )
 
 
@@ -69,7 +74,14 @@ def plan_slow(run_id: str, pressure_pa: Array, period_s: float, errors: Measurem
     still = plan(run_id, pressure_pa, None, 0.0, errors)
     count = len(pressure_pa)
     course = PressureCourse(period_s, pressure_pa, np.zeros(count), np.zeros((count, 6)), np.arange(count))
-    return replace(still, time_s=period_s * np.arange(count), frames=np.ones(count, np.int64), course=course)
+    time_s = np.asarray(period_s * np.arange(count), np.float64)
+    return replace(still, time_s=time_s, frames=np.ones(count, np.int64), course=course)
+
+
+def _unmeasured(count: int, std_rad: float) -> Orientations:
+    """Orientations that have not been measured."""
+    covariance = np.tile(std_rad**2 * np.eye(3), (count, 1, 1))
+    return Orientations(np.full((count, 3, 3), np.nan), covariance, np.zeros((count, 3, 3)))
 
 
 def perform(
@@ -100,24 +112,31 @@ def perform(
         steps_s = np.linspace(0.0, end_s, parts * (len(planned) - 1) + 1)
         weight = np.concatenate([planned.weight_kg[:1], np.repeat(planned.weight_kg[1:], parts)])
         fine = plan(planned.run_id, curve(steps_s), weight, steps_s[1])
-        tips = Predictor(fine)(plant)[::parts]
+        predictor, rows = Predictor(fine), slice(None, None, parts)
         sampled_s = np.linspace(0.0, end_s, _SAMPLES * (len(planned) - 1) + 1)
         samples = read(curve(sampled_s - truth.sensor_lag_s), errors.pressure_pa * _SAMPLES**0.5)
         measured_pa = smoothed(samples)[0][::_SAMPLES]
     else:
-        tips = Predictor(planned if felt_pa is None else replace(planned, pressure_pa=felt_pa))(plant)
+        predictor = Predictor(planned if felt_pa is None else replace(planned, pressure_pa=felt_pa))
+        rows = slice(None)
         measured_pa = read(planned.pressure_pa, errors.pressure_pa)
     course = planned.course
     if course is not None:
         through_pa = read(course.pressure_pa, errors.pressure_pa)
         through_pa[course.at] = measured_pa
         course = replace(course, pressure_pa=through_pa)
-    return replace(
+    tips = predictor(plant)[rows]
+    done = replace(
         planned,
         pressure_pa=measured_pa,
         course=course,
         tip_m=tips + rng.standard_normal((len(planned), 3)) * np.array(errors.tip_m),
     )
+    if planned.orientation is None or errors.rotation_rad is None:
+        return done
+    turned = Rotation.from_rotvec(rng.normal(0.0, errors.rotation_rad, (len(planned), 3))).as_matrix()
+    rotation = turned @ predictor.rotations(plant)[rows]
+    return replace(done, orientation=replace(planned.orientation, rotation=rotation))
 
 
 @dataclass(frozen=True)

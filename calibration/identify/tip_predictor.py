@@ -15,6 +15,7 @@ from calibration.identify.data import Poses
 from calibration.identify.parameters import Setup
 from calibration.identify.pressure_course import PressureCourse
 from calibration.identify.pressure_smoothing import curve
+from calibration.rotation_vectors import inverse_right_jacobian, left_jacobian
 from model import sensitivities
 from model.dynamics import Dynamics
 from model.sensitivities import Gradients, TipWrench, Variation
@@ -35,7 +36,7 @@ _LOAD_STEP = 1e-3
 
 @dataclass(frozen=True)
 class PushResponse:
-    """Derivatives of tips by_pressure (K, 3, N) [m/Pa] and by_load (K, 3) [m], a relative change of the load."""
+    """Derivatives by_pressure (K, D, N) [m/Pa, rad/Pa] and by_load (K, D) [m, rad], a relative change of the load."""
 
     by_pressure: Array
     by_load: Array
@@ -52,15 +53,33 @@ class Predictor:
 
     def __call__(self, setup: Setup) -> Array:
         """Tips (K, 3) [m] as they would be measured; NaN where the model has no solution."""
+        return setup.measured(*self._shapes(setup))
+
+    def rotations(self, setup: Setup) -> Array:
+        """Orientations (K, 3, 3) as they would be measured; NaN where the model has no solution."""
+        return setup.oriented(self._shapes(setup)[1])
+
+    def gap(self, setup: Setup) -> Array:
+        """Measured minus predicted (K, D) [m, rad]: tips, and the rotation vectors between orientations.
+
+        NaN where there is no measurement or no solution.
+        """
+        tips, orientation = self.poses.tip_m - self(setup), self.poses.orientation
+        if orientation is None:
+            return tips
+        return np.concatenate([tips, rotation_between(orientation.rotation, self.rotations(setup))], axis=1)
+
+    def _shapes(self, setup: Setup) -> Solved:
         if (course := self._course(setup)) is not None:
-            return self._along(course)(_without_inertia(setup))[course.at]
+            tips, rotations = self._along(course)._shapes(_without_inertia(setup))
+            return tips[course.at], rotations[course.at]
         key = self._key(setup)
         found = self._solved.get(key)
         if found is None:
             solve = _solve_dynamic if self.poses.moving else _solve_static
             found = solve(setup, self._pressure(setup), self.poses, self.substeps)
             self._solved = dict([*self._solved.items(), (key, found)][-_MAX_SOLVED:])
-        return setup.measured(*found)
+        return found
 
     def _key(self, setup: Setup) -> Key:
         # A wrench acts at the measured point, in the measurements' frame: then mounting and tool change the shape.
@@ -86,7 +105,7 @@ class Predictor:
         return setup.pressure_pa(course + setup.sensor_filter_s * rate)
 
     def slopes(self, setup: Setup, perturbed: Sequence[Setup], steps: Sequence[float]) -> Array:
-        """How the tips answer (K, 3, P) to each change of the setup, per unit of its step, by the model's gradients.
+        """How predictions answer (K, D, P) to each change of the setup, per unit of its step, by the model's gradients.
 
         perturbed: the setup with one change each, so small that the answer is linear in it.
         """
@@ -112,16 +131,23 @@ class Predictor:
             found = sensitivities.statics(setup.turned_arm, rows, changes, poses.weight_kg, wrench)
         lever = found.tip_rotation @ np.array(setup.tool_offset_m)
         base = Rotation.from_rotvec(setup.base_rotation_rad).as_matrix()
-        out = np.zeros((len(poses), 3, len(perturbed)))
-        out[:, :, new] = base @ (found.tip_by + np.cross(found.turn_by, lever[:, :, None], axis=1))
+        out = np.zeros((len(poses), poses.numbers, len(perturbed)))
+        turned = out[:, 3:]
+        turned[:, :, new] = (base @ found.turn_by)[:, : turned.shape[1]]
+        out[:, :3, new] = base @ (found.tip_by + np.cross(found.turn_by, lever[:, :, None], axis=1))
         point = (found.tip_m + lever) @ base.T
         for k, (other, step) in enumerate(zip(perturbed, steps, strict=True)):
-            shift, turn, tool = (
+            shift, turn, tool, tool_turn = (
                 (np.array(getattr(other, name)) - np.array(getattr(setup, name))) / step
-                for name in ("base_translation_m", "base_rotation_rad", "tool_offset_m")
+                for name in ("base_translation_m", "base_rotation_rad", "tool_offset_m", "tool_rotation_rad")
             )
-            turn = _left_jacobian(np.array(setup.base_rotation_rad)) @ turn
-            out[:, :, k] += shift + np.cross(turn, point) + (found.tip_rotation @ tool) @ base.T
+            turn = left_jacobian(np.array(setup.base_rotation_rad)) @ turn
+            tool_turn = left_jacobian(np.array(setup.tool_rotation_rad)) @ tool_turn
+            out[:, :3, k] += shift + np.cross(turn, point) + (found.tip_rotation @ tool) @ base.T
+            turned[:, :, k] += (turn + (found.tip_rotation @ tool_turn) @ base.T)[:, : turned.shape[1]]
+        if poses.orientation is not None:
+            apart = rotation_between(poses.orientation.rotation, setup.oriented(found.tip_rotation))
+            out[:, 3:] = inverse_right_jacobian(np.nan_to_num(apart)) @ turned
         return out
 
     def _course(self, setup: Setup) -> PressureCourse | None:
@@ -135,10 +161,10 @@ class Predictor:
         return self._through
 
     def pressure_covariance(self, setup: Setup) -> Array:
-        """Covariance (K, 3, 3) [m^2] that random pressure errors lend the predictions, by the arm's statics."""
+        """Covariance (K, D, D) that random pressure errors lend the predictions, by the arm's statics."""
         poses = self.poses
         if not poses.pressure_std_pa.any():
-            return np.zeros((len(poses), 3, 3))
+            return np.zeros((len(poses), poses.numbers, poses.numbers))
         still, nearest = self._at_rest()
         slope = _by_pressure(still, setup).swapaxes(1, 2)
         spread = slope[nearest] * poses.pressure_std_pa[:, :, None]
@@ -146,15 +172,18 @@ class Predictor:
         return out
 
     def push_response(self, setup: Setup) -> PushResponse:
-        """How the tips at rest respond to the pressures that push the arm, and to the load."""
+        """How predictions at rest respond to the pressures that push the arm, and to the load."""
         still, nearest = self._at_rest()
         poses = still.poses
         by_pressure = _by_pressure(still, setup) * -np.array(setup.sensor_gain)
-        by_load = np.zeros((len(poses), 3))
+        by_load = np.zeros((len(poses), poses.numbers))
         if poses.weight_kg.any() or poses.wrench.any():
             more = 1.0 + _LOAD_STEP
             heavier = Predictor(replace(poses, weight_kg=poses.weight_kg * more, wrench=poses.wrench * more))
-            by_load = np.nan_to_num((heavier(setup) - still(setup)) / _LOAD_STEP)
+            by_load[:, :3] = heavier(setup) - still(setup)
+            if poses.orientation is not None:
+                by_load[:, 3:] = rotation_between(heavier.rotations(setup), still.rotations(setup))
+            by_load = np.nan_to_num(by_load / _LOAD_STEP)
         return PushResponse(by_pressure[nearest], by_load[nearest])
 
     def _at_rest(self) -> tuple[Predictor, NDArray[np.intp]]:
@@ -183,14 +212,15 @@ def _as_motion(poses: Poses, course: PressureCourse) -> Poses:
         tip_m=np.full((count, 3), np.nan),
         covariance_m2=np.full((count, 3, 3), np.nan),
         frames=np.ones(count, np.int64),
-        time_s=np.arange(count) * course.period_s,
+        time_s=np.asarray(np.arange(count) * course.period_s, np.float64),
         live_m=None,
         course=None,
+        orientation=None if poses.orientation is None else poses.orientation.spread(course.at, count),
     )
 
 
 def _by_pressure(still: Predictor, setup: Setup) -> Array:
-    """Derivatives (K, 3, N) of tips at rest by the offsets of the sensors."""
+    """Derivatives (K, D, N) of predictions at rest by the offsets of the sensors."""
     step = sensitivities.PRESSURE_STEP_PA
     zeros = setup.sensor_offset_pa + step * np.eye(still.poses.actuators)
     perturbed = [replace(setup, sensor_offset_pa=tuple(own)) for own in zeros.tolist()]
@@ -198,15 +228,13 @@ def _by_pressure(still: Predictor, setup: Setup) -> Array:
     return out
 
 
-def _left_jacobian(rotvec: Array) -> Array:
-    """How fast a rotation turns (3, 3), in the outer frame, as its rotation vector changes."""
-    angle = float(np.linalg.norm(rotvec))
-    x, y, z = rotvec
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    first, second = (
-        (0.5, 1 / 6) if angle < 1e-4 else ((1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3)
-    )
-    out: Array = np.eye(3) + first * cross + second * cross @ cross
+def rotation_between(one: Array, other: Array) -> Array:
+    """Rotation vectors (K, 3) [rad] in the outer frame that turn the orientations `other` into `one`; NaN as these."""
+    relative = one @ np.swapaxes(other, 1, 2)
+    known = np.isfinite(relative).all(axis=(1, 2))
+    out = np.full((len(relative), 3), np.nan)
+    if known.any():
+        out[known] = Rotation.from_matrix(relative[known]).as_rotvec()
     return out
 
 

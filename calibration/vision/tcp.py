@@ -1,23 +1,28 @@
-"""From the board's pose to the tool centre point: the tip in the rod-base frame with its covariance."""
+"""From the board's pose to the tip in the rod-base frame: tool centre point, orientation, and their covariance."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.rotation_vectors import cross_matrix, left_jacobian
 from calibration.vision.pose import Pose
 from calibration.vision.transforms import RigidTransform
 
 Floats = NDArray[np.float64]
 
 
-def tip_in_base(pose: Pose, board_in_tip: RigidTransform, camera_in_base: RigidTransform) -> tuple[Floats, Floats]:
-    """Tip (3,) [m] in the rod-base frame with covariance (3, 3) [m^2].
+def tip_in_base(
+    pose: Pose, board_in_tip: RigidTransform, camera_in_base: RigidTransform
+) -> tuple[RigidTransform, Floats]:
+    """Tip in the rod-base frame with the covariance (6, 6) of its position [m] and of a small rotation [rad].
 
     The errors of the transforms board in tip, board in camera and camera in base are independent, so their covariances
-    add.
+    add. Rotations are about the axes of the rod base.
     """
-    tip_in_board, board_covariance = board_in_tip.parent_origin()
-    in_camera, pose_covariance = pose.point(tip_in_board)
-    rotation = pose.rigid.rotation
-    return camera_in_base.transport(in_camera, pose_covariance + rotation @ board_covariance @ rotation.T)
+    tip_in_camera = pose.rigid @ board_in_tip.inverse()
+    lever_m = tip_in_camera.translation_m - pose.translation_m
+    turn = left_jacobian(pose.rotation_vector)
+    by_pose = np.block([[-cross_matrix(lever_m) @ turn, np.eye(3)], [turn, np.zeros((3, 3))]])
+    covariance = by_pose @ pose.covariance @ by_pose.T + board_in_tip.error_covariance(lever_m)
+    return camera_in_base.transport_pose(tip_in_camera, covariance)

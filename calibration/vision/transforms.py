@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.rotation_vectors import cross_matrix
+
 Floats = NDArray[np.float64]
 
 
@@ -58,6 +60,23 @@ class RigidTransform:
         arm = self.rotation @ point_m
         covariance = self.rotation @ covariance_m2 @ self.rotation.T + self._own_covariance(arm)
         return arm + self.translation_m, covariance
+
+    def transport_pose(self, pose: RigidTransform, covariance: Floats) -> tuple[RigidTransform, Floats]:
+        """Carry a pose and its covariance (6, 6) into the parent, adding this transform's own uncertainty.
+
+        Covariances are of the translation [m] and of a small rotation [rad] about the axes of the outer frame.
+        """
+        turn = np.kron(np.eye(2), self.rotation)
+        own = self.error_covariance(self.rotation @ pose.translation_m)
+        return self @ pose, np.asarray(turn @ covariance @ turn.T + own)
+
+    def error_covariance(self, arm_m: Floats) -> Floats:
+        """Covariances (.., 6, 6) that the own uncertainty gives poses at the end of levers (.., 3) from the origin."""
+        cross = cross_matrix(arm_m)
+        lever = np.concatenate([-cross, np.broadcast_to(np.eye(3), cross.shape)], axis=-2)
+        covariance = self.rotation_std_rad**2 * lever @ np.swapaxes(lever, -1, -2)
+        covariance[..., :3, :3] += self.translation_std_m**2 * np.eye(3)
+        return np.asarray(covariance)
 
     def parent_origin(self) -> tuple[Floats, Floats]:
         """Return the parent's origin (3,) in this frame with its covariance (3, 3)."""

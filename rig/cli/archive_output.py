@@ -147,6 +147,9 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
         table.add_row("frames dropped", str(summary.frames_dropped))
     else:
         table.add_row(Text(f"whole run{simulated}: tip not measured, the rig has no camera", "bold"))
+    if summary.frames_oriented:
+        table.add_row("frames with an orientation of the tip", str(summary.frames_oriented))
+        table.add_row("  standard uncertainty about an axis [deg]", f"{summary.orientation_std_deg:.2g}")
     if summary.tip_path is not None:
         _add_tip_path(table, summary.tip_path)
     if summary.tip_plans is not None:

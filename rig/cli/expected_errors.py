@@ -37,7 +37,7 @@ EXPECTED_ERRORS = {
     "calibration.camera.CalibrationError": BAD_INPUT,
     "calibration.dlt.DLTError": BAD_INPUT,
     "calibration.views.ViewsError": BAD_INPUT,
-    "calibration.identify.data.NoDataError": BAD_INPUT,
+    "calibration.identify.errors.NoDataError": BAD_INPUT,
     "calibration.identify.parameters.UnknownParameter": BAD_INPUT,
     "calibration.identify.recursive_estimator.NotEstimableError": BAD_INPUT,
     "calibration.parallel_map.NoClusterError": FAULT,

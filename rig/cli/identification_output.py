@@ -211,7 +211,10 @@ def _residuals(run: RunFit) -> None:
         f"{run.run_id} ({kind}): rms {1e3 * run.rms_before_m:.3f} -> {1e3 * run.rms_m:.3f} mm, {run.outliers} outliers"
     )
     where = "in the frames used" if run.moving else "on the plateaus"
-    console().print(f"{text}; before: {before} {where}", soft_wrap=True)
+    text = f"{text}; before: {before} {where}"
+    if run.oriented:
+        text += f"; orientation of the tip used in {run.oriented} of {run.frames} frames: rms {run.rms_deg:.2f} deg"
+    console().print(text, soft_wrap=True)
 
 
 def failure(fit: Fit) -> None:

@@ -58,11 +58,12 @@ class IdentifiedArm(Section):
 
 
 class MountingSection(Section):
-    """Pose of the rod base in the frame of the measured tips, and the measured point in the tip frame."""
+    """Pose of the rod base in the frame of the measured tips, and of the measured frame in the tip frame."""
 
     base_translation_mm: Triple
     base_rotation_deg: Triple
     tool_offset_mm: Triple
+    tool_rotation_deg: Triple = (0.0, 0.0, 0.0)
 
 
 class Sensing(Section):
@@ -114,6 +115,8 @@ class Data(Section):
     outliers: int
     rms_before_mm: NonNegative
     rms_mm: NonNegative
+    oriented_frames: Count | None = None
+    rms_deg: NonNegative | None = None
     residual_mm: tuple[Triple, ...]
 
 
@@ -201,9 +204,9 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
     if law != own:
         refuse(("arm", "actuation", "law"), law, f"{own}, the actuation law of {rig}")
     for room, name, what in (("material", "branches", "branches"), ("actuation", "stops", "stop elements")):
-        theirs, mine = (len(getattr(getattr(arm, room), name)) for arm in (found.arm, config.arm))
-        if theirs != mine:
-            refuse(("arm", room, name), f"{theirs} {what}", f"{mine}, as {rig} has")
+        count, wanted = (len(getattr(getattr(arm, room), name)) for arm in (found.arm, config.arm))
+        if count != wanted:
+            refuse(("arm", room, name), f"{count} {what}", f"{wanted}, as {rig} has")
     now, then = config.arm.geometry, found.identified.geometry
     if len(then.actuator_angles_deg) != config.actuators:
         refuse(
@@ -264,9 +267,9 @@ def _mount(data: dict[str, Any], config: RigConfig, mounting: MountingSection) -
             _place(data["cameras"][name], "placement", camera.placement, back)
         if config.simulator is not None:
             _place(data["simulator"], "base", config.simulator.base, back)
-    if any(mounting.tool_offset_mm) and config.board is not None:
-        moved = np.array(config.board.placement.translation_mm) + np.array(mounting.tool_offset_mm)
-        data["board"].setdefault("placement", {})["translation_mm"] = moved.tolist()
+    if any((*mounting.tool_offset_mm, *mounting.tool_rotation_deg)) and config.board is not None:
+        tool = Placement(translation_mm=mounting.tool_offset_mm, rotation_deg=mounting.tool_rotation_deg)
+        _place(data["board"], "placement", config.board.placement, rigid(tool))
         if config.simulator is not None and config.simulator.board is None:
             data["simulator"]["board"] = config.board.placement.model_dump(mode="json")
 
@@ -276,7 +279,7 @@ def _base(mounting: MountingSection) -> RigidTransform:
     return rigid(Placement(translation_mm=mounting.base_translation_mm, rotation_deg=mounting.base_rotation_deg))
 
 
-def _place(data: dict[str, Any], key: str, known: Placement, back: RigidTransform) -> None:
-    """Transform a placement from one rod-base frame to another; its uncertainty stays."""
-    moved = placement_of(back @ rigid(known)).model_dump(mode="json", include={"translation_mm", "rotation_deg"})
+def _place(data: dict[str, Any], key: str, known: Placement, by: RigidTransform) -> None:
+    """Transform a placement to another parent frame; its uncertainty stays."""
+    moved = placement_of(by @ rigid(known)).model_dump(mode="json", include={"translation_mm", "rotation_deg"})
     data[key] = {**known.model_dump(mode="json"), **moved}

@@ -44,6 +44,7 @@ class Uncertainties(Section):
     base_translation_mm: _Stated = Field(default=None, description="rod base in the frame of the measured tips")
     base_rotation_deg: _Angle = None
     tool_offset_mm: _Stated = Field(default=None, description="measured point in the tip frame")
+    tool_rotation_deg: _Angle = Field(default=None, description="measured frame in the tip frame")
     sensor_gain_percent: _Stated = None
     sensor_lag_ms: _Stated = Field(default=None, description="delay of the sensors behind the camera")
     sensor_filter_ms: _Stated = Field(default=None, description="time constant of the sensors")
@@ -76,6 +77,7 @@ _PARAMETERS: dict[str, tuple[str, float]] = {
     "base_translation_mm": ("base_translation", _MM),
     "base_rotation_deg": ("base_rotation", _DEG),
     "tool_offset_mm": ("tool", _MM),
+    "tool_rotation_deg": ("tool_rotation", _DEG),
     "sensor_gain_percent": ("sensor_gains", _PERCENT),
     "sensor_lag_ms": ("sensor_lag_s", _MS),
     "sensor_filter_ms": ("sensor_filter_s", _MS),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from rig.config.arm_model import model_arm
 from rig.config.loader import RigFile
 from rig.config.parameters_overlay import read as read_parameters
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR
+from rig.config.sections import PA_PER_BAR, Placement
 from rig.identify.initial_setup import rig_of
 from rig.observation.online_estimation import default_parameters
 from runs.report.drawing import save
@@ -143,8 +144,9 @@ def rig_uncertainties(config: RigConfig, start: Setup) -> dict[str, Prior]:
     Half the accuracy of a sensor is the standard uncertainty of its offset.
     """
     offsets = {f"sensor_{s.actuator}_offset_pa": s.accuracy_bar * PA_PER_BAR / 2 for s in config.sensors}
-    board_m = 0.0 if config.board is None else config.board.placement.translation_std_mm * 1e-3
-    tool = {"tool": board_m} if board_m else {}
+    board = Placement() if config.board is None else config.board.placement
+    mounted = {"tool": board.translation_std_mm * 1e-3, "tool_rotation": math.radians(board.rotation_std_deg)}
+    tool = {name: std for name, std in mounted.items() if std}
     found = stated_values(start, {**offsets, **tool, **config.uncertainties.stated()})
     found["sensor_filter_s"] = Prior(SENSOR_FILTER_S, found["sensor_filter_s"].std)
     return found

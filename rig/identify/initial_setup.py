@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calibration.identify.data import NoDataError
+from calibration.identify.errors import NoDataError
 from calibration.identify.parameters import Setup, known
 from calibration.identify.parameters_document import Baseline
 from rig.config.arm_model import model_arm, true_arm
@@ -161,6 +161,7 @@ def baseline_geometry(run: Run, start: Setup, from_recorded_rig: bool = True) ->
         base_translation_m=_triple(np.multiply(mounting.base_translation_mm, 1e-3)),
         base_rotation_rad=_triple(np.deg2rad(mounting.base_rotation_deg)),
         tool_offset_m=_triple(np.multiply(mounting.tool_offset_mm, 1e-3)),
+        tool_rotation_rad=_triple(np.deg2rad(mounting.tool_rotation_deg)),
         sensor_gain=found.sensing.gain,
     )
     return Baseline(setup, found.identified.geometry.model_dump(mode="json") if from_recorded_rig else None)
@@ -183,6 +184,7 @@ def truth_of(run: Run) -> dict[str, float]:
         base_translation_m=_triple(base.translation_m),
         base_rotation_rad=_triple(Rotation.from_matrix(base.rotation).as_rotvec()),
         tool_offset_m=_triple(mounted.translation_m),
+        tool_rotation_rad=_triple(Rotation.from_matrix(mounted.rotation).as_rotvec()),
         actuator_turn_rad=tuple(np.arctan2(across, (stated * built).sum(axis=1)).tolist()),
         sensor_gain=tuple(
             _bar_per_v(one) / _bar_per_v(other)

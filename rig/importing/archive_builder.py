@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from protocols.problems import BadInputError, Problem
 from protocols.source_positions import Document
@@ -25,7 +26,7 @@ from rig.importing.columns import ColumnReader
 from rig.importing.mapping import Mapping, load
 from rig.importing.tables import read as read_table
 from rig.importing.timestamps import RowTimes, times
-from rig.importing.tracker_frames import placed, wrench
+from rig.importing.tracker_frames import PlacedTips, placed, wrench
 from rig.importing.units import KILOGRAMS, PASCALS, VOLTS, PressureUnit
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from runs.archive.writer import finalise
@@ -86,14 +87,14 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
     t_ns = read.t_ns
     gauge_pa, ambient_pa = _pressures(columns, mapping)
     gauge_pa = _delayed(t_ns, gauge_pa, mapping.pressures.delay_s)
-    tip_m, covariance_m2 = placed(columns, mapping)
+    tips = placed(columns, mapping)
     asked_pa, valve_v, weight_kg = _asked(columns, mapping), _valves(columns, mapping), _weight(columns, mapping)
     pull = wrench(columns, mapping)
     columns.check()
-    _doubt_units(columns, t_ns, gauge_pa, tip_m, length_m)
+    _doubt_units(columns, t_ns, gauge_pa, tips.tip_m, length_m)
     started_utc_ns = _started_utc_ns(columns, mapping, document, read)
     samples = _samples(t_ns, _frames(columns, t_ns), asked_pa, gauge_pa, valve_v)
-    observations = _observations(samples, tip_m, covariance_m2, weight_kg)
+    observations = _observations(samples, tips, weight_kg)
     observations["force_n"], observations["moment_n_m"] = pull[:, :3], pull[:, 3:]
 
     now = datetime.now(UTC)
@@ -149,19 +150,24 @@ def _samples(t_ns: Ints, frame: Ints, asked_pa: Floats, gauge_pa: Floats, valve_
     return samples
 
 
-def _observations(
-    samples: NDArray[np.void], tip_m: Floats, covariance_m2: Floats, weight_kg: Floats
-) -> NDArray[np.void]:
+def _observations(samples: NDArray[np.void], tips: PlacedTips, weight_kg: Floats) -> NDArray[np.void]:
     """One frame per row (n,), without a model."""
     rows = blank(len(samples), observation_dtype(samples["measured_pa"].shape[1]))
     rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["tick"], samples["protocol_s"]
     rows["dropped"] = np.diff(samples["tick"], prepend=-1) - 1
     rows["pressure_pa"], rows["weight_kg"] = samples["measured_pa"], weight_kg
-    rows["measured_m"], rows["covariance_m2"] = tip_m, covariance_m2
+    rows["measured_m"], rows["covariance_m2"] = tips.tip_m, tips.covariance[:, :3, :3]
+    known = np.isfinite(tips.rotation).all(axis=(1, 2))
+    if known.any():
+        rows["orientation_rad"][known] = Rotation.from_matrix(tips.rotation[known]).as_rotvec()
+        rows["orientation_covariance_rad2"][known] = tips.covariance[known, 3:, 3:]
+        rows["cross_covariance_m_rad"][known] = tips.covariance[known, :3, 3:]
     unseen = ~np.isfinite(rows["measured_m"]).all(axis=1)
     rows["seen"] = np.where(unseen, DetectionStatus.NO_FRAME, DetectionStatus.MEASURED)
     rows["camera_seen"] = rows["seen"][:, None]
-    rows["measured_m"][unseen] = rows["covariance_m2"][unseen] = np.nan
+    for name in ("measured_m", "covariance_m2", "orientation_rad", "orientation_covariance_rad2"):
+        rows[name][unseen] = np.nan
+    rows["cross_covariance_m_rad"][unseen] = np.nan
     return rows
 
 

@@ -57,8 +57,9 @@ class ColumnReader:
         return np.column_stack([np.full(length, np.nan) if values is None else values for values in found])
 
     def warn(self, message: str) -> None:
-        """Add a warning."""
-        self.warnings.append(message)
+        """Add a warning, once."""
+        if message not in self.warnings:
+            self.warnings.append(message)
 
     def warn_missing(self, values: Floats, what: str) -> None:
         """Warn if some of the values (n,) or (n, k) are missing."""

@@ -17,7 +17,7 @@ from protocols.document import Document, read
 from protocols.document import validate as validated
 from protocols.source_positions import path_text
 from protocols.validation import ValidationFault, faults
-from rig.config.sections import Bar, Count, Flag, Index, Moment, NonNegative, Placement, Section, Triple, Word
+from rig.config.sections import Bar, Count, Flag, Index, Moment, NonNegative, Placement, Positive, Section, Triple, Word
 from rig.importing.units import ForceUnit, LengthUnit, MassUnit, MomentUnit, PressureUnit, TimeUnit, VoltUnit
 
 
@@ -200,6 +200,33 @@ class BaseOrientation(Orientation):
     use: Literal["turn", "ignore"] = "turn"
 
 
+class TipOrientation(Orientation):
+    """Orientation of the tip sensor; with `uncertainty_deg` the archive keeps that of the tip.
+
+    How the sensor is mounted: `rotation_deg`, the rotation vector from the axes of the tip to those of the sensor; or
+    `aligned_rows`, the first rows, in which the axes of the tip are parallel to those of the rod base.
+    """
+
+    uncertainty_deg: Positive | SkipJsonSchema[None] = Field(default=None, description="standard, about each axis")
+    aligned_rows: Count | SkipJsonSchema[None] = Field(
+        default=None, description="first rows, in which the axes of the tip are parallel to those of the rod base"
+    )
+    rotation_deg: Triple | SkipJsonSchema[None] = Field(
+        default=None, description="rotation vector, from the axes of the tip to those of the sensor"
+    )
+
+    @model_validator(mode="after")
+    def _check_mounting(self) -> TipOrientation:
+        given = [name for name in ("aligned_rows", "rotation_deg") if getattr(self, name) is not None]
+        if self.uncertainty_deg is None:
+            expected = "uncertainty_deg beside it: it keeps the orientation of the tip"
+            faults(ValidationFault((name,), expected) for name in given)
+        elif len(given) != 1:
+            expected = "rotation_deg or aligned_rows beside it, one of them: how the sensor is mounted on the tip"
+            faults([ValidationFault(("uncertainty_deg",), expected)])
+        return self
+
+
 class BaseSensor(Section):
     """The sensor at the rod's base: its position is subtracted from the tip's, its orientation rotates the result."""
 
@@ -212,7 +239,7 @@ class TipSensor(Section):
     """The sensor at the tip; `offset_mm` is the tool centre point in the sensor's own axes."""
 
     position: Position
-    orientation: Orientation | SkipJsonSchema[None] = None
+    orientation: TipOrientation | SkipJsonSchema[None] = None
     offset_mm: Triple | SkipJsonSchema[None] = None
     uncertainty_mm: Uncertainty | SkipJsonSchema[None] = Field(default=None, description="standard, per axis")
 
@@ -311,11 +338,15 @@ class Mapping(Section):
     def _faults_between(self) -> Iterator[ValidationFault]:
         if self.setpoints is not None and len(self.setpoints.columns) != self.actuators:
             yield ValidationFault(("setpoints", "columns"), f"as many columns as there are pressures: {self.actuators}")
-        turning = self.tip is not None and self.tip.orientation is not None
+        orientation = None if self.tip is None else self.tip.orientation
+        turning = orientation is not None
         if self.wrench is not None and self.wrench.axes == "tip" and not turning:
             yield ValidationFault(("wrench", "axes"), "tracker, or an orientation of the tip: the wrench turns with it")
-        if turning and self.tip is not None and self.tip.offset_mm is None and self.wrench is None:
-            expected = "offset_mm or a wrench beside it: an archive keeps no orientation of the tip"
+        used = self.wrench is not None or (self.tip is not None and self.tip.offset_mm is not None)
+        if orientation is not None and orientation.uncertainty_deg is None and not used:
+            expected = (
+                "uncertainty_deg in it, which keeps the orientation of the tip, or offset_mm or a wrench beside it"
+            )
             yield ValidationFault(("tip", "orientation"), expected)
         if self.base is not None and self.tip is None:
             yield ValidationFault(("base",), "a tip beside it: the base sensor's position is subtracted from the tip's")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from calibration.vision.transforms import RigidTransform
 from protocols.problems import Problem
 from rig.importing.columns import ColumnReader
-from rig.importing.mapping import BaseSensor, Mapping, Orientation, Position, Wrench
+from rig.importing.mapping import BaseSensor, Mapping, Orientation, Position, TipOrientation, Wrench
 from rig.importing.tables import some
 from rig.importing.units import METRES, NEWTON_METRES, NEWTONS
 
@@ -25,6 +26,35 @@ LONGEST_LEVER_M = 1.0
 """A wrench at a tip has no longer lever than this."""
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PlacedTips:
+    """Tips in the rod-base frame; NaN where nothing was measured.
+
+    tip_m (n, 3), rotation (n, 3, 3) from the axes of the tip to those of the rod base, covariance (n, 6, 6) of the
+    position [m] and of a small rotation [rad] about the axes of the rod base.
+    """
+
+    tip_m: Floats
+    rotation: Floats
+    covariance: Floats
+
+    @classmethod
+    def none(cls, count: int = 1) -> PlacedTips:
+        """Nothing measured in some rows."""
+        return cls(*(np.full((count, *shape), np.nan) for shape in ((3,), (3, 3), (6, 6))))
+
+    def turned(self, turn: Floats) -> PlacedTips:
+        """The tips along other axes, by rotations (3, 3) or (n, 3, 3)."""
+        blocks = self.covariance.reshape(-1, 2, 3, 2, 3)
+        turns = np.broadcast_to(turn, self.rotation.shape)
+        covariance = np.einsum("nij,najbk,nlk->naibl", turns, blocks, turns).reshape(-1, 6, 6)
+        return PlacedTips(np.einsum("nij,nj->ni", turns, self.tip_m), turns @ self.rotation, covariance)
+
+    def unturned(self) -> PlacedTips:
+        """The tips without an orientation."""
+        return replace(self, rotation=np.full_like(self.rotation, np.nan))
 
 
 def wrench(columns: ColumnReader, mapping: Mapping) -> Floats:
@@ -89,7 +119,7 @@ def _zeroed(columns: ColumnReader, wrench: Wrench, force: Floats, moment: Floats
     return force - means[:3], moment - means[3:]
 
 
-def _at_first(columns: ColumnReader, turn: Floats, rows: int) -> Floats:
+def _at_first(columns: ColumnReader, turn: Floats, rows: int, purpose: str = "align the wrench") -> Floats:
     """Mean rotation (3, 3) of the first of some rotations (n, 3, 3)."""
     known = np.isfinite(turn[:rows]).all(axis=(1, 2))
     if not known.any():
@@ -100,7 +130,7 @@ def _at_first(columns: ColumnReader, turn: Floats, rows: int) -> Floats:
     first = Rotation.from_matrix(turn[:rows][known])
     mean = first.mean()
     if (spread := float(np.degrees((first * mean.inv()).magnitude().max()))) > STANDING_DEG:
-        columns.warn(f"the tip turns by {spread:.2g} degrees within the first {rows} rows, which align the wrench")
+        columns.warn(f"the tip turns by {spread:.2g} degrees within the first {rows} rows, which {purpose}")
     return np.asarray(mean.as_matrix())
 
 
@@ -114,47 +144,63 @@ def _warn_of_lever(columns: ColumnReader, force: Floats, moment: Floats) -> None
         columns.warn(warning)
 
 
-def placed(columns: ColumnReader, mapping: Mapping) -> tuple[Floats, Floats]:
-    """Tips (n, 3) [m] in the rod-base frame with their covariances (n, 3, 3); NaN where there are none.
+def placed(columns: ColumnReader, mapping: Mapping) -> PlacedTips:
+    """Tips in the rod-base frame: position, orientation where the mapping states its uncertainty, and covariance.
 
     tip + R_tip offset - base, turned by the base's inverse orientation where that is used, then by the mapping's
     frame. A broken orientation that is needed is a problem, one that is not is a warning.
     """
-    nothing = np.full((1, 3), np.nan), np.full((1, 3, 3), np.nan)
-    if mapping.tip is None:
-        return nothing
-    tip_m = _position(columns, mapping.tip.position, "tip")
-    offset, turn = None, None
-    if mapping.tip.orientation is not None and mapping.tip.offset_mm is not None:
-        offset = _matrices(columns, mapping.tip.orientation, "tip") @ (np.array(mapping.tip.offset_mm) * 1e-3)
+    tip = mapping.tip
+    if tip is None:
+        return PlacedTips.none()
+    tip_m = _position(columns, tip.position, "tip")
+    std_deg = None if tip.orientation is None else tip.orientation.uncertainty_deg
+    kept = std_deg is not None
+    sensor, turn = None, None
+    if tip.orientation is not None and (kept or tip.offset_mm is not None):
+        sensor = _matrices(columns, tip.orientation, "tip")
     if mapping.base is not None:
         base_m = _position(columns, mapping.base.position, "base")
         turn = _base_turn(columns, mapping.base)
     if columns.problems:
-        return nothing
-    variance = _variance(mapping.tip.uncertainty_mm)
-    if offset is not None:
-        tip_m = tip_m + offset
-    if mapping.base is not None:
-        tip_m = tip_m - base_m
-        if mapping.base.uncertainty_mm is not None:
-            variance = variance + _variance(mapping.base.uncertainty_mm)
-    covariance = np.broadcast_to(np.diag(variance), (len(tip_m), 3, 3))
-    if turn is not None:
-        tip_m = np.einsum("nij,nj->ni", turn, tip_m)
-        covariance = turn @ covariance @ turn.transpose(0, 2, 1)
-    return _framed(mapping, tip_m, covariance)
+        return PlacedTips.none()
+    variance = _variance(tip.uncertainty_mm)
+    if mapping.base is not None and mapping.base.uncertainty_mm is not None:
+        variance = variance + _variance(mapping.base.uncertainty_mm)
+    rotation = np.full((len(tip_m), 3, 3), np.nan) if sensor is None else sensor
+    lever_m = np.zeros_like(tip_m) if tip.offset_mm is None else rotation @ (np.array(tip.offset_mm) * 1e-3)
+    covariance = RigidTransform(
+        np.eye(3), np.zeros(3), 0.0, float(np.radians(np.nan if std_deg is None else std_deg))
+    ).error_covariance(lever_m)
+    if not kept:
+        covariance[:, :3, :3] = 0.0
+    covariance[:, :3, :3] += np.diag(variance)
+    place_m = tip_m + lever_m - (0.0 if mapping.base is None else base_m)
+    found = PlacedTips(place_m, rotation, covariance)
+    found = _framed(mapping, found if turn is None else found.turned(turn))
+    return _mounted(columns, tip.orientation, found) if kept and tip.orientation is not None else found.unturned()
 
 
-def _framed(mapping: Mapping, tip_m: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+def _framed(mapping: Mapping, tips: PlacedTips) -> PlacedTips:
     frame = RigidTransform.from_vectors(
         np.radians(mapping.frame.rotation_deg),
         np.array(mapping.frame.translation_mm) * 1e-3,
         mapping.frame.translation_std_mm * 1e-3,
         float(np.radians(mapping.frame.rotation_std_deg)),
     )
-    carried = [frame.transport(point, spread) for point, spread in zip(tip_m, covariance, strict=True)]
-    return np.array([point for point, _ in carried]), np.array([spread for _, spread in carried])
+    turned = tips.turned(frame.rotation)
+    covariance = turned.covariance + frame.error_covariance(turned.tip_m)
+    return PlacedTips(turned.tip_m + frame.translation_m, turned.rotation, covariance)
+
+
+def _mounted(columns: ColumnReader, orientation: TipOrientation, tips: PlacedTips) -> PlacedTips:
+    """Tips with the orientation of the tip itself instead of that of its sensor."""
+    if orientation.rotation_deg is not None:
+        mounted = Rotation.from_rotvec(orientation.rotation_deg, degrees=True).as_matrix()
+    else:
+        assert orientation.aligned_rows is not None
+        mounted = _at_first(columns, tips.rotation, orientation.aligned_rows, "give the orientation of its sensor").T
+    return replace(tips, rotation=tips.rotation @ mounted)
 
 
 def _base_turn(columns: ColumnReader, base: BaseSensor) -> Floats | None:

@@ -117,7 +117,9 @@ class MultiCameraTipEstimator:
         for k in corners:
             self._estimators[k].tracker.correct_flip(detections[k], self._places[k].inverse() @ pose.rigid)
         tip, covariance = tip_in_base(pose, self._board_in_tip, self._world_in_base)
-        return TipMeasurement(DetectionStatus.MEASURED, tip, covariance, pose.reprojection_px, None, seen)
+        return TipMeasurement(
+            DetectionStatus.MEASURED, tip.translation_m, tip.rotation, covariance, pose.reprojection_px, None, seen
+        )
 
     def _measure_alone(self, frame_set: FrameSet, detections: Sequence[Detection]) -> TipMeasurement:
         """Measure the tip from the first camera that can do so alone."""
@@ -130,10 +132,18 @@ class MultiCameraTipEstimator:
         frame = frame_set.frames[k]
         assert frame is not None
         skew_ns = frame.t_ns - frame_set.t_ns
-        tip = found.tip_m - self._velocity(frame.t_ns, found.tip_m) * skew_ns
-        covariance = found.covariance_m2 + self._of_skew(frame.t_ns, found.tip_m, skew_ns)
-        used = tuple(s if j == k else _unused(s) for j, s in enumerate(seen))
-        return replace(found, tip_m=tip, covariance_m2=covariance, cameras=used)
+        found = replace(found, cameras=tuple(s if j == k else _unused(s) for j, s in enumerate(seen)))
+        return found if abs(skew_ns) <= _SIMULTANEOUS_NS else self._extrapolated(found, frame.t_ns, skew_ns)
+
+    def _extrapolated(self, found: TipMeasurement, t_ns: int, skew_ns: int) -> TipMeasurement:
+        """Extrapolate a tip over a camera skew; its orientation, whose speed is unknown, is left out."""
+        displacement_m = self._velocity(t_ns, found.tip_m) * skew_ns
+        covariance = np.full((6, 6), np.nan)
+        error_m = _SPEED_SHARE * displacement_m
+        covariance[:3, :3] = found.covariance_m2 + np.outer(error_m, error_m)
+        return replace(
+            found, tip_m=found.tip_m - displacement_m, rotation=np.full((3, 3), np.nan), pose_covariance=covariance
+        )
 
     def _at(self, t_ns: int, k: int, taken_ns: int, detection: Detection) -> Corners | None:
         """Extrapolate camera `k`'s corners to time `t_ns`; None without corners or a speed."""
@@ -160,13 +170,6 @@ class MultiCameraTipEstimator:
         if before is None or not 0 < t_ns - before.t_ns < self._recent_ns:
             return np.zeros(3)
         return (tip_m - before.place) / (t_ns - before.t_ns)
-
-    def _of_skew(self, t_ns: int, tip_m: Floats, skew_ns: int) -> Floats:
-        """Return the covariance (3, 3) that the extrapolation over a camera skew adds."""
-        if abs(skew_ns) <= _SIMULTANEOUS_NS:
-            return np.zeros((3, 3))
-        displacement_m = self._velocity(t_ns, tip_m) * (skew_ns * _SPEED_SHARE)
-        return np.outer(displacement_m, displacement_m)
 
     def _in_world(self, camera: RigidTransform) -> RigidTransform:
         moved = self._world_in_base.inverse() @ camera

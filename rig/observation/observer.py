@@ -255,6 +255,9 @@ class Observer:
         row["pressure_pa"] = self._pressures.at(frame_set.t_ns)
         row["weight_kg"], row["force_n"] = weight_kg, force_n
         row["measured_m"], row["covariance_m2"] = seen.tip_m, seen.covariance_m2
+        row["orientation_rad"] = seen.rotation_vector
+        row["orientation_covariance_rad2"] = seen.pose_covariance[3:, 3:]
+        row["cross_covariance_m_rad"] = seen.pose_covariance[:3, 3:]
         row["reprojection_px"] = seen.reprojection_px
         row["model_m"] = self._model_m
         row["backbone_m"] = backbone(shape)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,25 +19,41 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TipMeasurement:
-    """The tip (3,) [m] in the rod-base frame with covariance (3, 3); NaN and no corners unless `seen` is MEASURED.
+    """The tip (3,) [m] in the rod-base frame; NaN and no corners unless `seen` is MEASURED.
 
+    `rotation` (3, 3) is the tip frame in the rod-base frame, `pose_covariance` (6, 6) that of the position [m] and of a
+    small rotation [rad] about the axes of the rod base. Both are NaN where the orientation is of another time.
     `corners_px` are those in the picture of the first camera that has one. `cameras` is what each of the rig's cameras
     saw: the tip was measured from those that are MEASURED.
     """
 
     seen: DetectionStatus
     tip_m: Floats
-    covariance_m2: Floats
+    rotation: Floats
+    pose_covariance: Floats
     reprojection_px: float
     corners_px: Floats | None
     cameras: tuple[DetectionStatus, ...]
     board_px: tuple[Floats | None, ...] = ()
     """The corners in each camera's picture."""
 
+    @property
+    def covariance_m2(self) -> Floats:
+        """Covariance (3, 3) of the position."""
+        return self.pose_covariance[:3, :3]
+
+    @property
+    def rotation_vector(self) -> Floats:
+        """Rotation vector (3,) [rad] of the orientation; NaN without one."""
+        if not np.isfinite(self.rotation).all():
+            return np.full(3, np.nan)
+        return np.asarray(cv2.Rodrigues(self.rotation)[0], np.float64).ravel()
+
     @classmethod
     def none(cls, seen: DetectionStatus, cameras: tuple[DetectionStatus, ...]) -> TipMeasurement:
         """Return a measurement without a tip, with the reason."""
-        return cls(seen, np.full(3, np.nan), np.full((3, 3), np.nan), float("nan"), None, cameras)
+        tip, rotation, covariance = np.full(3, np.nan), np.full((3, 3), np.nan), np.full((6, 6), np.nan)
+        return cls(seen, tip, rotation, covariance, float("nan"), None, cameras)
 
 
 class SingleCameraTipEstimator:
@@ -58,4 +75,6 @@ class SingleCameraTipEstimator:
             return TipMeasurement.none(detection.status, (detection.status,))
         tip, covariance = tip_in_base(detection.pose, self._board_in_tip, self._camera_in_base)
         seen, pose = detection.status, detection.pose
-        return TipMeasurement(seen, tip, covariance, pose.reprojection_px, detection.corners.px, (seen,))
+        return TipMeasurement(
+            seen, tip.translation_m, tip.rotation, covariance, pose.reprojection_px, detection.corners.px, (seen,)
+        )

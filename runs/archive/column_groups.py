@@ -132,6 +132,7 @@ def _scale(journal: Journal, axis: str) -> Field:
     values: dict[str, Value] = {
         "axis": ["x", "y", "z"],
         "ahead": np.array(columns.PLAN_AHEAD_S),
+        "turn": ["rx", "ry", "rz"],
         "component": ["xx", "xy", "xz", "yy", "yz", "zz"],
         "actuator": np.arange(1, header.actuators + 1),
         "valve": np.arange(1, header.valves + 1),

@@ -22,7 +22,7 @@ VERSION = 2
 
 MOST_CHANNELS = 4096
 """Most actuators, or valves, of an archive."""
-UNITS = ("bar", "V", "mm", "mm2", "px", "us", "g", "N", "Nm")
+UNITS = ("bar", "V", "mm", "mm2", "px", "us", "g", "N", "Nm", "deg", "deg2")
 """Unit suffixes of column names."""
 CLOCK = (0, LARGEST_NS)
 OWN_CLOCK = (-LARGEST_NS, LARGEST_NS)

@@ -48,6 +48,7 @@ __all__ = [
 AXES = {
     "ahead": (str(len(PLAN_AHEAD_S)), "time [s] after the start of the plan"),
     "axis": ("3", "x, y, z of the rod-base frame"),
+    "turn": ("3", "small rotations about x, y, z of the rod-base frame"),
     "component": ("6", "names of the covariance's columns"),
     "actuator": ("A", "1, 2, .."),
     "valve": ("V", "1, 2, .."),

@@ -21,6 +21,7 @@ from runs.columns.declaration import Column, Table, Values
 
 BACKBONE_POINTS = 11
 """Points of the model's backbone, evenly spaced along the arm at rest."""
+_DEG_PER_RAD = 180 / np.pi
 _UPPER = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
 _FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
@@ -98,6 +99,35 @@ class Tip(Table):
         about="covariance of measured_mm: xx, xy, xz, yy, yz, zz",
         convert=lambda covariance: covariance[:, _UPPER[0], _UPPER[1]] * MM_PER_M**2,
         read=lambda stored: stored[:, _FULL],
+    )
+    orientation_deg = Column(
+        "orientation_rad",
+        axes=("axis",),
+        unit="deg",
+        about="measured rotation vector of the tip frame in the rod-base frame",
+        convert=np.rad2deg,
+    )
+    orientation_uncertainty_deg = Column(
+        of=lambda rows: np.rad2deg(deviation(rows["orientation_covariance_rad2"])),
+        axes=("axis",),
+        unit="deg",
+        about="standard uncertainty of a small rotation of the tip about each axis",
+    )
+    orientation_covariance_deg2 = Column(
+        "orientation_covariance_rad2",
+        axes=("component",),
+        shape=("axis", "axis"),
+        unit="deg^2",
+        about="covariance of that small rotation about the rod-base axes: xx, xy, xz, yy, yz, zz",
+        convert=lambda covariance: covariance[:, _UPPER[0], _UPPER[1]] * _DEG_PER_RAD**2,
+        read=lambda stored: stored[:, _FULL],
+    )
+    cross_covariance_mm_deg = Column(
+        "cross_covariance_m_rad",
+        axes=("axis", "turn"),
+        unit="mm.deg",
+        about="covariance of measured_mm (rows) with that small rotation (columns)",
+        convert=lambda covariance: covariance * MM_PER_M * _DEG_PER_RAD,
     )
     model_mm = Column(
         "model_m",

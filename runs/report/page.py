@@ -157,6 +157,9 @@ def _tiles(s: Summary) -> str:
             f"frames measured of {s.frames_expected} expected; {s.frames_dropped} dropped",
         ),
     ]
+    if s.frames_oriented:
+        about = f"standard uncertainty of the tip's orientation about an axis, in {s.frames_oriented} frames"
+        tiles.append((with_unit(s.orientation_std_deg, "deg", 3), about))
     if s.truth is not None:
         tiles += [
             (with_unit(s.truth.error_mm.mean, "mm", 3), "mean measured to simulated truth"),

@@ -126,6 +126,7 @@ def test_losses_are_counted(run: Run) -> None:
     found = summarise(run)
     assert (found.frames, found.frames_measured, found.frames_dropped, found.frames_expected) == (300, 298, 3, 303)
     assert found.measured_fraction == pytest.approx(298 / 303)
+    assert (found.frames_oriented, found.orientation_std_deg) == (298, pytest.approx(0.1))
     assert (found.ticks, found.missed_deadlines) == (2000, 2)
     lateness = made_up.samples(10.0)["lateness_ns"] / 1e3
     assert found.lateness_p99_us == pytest.approx(np.percentile(lateness, 99))

@@ -73,7 +73,7 @@ def test_xarray_finds_the_dimensions(archive: Path, engine: str) -> None:
             data.load()
             assert not [name for name in data.sizes if "phony" in str(name)]
     with xarray.open_dataset(archive, group="entry/tip", engine=engine) as data:
-        assert dict(data.sizes) == {"time": 90, "axis": 3, "component": 6, "actuator": 3, "camera": 1}
+        assert dict(data.sizes) == {"time": 90, "axis": 3, "turn": 3, "component": 6, "actuator": 3, "camera": 1}
         run = runs.open(archive)
         np.testing.assert_array_equal(data.measured_mm.sel(axis="z"), run.tip.measured_mm[:, 2])
         late = data.model_mm.sel(time=slice(1.0, 2.0))

@@ -112,6 +112,8 @@ def observations(duration_s: float, seed: int = 0, simulated: bool = True) -> ND
     rows["truth_m"] = truth if simulated else np.nan
     rows["covariance_m2"] = np.diag(sigma**2)
     rows["measured_m"] = truth + rng.normal(0, 1, (n, 3)) * sigma
+    rows["orientation_rad"][:, 1] = -rows["pressure_pa"][:, 0] * 1e-5
+    rows["orientation_covariance_rad2"] = np.eye(3) * np.deg2rad(0.1) ** 2
     rows["model_m"] = truth + np.array([1e-3, 0, 0])
     rows["backbone_m"] = rows["model_m"][:, None] * np.linspace(0, 1, BACKBONE_POINTS)[:, None]
     rows["model_ok"] = 1
@@ -121,7 +123,8 @@ def observations(duration_s: float, seed: int = 0, simulated: bool = True) -> ND
         if n > index:
             rows["seen"][index] = DetectionStatus.NO_BOARD
             rows["measured_m"][index] = np.nan
-            rows["covariance_m2"][index] = np.nan
+            rows["covariance_m2"][index] = rows["orientation_covariance_rad2"][index] = np.nan
+            rows["orientation_rad"][index] = rows["cross_covariance_m_rad"][index] = np.nan
     if n > 20:
         rows["dropped"][20] = 3
     return rows

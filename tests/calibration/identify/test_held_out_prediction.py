@@ -10,6 +10,7 @@ import model
 from calibration.identify import Prior, Setup, identify, split_at
 from calibration.identify.data import Poses
 from calibration.identify.held_out_prediction import Prediction, predict
+from calibration.identify.likelihood import Discrepancy
 from calibration.identify.results import Fit
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 
@@ -44,7 +45,7 @@ def test_parameters_offsets_tip_and_model_error_widen_the_intervals() -> None:
     whole = predict(fit, new).std_m
     exact = replace(fit, joint_covariance=0 * fit.joint_covariance)
     assert predict(exact, new).std_m < 0.97 * whole
-    assert predict(replace(fit, discrepancy_m=1e-3), new).std_m ** 2 > whole**2 + 2.9e-6
+    assert predict(replace(fit, discrepancy=Discrepancy(1e-3)), new).std_m ** 2 > whole**2 + 2.9e-6
     precise = replace(new, covariance_m2=1e-14 * np.tile(np.eye(3), (10, 1, 1)))
     assert predict(fit, precise).std_m ** 2 < whole**2 - 2.9e-8
 

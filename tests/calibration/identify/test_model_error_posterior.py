@@ -17,6 +17,7 @@ from calibration.identify.data import Poses
 from calibration.identify.findings import findings
 from calibration.identify.information import covariance as covariance_of
 from calibration.identify.least_squares import LeastSquaresProblem
+from calibration.identify.likelihood import Discrepancy
 from calibration.identify.model_error import TERMS, error_columns
 from calibration.identify.model_error_posterior import (
     PRESENT,
@@ -47,7 +48,7 @@ def linear_problem() -> tuple[NormalEquations, Array, Array, Array, Array]:
     problem = LeastSquaresProblem(data, START, named(("a1_per_n", "rpe_per_bar", "base_x_m"), 3), priors)
     solution = problem.solve(np.zeros(3), [])
     columns = [
-        error_columns(one, Predictor(one).push_response(problem.setup(solution.z, run)), 0.65e5).tip_m[:, :, :12]
+        error_columns(one, Predictor(one).push_response(problem.setup(solution.z, run)), 0.65e5).pose[:, :, :12]
         for run, one in enumerate(data)
     ]
     root = 1 / np.sqrt(1e-8 + NOISE_M**2)
@@ -59,7 +60,7 @@ def linear_problem() -> tuple[NormalEquations, Array, Array, Array, Array]:
     prior = np.linalg.inv(rows.T @ rows + RIDGE * np.eye(3))
     # The prior's mean, seen from the solution.
     residual = residual + jacobian @ (prior @ (rows.T @ gap))
-    return normal_equations(problem, solution, (), columns, NOISE_M), residual, jacobian, effect, prior
+    return normal_equations(problem, solution, (), columns, Discrepancy(NOISE_M)), residual, jacobian, effect, prior
 
 
 def test_the_evidence_is_the_marginal_likelihood_of_a_linear_gaussian_model() -> None:
@@ -205,9 +206,9 @@ def test_a_single_ramp_that_leaves_most_parameters_open_has_a_posterior() -> Non
     stated = stated_values(START, {})
     data = [perform(planned, drawn_setup(START, stated, rng), rng, errors)]
     fit = identify(data, START, ("law", "rpe_per_bar", "base"), stated=stated)
-    columns = [error_columns(one, Predictor(one).push_response(START), 0.65e5).tip_m for one in data]
+    columns = [error_columns(one, Predictor(one).push_response(START), 0.65e5).pose for one in data]
     for noise_m in (0.0, NOISE_M):
-        seen = normal_equations(fit.problem, fit.solution, (), columns, noise_m).seen
+        seen = normal_equations(fit.problem, fit.solution, (), columns, Discrepancy(noise_m)).seen
         values = np.linalg.eigvalsh(seen)
         assert seen == pytest.approx(seen.T, rel=1e-9, abs=1e-9 * values[-1])
         assert values[0] > -1e-9 * values[-1]

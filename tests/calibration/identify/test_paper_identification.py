@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import model
-from calibration.identify.data import NoDataError
+from calibration.identify.errors import NoDataError
 from calibration.identify.paper_identification import (
     Elongation,
     elongation,

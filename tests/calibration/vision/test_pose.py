@@ -103,10 +103,12 @@ def test_the_tip_does_not_depend_on_the_poses_of_board_and_camera() -> None:
     pose = refine(BOARD.corners_m, exact, LENS, (_vector(seen), seen.translation_m))
     assert pose is not None
     tip, covariance = tip_in_base(pose, board_in_tip, camera_in_base)
-    assert np.allclose(tip, tip_in_base_true.translation_m, atol=1e-8)
+    assert np.allclose(tip.translation_m, tip_in_base_true.translation_m, atol=1e-8)
+    assert np.allclose(tip.rotation, tip_in_base_true.rotation, atol=1e-7)
     loose = RigidTransform(camera_in_base.rotation, camera_in_base.translation_m, 1e-3, np.deg2rad(0.1))
     _, wider = tip_in_base(pose, board_in_tip, loose)
-    assert np.all(np.linalg.eigvalsh(wider - covariance) > 0.9e-6)
+    assert np.all(np.linalg.eigvalsh((wider - covariance)[:3, :3]) > 0.9e-6)
+    assert np.all(np.linalg.eigvalsh((wider - covariance)[3:, 3:]) > 0.9 * np.deg2rad(0.1) ** 2)
 
 
 def test_the_uncertainty_of_the_mounting_rotates_with_the_tip() -> None:
@@ -121,4 +123,33 @@ def test_the_uncertainty_of_the_mounting_rotates_with_the_tip() -> None:
     adds = tip_in_base(pose, loose, camera)[1] - tip_in_base(pose, board, camera)[1]
     lever = tip.rotation @ board.translation_m
     expected = 1e-6 * np.eye(3) + 0.02**2 * (lever @ lever * np.eye(3) - np.outer(lever, lever))
-    assert adds == pytest.approx(expected, abs=1e-12)
+    assert adds[:3, :3] == pytest.approx(expected, abs=1e-12)
+    assert adds[3:, 3:] == pytest.approx(0.02**2 * np.eye(3), abs=1e-12)
+
+
+def test_position_and_orientation_of_the_tip_scatter_together_as_their_covariance_says() -> None:
+    rng, std, trials = np.random.default_rng(3), 0.05, 400
+    true_tip = RigidTransform.from_vectors((0.1, 0.9, -0.2), (0.04, 0.001, 0.172))
+    board = RigidTransform.from_vectors((-1.0, 0.1, 0.2), (0.001, 0.002, 0.035), 2e-4, np.deg2rad(0.3))
+    camera = RigidTransform.from_vectors((1.5, 0.02, -0.03), (0.01, 0.4, 0.2), 1e-4, np.deg2rad(0.1))
+    distance2 = []
+    for _ in range(trials):
+        seen = _slipped(camera, rng).inverse() @ true_tip @ _slipped(board, rng)
+        exact = LENS.project(BOARD.corners_m, _vector(seen), seen.translation_m)
+        noisy = exact + rng.normal(0, std, exact.shape)
+        covariance = np.broadcast_to(std**2 * np.eye(2), (len(exact), 2, 2))
+        pose = refine(BOARD.corners_m, noisy, LENS, (_vector(seen), seen.translation_m), covariance)
+        assert pose is not None
+        tip, stated = tip_in_base(pose, board, camera)
+        turn = cv2.Rodrigues(tip.rotation @ true_tip.rotation.T)[0].ravel()
+        error = np.concatenate([tip.translation_m - true_tip.translation_m, turn])
+        distance2.append(float(error @ np.linalg.solve(stated, error)))
+    # Chi-squared with six degrees of freedom.
+    assert np.mean(distance2) == pytest.approx(6, rel=0.12)
+    assert np.mean(np.array(distance2) < 12.592) == pytest.approx(0.95, abs=0.03)
+
+
+def _slipped(frame: RigidTransform, rng: np.random.Generator) -> RigidTransform:
+    slip = RigidTransform.from_vectors(rng.normal(0, frame.rotation_std_rad, 3), (0.0, 0.0, 0.0)).rotation
+    shift = rng.normal(0, frame.translation_std_m, 3)
+    return RigidTransform(slip @ frame.rotation, frame.translation_m + shift)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ from model.statics import statics
 from rig.cli.app import main
 from rig.config.arm_model import model_arm, true_arm
 from rig.config.loader import load
+from rig.config.parameters_overlay import read
 from rig.execution.plan import NullOperator
 from rig.experiment import run as experiment
 from runs.run import Run
@@ -200,3 +203,34 @@ def test_a_plateau_belongs_to_the_part_in_which_it_ends(resting: Run) -> None:
     assert (len(before), len(after)) == (1, len(whole) - 1)
     with pytest.raises(NoDataError, match="no tip after"):
         split_at(whole, 1e6)
+
+
+def test_the_orientation_of_the_board_is_used_and_reported(
+    resting: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found, page = tmp_path / "arm.yaml", tmp_path / "page.html"
+    with pytest.raises(SystemExit) as left:
+        main(["identify", str(resting.path), "--to", str(found), "--report", str(page)])
+    assert left.value.code == 0
+    said = capsys.readouterr().out
+    used, frames, rms_deg = re.findall(r"orientation of the tip used in (\d+) of (\d+) frames: rms ([\d.]+) deg", said)[
+        0
+    ]
+    assert used == frames
+    # The simulated arm obeys the model: what is left is the error of the pictures.
+    assert float(rms_deg) < 0.05
+    (data,) = read(found).found.data
+    assert data.oriented_frames == int(used)
+    assert data.rms_deg == pytest.approx(float(rms_deg), abs=0.01)
+    assert "rms angle, measured to model orientation" in page.read_text()
+
+
+def test_the_orientation_of_the_board_is_measured_as_well_as_stated(resting: Run) -> None:
+    poses = at_rest(resting)
+    assert poses.has_orientation.all()
+    free = ["law", "rpe_per_bar", "cap_mass_kg", "length_m", "base", "tool", "tool_rotation", "sensor_offsets"]
+    priors = {"sensor_offsets": Prior(0.0, 300.0)}
+    fit = identify([poses], Setup(model_arm(load("mock-ideal"))), free, priors)
+    assert fit.discrepancy.rotation_rad < np.deg2rad(0.01)
+    blind = identify([replace(poses, orientation=None)], Setup(model_arm(load("mock-ideal"))), free, priors)
+    assert blind["base_ry_rad"].joint_std > 3 * fit["base_ry_rad"].joint_std

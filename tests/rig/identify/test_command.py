@@ -52,6 +52,7 @@ def archive(
     rows["weight_kg"], rows["seen"] = weight_kg[which], DetectionStatus.MEASURED
     rows["measured_m"] = poses.tip_m[which] + rng.normal(0, 1e-4, (n, 3))
     rows["covariance_m2"] = np.eye(3) * 1e-8
+    rows["orientation_rad"] = rows["orientation_covariance_rad2"] = rows["cross_covariance_m_rad"] = np.nan
     journal = JournalWriter(folder / f"{name}.mcap", about)
     journal.samples(samples)
     journal.observations(rows)
@@ -358,7 +359,9 @@ def test_damping_is_free_by_default_where_a_run_moves(
     moving: bool, damped: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(estimation, "identify", lambda data, start, free, *_, **__: free)
-    free: Any = estimation.from_poses(load("mock"), [cast(Poses, SimpleNamespace(moving=moving))], (), {})
+    free: Any = estimation.from_poses(
+        load("mock"), [cast(Poses, SimpleNamespace(moving=moving, has_orientation=np.zeros(1, np.bool_)))], (), {}
+    )
     assert ("damping_s" in free) == damped
     assert {"a1_per_n", "a2_per_n2", "rpe_per_bar", "base", "sensor_offsets"} <= set(free)
 

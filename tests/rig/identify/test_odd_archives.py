@@ -64,6 +64,7 @@ def archive(
     rows["t_ns"] = who.started_t_ns + np.round(frame_s * 1e9).astype(np.int64)
     samples["protocol_s"], rows["protocol_s"] = sampled_s, frame_s
     rows["covariance_m2"] = np.diag(np.square(std_m))
+    rows["orientation_rad"] = rows["orientation_covariance_rad2"] = rows["cross_covariance_m_rad"] = np.nan
     if frames and actuators == 3:
         planned = plan("swing", course(frame_s), period_s=1 / HZ, errors=MeasurementErrors())
         rows["measured_m"] = Predictor(planned)(Setup(model_arm(load("mock")))) + rng.normal(0, 1e-4, (frames, 3))

@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 import runs
-from calibration.identify.data import NoDataError, poses_of
+from calibration.identify.data import poses_of
+from calibration.identify.errors import NoDataError
 from protocols import BadInputError
 from rig.config import loader
 from rig.identify import estimation

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import runs
-from calibration.identify.data import NoDataError, at_rest, in_motion
+from calibration.identify.data import at_rest, in_motion
+from calibration.identify.errors import NoDataError
 from model.statics import statics
 from protocols import BadInputError
 from rig.cli.app import main

@@ -1,0 +1,5 @@
+"""Errors of an identification."""
+
+
+class NoDataError(ValueError):
+    """The runs do not contain the data that the identification needs."""
