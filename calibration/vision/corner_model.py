@@ -94,8 +94,9 @@ def _window(dx: float, dy: float, radius: float) -> float:
 
 
 @fast_kernel
-def _gather(image: Image, cx: float, cy: float, radius: float, room: Floats) -> int:
-    """Put the pixels of the window round a corner into the room; return how many."""
+def _gather(image: Image, cx: float, cy: float, radius: float, light: Floats, room: Floats) -> int:
+    """Put the pixels of the window round a corner, in even light, into the room; return how many."""
+    light_x, light_y = light
     reach = math.ceil(radius + TAPER_PX / 2)
     x0, y0 = round(cx), round(cy)
     count = 0
@@ -104,21 +105,24 @@ def _gather(image: Image, cx: float, cy: float, radius: float, room: Floats) -> 
             w = _window(x - cx, y - cy, radius)
             if w > 0.0:
                 room[_X + count], room[_Y + count] = x, y
-                room[_GREY + count], room[_WEIGHT + count] = image[y, x], w
+                room[_GREY + count] = image[y, x] / (1.0 + light_x * (x - cx) + light_y * (y - cy))
+                room[_WEIGHT + count] = w
                 count += 1
     return count
 
 
 @fast_kernel
-def _gather_disc(image: Image, cx: float, cy: float, radius: float, room: Floats) -> int:
-    """Put the pixels of a disc round a corner, without weights, into the room; return how many."""
+def _gather_disc(image: Image, cx: float, cy: float, radius: float, light: Floats, room: Floats) -> int:
+    """Put the pixels of a disc round a corner, in even light and without weights, into the room; return how many."""
+    light_x, light_y = light
     reach = math.ceil(radius)
     x0, y0 = round(cx), round(cy)
     count = 0
     for y in range(y0 - reach, y0 + reach + 1):
         for x in range(x0 - reach, x0 + reach + 1):
             if (x - x0) ** 2 + (y - y0) ** 2 <= radius * radius:
-                room[_X + count], room[_Y + count], room[_GREY + count] = x, y, image[y, x]
+                room[_X + count], room[_Y + count] = x, y
+                room[_GREY + count] = image[y, x] / (1.0 + light_x * (x - cx) + light_y * (y - cy))
                 count += 1
     return count
 
@@ -232,17 +236,18 @@ def fit(
     seeds: Floats,
     normals: Floats,
     radius: float,
+    light: Floats,
     shape: Floats,
     knot: float,
     usual: Floats,
     firmness: float,
 ) -> CornerFit:
-    """Fit grey = mean + half step * edge_1 * edge_2 in a window round each corner by Gauss-Newton.
+    """Fit grey = light * (mean + half step * edge_1 * edge_2) in a window round each corner by Gauss-Newton.
 
     Unknowns: the corner (2), mean, half the step, and the blur across either edge (motion blurs one more than the
-    other), of which `usual` (2,) and its `firmness` are known. `shape` (2, knots + 1), every `knot` px, is what the
-    edges of either direction are beside a step blurred by a bell; (2, 1) is nothing. `radius` is at most
-    LARGEST_RADIUS_PX.
+    other), of which `usual` (2,) and its `firmness` are known. `light` (n, 2) [1/px] is the relative gradient of the
+    light at each corner, where it is 1. `shape` (2, knots + 1), every `knot` px, is what the edges of either direction
+    are beside a step blurred by a bell; (2, 1) is nothing. `radius` is at most LARGEST_RADIUS_PX.
     """
     n = seeds.shape[0]
     corners = np.full((n, 2), np.nan)
@@ -259,7 +264,7 @@ def fit(
     fitted = 0
     for c in range(n):
         cx, cy = seeds[c]
-        count = _gather(image, cx, cy, radius, room)
+        count = _gather(image, cx, cy, radius, light[c], room)
         blur_1, blur_2 = usual_1, usual_2
         mean, half_step = 0.0, 0.0
         for step in range(_STEPS):
@@ -304,7 +309,14 @@ def fit(
 
 @exact_kernel
 def edge_shape(
-    image: Image, corners: Floats, normals: Floats, radius: float, levels: Floats, blur: Floats, knot: float
+    image: Image,
+    corners: Floats,
+    normals: Floats,
+    radius: float,
+    light: Floats,
+    levels: Floats,
+    blur: Floats,
+    knot: float,
 ) -> Floats:
     """What the edges of either direction have in common beside the step blurred by a bell (2, knots + 1).
 
@@ -318,7 +330,7 @@ def edge_shape(
     room = np.empty(_ROOM)
     for c in range(corners.shape[0]):
         cx, cy = corners[c]
-        count = _gather_disc(image, cx, cy, radius, room)
+        count = _gather_disc(image, cx, cy, radius, light[c], room)
         _edges(room, _EDGE_1, count, cx, cy, normals[c, 0], blur[0])
         _edges(room, _EDGE_2, count, cx, cy, normals[c, 1], blur[1])
         mean, half_step = levels[c]

@@ -45,6 +45,8 @@ _MOVES_CORNERS = 0.5
 _BY_OVERLAP = 0.8
 # A corner whose pixels scatter so many times more than the median corner's is judged by itself.
 _ITS_OWN = 2.5
+# Largest relative change of the light within the radius of a window.
+_STEEPEST = 0.5
 # Residual error of a picture without noise: a pixel is a box, and the model has only a Gaussian.
 _SYSTEMATIC_PX = 0.003
 
@@ -106,15 +108,16 @@ def sharpen(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> Corners
     # The first look moved the corners, so the directions are taken from where they are now.
     normals = _edge_normals(coarse.reshape(grid))
     usual = np.full(2, _START_BLUR_PX)
-    first = fit(image, coarse, normals, radius, np.zeros((2, 1)), 1.0, usual, _BLUR_OPINION)
+    first = fit(image, coarse, normals, radius, np.zeros_like(coarse), np.zeros((2, 1)), 1.0, usual, _BLUR_OPINION)
     if not _plausible(first.px, seeds_px, radius):
         return None
     # No lens blurs like a Gaussian: the common edge shape is estimated from all corners, then used in the fit.
     blur = _column_medians(first.blur)
     knot = max(_KNOT_BLURS * float(blur.mean()), _LEAST_KNOT_PX)
     normals = _edge_normals(first.px.reshape(grid))
-    shape = edge_shape(image, first.px, normals, radius, first.levels, blur, knot)
-    found = fit(image, first.px, normals, radius, shape, knot, blur, _BLUR_CERTAIN)
+    light = _light_gradient(first.px, first.levels, radius)
+    shape = edge_shape(image, first.px, normals, radius, light, first.levels, blur, knot)
+    found = fit(image, first.px, normals, radius, light, shape, knot, blur, _BLUR_CERTAIN)
     if not _plausible(found.px, seeds_px, radius):
         return None
     pooled, total = _uncertainty(found.variance, found.spread)
@@ -196,6 +199,34 @@ def _pixel_noise(image: Image, grid: Floats) -> float:
                         total += (float(image[y + 1, x]) - float(image[y, x])) ** 2
                         count += 1
     return max(total / (2 * count), LEAST_VARIANCE)
+
+
+@exact_kernel
+def _light_gradient(px: Floats, levels: Floats, radius: float) -> Floats:
+    """Relative gradient of the light (n, 2) [1/px] at corners (n, 2): a plane through their mean levels (n,).
+
+    Least squares over the whole board: the levels of single corners scatter too much where squares are small.
+    """
+    count = len(px)
+    x0 = y0 = mean = 0.0
+    for c in range(count):
+        x0, y0, mean = x0 + px[c, 0] / count, y0 + px[c, 1] / count, mean + levels[c, 0] / count
+    xx = xy = yy = by_x = by_y = 0.0
+    for c in range(count):
+        x, y, level = px[c, 0] - x0, px[c, 1] - y0, levels[c, 0] - mean
+        xx, xy, yy = xx + x * x, xy + x * y, yy + y * y
+        by_x, by_y = by_x + x * level, by_y + y * level
+    light = np.zeros((count, 2))
+    area = xx * yy - xy * xy
+    if area <= 0.0:
+        return light
+    gx, gy = (by_x * yy - by_y * xy) / area, (by_y * xx - by_x * xy) / area
+    for c in range(count):
+        level = mean + gx * (px[c, 0] - x0) + gy * (px[c, 1] - y0)
+        # Within the window the light stays positive.
+        level = max(level, radius * math.hypot(gx, gy) / _STEEPEST, 1.0)
+        light[c, 0], light[c, 1] = gx / level, gy / level
+    return light
 
 
 def _coarse(image: Image, seeds_px: Floats, half: int) -> Floats | None:
