@@ -1,6 +1,7 @@
 """Extended Kalman filter of what the model does not know of the arm: strengths, lag, payload and disturbance.
 
-measured tip = model tip(set-points) + [static(P (1 + gain), payload) - static(P, 0)] - lag * velocity + disturbance
+measured = model tip(set-points) + [static(Q, 0) - static(P, 0)] + (1 + softness) [static(Q, payload) - static(Q, 0)]
+               - lag * velocity + disturbance                             with Q = P (1 + gain + softness)
 disturbance(t) = d + sum over k of (a_k cos(2 pi k t / period) + b_k sin(2 pi k t / period))
 
 The harmonics are the observer of a periodic reference: they have no phase lag, because they are predicted.
@@ -19,37 +20,45 @@ from rig.tip_control.static_map import LARGEST_PAYLOAD_KG, StaticMap
 Array = NDArray[np.float64]
 
 HARMONICS = 4
-GAIN_STD, GAIN_WALK = 0.05, 5e-4
+GAIN_STD, GAIN_WALK = 0.03, 5e-4
 """Prior standard deviation of a valve's strength, and its random walk per square root of a second."""
+SOFTNESS_STD = 0.04
+"""A soft arm yields to all valves and to a payload alike."""
 LAG_STD_S, LAG_WALK_S = 0.01, 2e-4
 PAYLOAD_STD_KG, PAYLOAD_WALK_KG = 0.003, 2e-4
-OFFSET_STD_M, OFFSET_WALK_M = 2e-3, 2e-4
-HARMONIC_STD_M, HARMONIC_WALK_M = 1e-3, 3e-5
+OFFSET_STD_M, OFFSET_WALK_M = 2e-3, 3e-5
+HARMONIC_STD_M, HARMONIC_WALK_M = 1e-3, 1.5e-5
 LEARNED_SHARE = 0.1
 """Share of the prior standard deviations that is left when earlier runs have shown the disturbance."""
 MODEL_STD_M = 1.2e-4
 """White error of the model beside that of the measurement."""
-SURPRISE_NIS = 20.0
-"""A NIS (three degrees of freedom) above this in SURPRISES frames in succession: something now hangs on the tip."""
-SURPRISES = 2
+OUTLIER_NIS = 20.0
+"""One frame of a larger NIS (three degrees of freedom) is not used: it may be a wrong measurement."""
+USUAL_NIS = 8.0
+"""The sum over the frames of the NIS beyond this, each at most OUTLIER_NIS, shows a change of the payload."""
+CHANGE_NIS = 22.0
+"""Such a sum means that something was hung on the tip; with a consistent filter once in an hour."""
+SUSPICION_NIS = 1.0
+"""With a larger sum a frame moves payload and offset only, so that nothing else takes a part of the change."""
 LEARNING_FRAMES = 90
-"""Frames after the start in which a large NIS is no surprise: the estimates are still far off."""
+"""Frames after the start in which a large NIS means nothing: the estimates are still far off."""
 JUMP_KG = 0.15
-JUMP_M = 1e-4
+SWING_M, SWING_S = 2e-3, 0.1
+"""The arm swings after a change: standard deviation at its start, and the time in which it decays."""
 SETTLING_FRAMES = 12
-"""Frames after a surprise in which the arm still swings: each gives payload and offset anew, and nothing else."""
+"""Frames after a change in which only payload and offset are estimated."""
 
 
 class EstimatorState(NamedTuple):
-    """Estimates `z` (n,) with covariance (n, n), and the number of surprising frames in succession and of all frames.
+    """Estimates `z` (n,) with covariance (n, n), and the number of frames.
 
-    `settling`: frames until the arm has settled after a surprise.
-    z: gains (V,), lag, payload, offset (3,), then a_k and b_k (3,) of each harmonic.
+    `excess`: sum of the NIS beyond USUAL_NIS. `settling`: frames until the arm has settled after a change.
+    z: gains (V,), softness, lag, payload, offset (3,), then a_k and b_k (3,) of each harmonic.
     """
 
     z: Array
     covariance: Array
-    surprises: int = 0
+    excess: float = 0.0
     frames: int = 0
     settling: int = 0
 
@@ -61,18 +70,18 @@ class TipEstimator:
         """`learned`: the tips that it is given are without the disturbance that earlier runs have shown."""
         self._map, self._unknown = static_map, LEARNED_SHARE if learned else 1.0
         valves = self._valves = static_map.valves
-        self._lag, self._payload, self._offset, self._waves = valves, valves + 1, valves + 2, valves + 5
+        self._soft, self._lag, self._payload, self._offset, self._waves = valves + np.array([0, 1, 2, 3, 6])
         self._size = self._waves + 6 * HARMONICS
 
     def start(self) -> EstimatorState:
         """The prior."""
         waves = np.repeat(HARMONIC_STD_M / np.arange(1, HARMONICS + 1), 6)
-        std = self._unknown * self._each(GAIN_STD, LAG_STD_S, PAYLOAD_STD_KG, OFFSET_STD_M, waves)
+        std = self._unknown * self._each(GAIN_STD, SOFTNESS_STD, LAG_STD_S, PAYLOAD_STD_KG, OFFSET_STD_M, waves)
         return EstimatorState(np.zeros(self._size), np.diag(std**2))
 
     def gains(self, state: EstimatorState) -> Array:
         """Relative strength (V,) of each valve's actuators beyond the model's."""
-        gains: Array = state.z[: self._valves]
+        gains: Array = state.z[: self._valves] + state.z[self._soft]
         return gains
 
     def lag_s(self, state: EstimatorState) -> float:
@@ -96,11 +105,14 @@ class TipEstimator:
 
     def drive(self, state: EstimatorState, pressure_pa: Array) -> Array:
         """Static tips (K, 3) of pressures (K, V) with the estimated strengths and payload."""
-        return self._map.tips(pressure_pa * (1 + self.gains(state)), self.payload_kg(state))
+        strong, payload = pressure_pa * (1 + self.gains(state)), self.payload_kg(state)
+        softness = float(state.z[self._soft])
+        return (1 + softness) * self._map.tips(strong, payload) - softness * self._map.tips(strong)
 
     def drive_by_pressure(self, state: EstimatorState, pressure_pa: Array) -> Array:
         """Their derivatives (K, 3, V) [m/Pa]."""
         gain = 1 + self.gains(state)
+        # That the payload's share depends on the pressure is of second order.
         return self._map.jacobians(pressure_pa * gain, self.payload_kg(state)) * gain
 
     def predict(
@@ -108,14 +120,19 @@ class TipEstimator:
         period_s: float | None,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Predicted measurement (3,) and its slope (3, n) by z, for the model's tip, velocity and pressures (V,)."""
-        gain, payload = 1 + self.gains(state), self.payload_kg(state)
+        gain, payload, softness = 1 + self.gains(state), self.payload_kg(state), float(state.z[self._soft])
         strong = (pressure_pa * gain)[None]
-        shift = self._map.tips(strong, payload)[0] - self._map.tips(pressure_pa[None])[0]
+        unloaded = self._map.tips(strong)[0]
+        sag = self._map.tips(strong, payload)[0] - unloaded
+        shift = unloaded - self._map.tips(pressure_pa[None])[0] + (1 + softness) * sag
         known = self._regressors(np.array([time_s]), period_s)[0]
         slope = np.zeros((3, self._size))
-        slope[:, : self._valves] = self._map.jacobians(strong, payload)[0] * pressure_pa
+        bare = self._map.jacobians(strong)[0]
+        loaded = bare if payload == 0 else bare + (1 + softness) * (self._map.jacobians(strong, payload)[0] - bare)
+        slope[:, : self._valves] = loaded * pressure_pa
+        slope[:, self._soft] = slope[:, : self._valves].sum(axis=1) + sag
         slope[:, self._lag] = -velocity_m_s
-        slope[:, self._payload] = self._map.by_payload(strong[0], payload)
+        slope[:, self._payload] = (1 + softness) * self._map.by_payload(strong[0], payload)
         slope[:, self._offset :] = np.kron(known, np.eye(3))
         predicted = tip_m + shift - self.lag_s(state) * velocity_m_s + known @ state.z[self._offset :].reshape(-1, 3)
         return predicted, slope
@@ -127,32 +144,34 @@ class TipEstimator:
         """The state after one frame, and the NIS of its innovation."""
         predicted, slope = prediction
         waves = np.full(6 * HARMONICS, HARMONIC_WALK_M if period_s else 0.0)
-        walk = self._each(GAIN_WALK, LAG_WALK_S, PAYLOAD_WALK_KG, OFFSET_WALK_M, waves)
+        walk = self._each(GAIN_WALK, 0.0, LAG_WALK_S, PAYLOAD_WALK_KG, OFFSET_WALK_M, waves)
         covariance = state.covariance + np.diag(walk**2) * passed_s
         noise = covariance_m2 + MODEL_STD_M**2 * np.eye(3)
         gap = measured_m - predicted
         innovation = slope @ covariance @ slope.T + noise
         nis = float(gap @ np.linalg.solve(innovation, gap))
-        surprises, settling = 0, max(0, state.settling - 1)
-        if nis > SURPRISE_NIS and state.frames > LEARNING_FRAMES and not settling:
-            surprises = state.surprises + 1
-            if surprises < SURPRISES:
-                # It may be a wrong measurement.
-                return EstimatorState(state.z, covariance, surprises, state.frames + 1), nis
-            surprises, settling = 0, SETTLING_FRAMES
-        moves = np.ones(self._size)
+        excess, settling = 0.0, max(0, state.settling - 1)
+        if state.frames > LEARNING_FRAMES and not settling:
+            excess = max(0.0, state.excess + min(nis, OUTLIER_NIS) - USUAL_NIS)
+            if nis > OUTLIER_NIS and state.excess <= SUSPICION_NIS:
+                return EstimatorState(state.z, covariance, excess, state.frames + 1), nis
+            if excess > CHANGE_NIS:
+                covariance[self._payload, self._payload] += JUMP_KG**2
+                excess, settling = 0.0, SETTLING_FRAMES
         if settling:
-            jump = self._each(0.0, 0.0, JUMP_KG, JUMP_M, np.zeros(6 * HARMONICS))
-            covariance = covariance + np.diag(jump**2)
-            innovation = slope @ covariance @ slope.T + noise
-            moves = np.sign(jump)
+            since_s = (SETTLING_FRAMES - settling) * passed_s
+            noise = noise + (SWING_M * np.exp(-since_s / SWING_S)) ** 2 * np.eye(3)
+        moves = np.ones(self._size)
+        if settling or excess > SUSPICION_NIS:
+            moves = self._each(0.0, 0.0, 0.0, 1.0, 1.0, np.zeros(6 * HARMONICS))
+        innovation = slope @ covariance @ slope.T + noise
         gain = moves[:, None] * np.linalg.solve(innovation, slope @ covariance).T
         keep = np.eye(self._size) - gain @ slope
         after = keep @ covariance @ keep.T + gain @ noise @ gain.T  # Joseph form
-        return EstimatorState(state.z + gain @ gap, after, surprises, state.frames + 1, settling), nis
+        return EstimatorState(state.z + gain @ gap, after, excess, state.frames + 1, settling), nis
 
-    def _each(self, gain: float, lag: float, payload: float, offset: float, waves: Array) -> Array:
-        return np.concatenate([np.full(self._valves, gain), [lag, payload], np.full(3, offset), waves])
+    def _each(self, gain: float, softness: float, lag: float, payload: float, offset: float, waves: Array) -> Array:
+        return np.concatenate([np.full(self._valves, gain), [softness, lag, payload], np.full(3, offset), waves])
 
     def _regressors(self, times_s: Array, period_s: float | None) -> Array:
         """1, cos and sin of each harmonic (K, 1 + 2 HARMONICS); zeros for the harmonics without a period."""

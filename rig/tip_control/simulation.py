@@ -6,7 +6,7 @@ Bit for bit repeatable from its seed. The benchmark and the tests use it.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 import model
 from model.dynamics import Dynamics
+from rig.config.sections import PA_PER_BAR
+from rig.simulator.arm_effects.base import ArmEffect
 from rig.tip_control.interface import (
     ControllerMeasurement,
     ReferenceTrajectory,
@@ -79,15 +81,23 @@ class ClosedLoop:
 
 
 def simulate(
-    settings: TipControlSettings, controller: TipController | None, truth: Truth, task: Task, seed: int
+    settings: TipControlSettings,
+    controller: TipController | None,
+    truth: Truth,
+    task: Task,
+    seed: int,
+    effects: Sequence[ArmEffect] = (),
 ) -> ClosedLoop:
-    """Run a controller (None: the feed-forward alone) on a simulated arm."""
+    """Run a controller (None: the feed-forward alone) on a simulated arm.
+
+    `effects` are advanced with time, in steps of CYCLE_S: an arm of several runs keeps them.
+    """
     valve_of, rng = list(settings.valve_of), np.random.default_rng(seed)
     follower = PlanFollower(settings.valves, settings.pressure_limit_pa, settings.rate_limit_pa_s)
     dynamics = Dynamics(truth.arm, CYCLE_S)
     pressure = task.feedforward_pa(0.0)[valve_of]
     loads = model.Loads(tip_force_n=truth.payload_kg * np.array(truth.arm.gravity_m_s2))
-    tip = dynamics.start(pressure * truth.strength).tip_m
+    tip = dynamics.start(_effective(effects, pressure) * truth.strength).tip_m
     state = controller.start() if controller is not None else None
     share = -np.expm1(-CYCLE_S / truth.lag_s)
     cycles = round(task.duration_s / CYCLE_S)
@@ -102,7 +112,7 @@ def simulate(
         if k:
             pressure = pressure + share * (setpoints[k - 1][valve_of] - pressure)
             hung = loads if truth.payload_kg and now >= truth.payload_at_s else None
-            tip = dynamics.step(pressure * truth.strength, hung).tip_m
+            tip = dynamics.step(_effective(effects, pressure) * truth.strength, hung).tip_m
         setpoints[k], pressures[k] = point.pressure_pa, pressure[[valve_of.index(v) for v in range(settings.valves)]]
         tips[k], references[k] = tip, task.position_m(now)
         while frame * settings.frame_s <= now:
@@ -121,13 +131,21 @@ def simulate(
                 pressures[rows],
                 now,
             )
-            begun = time.perf_counter()
+            begun = time.thread_time()  # other processes of the machine do not count
             plan = controller.step(state, _window(task, settings.reference_times(now)), measured)
-            solve_s.append(time.perf_counter() - begun)
+            solve_s.append(time.thread_time() - begun)
             state = plan.state
             plans.append(plan._replace(state=None))
             follower.take(now, plan.times_s, plan.setpoint_pa)
     return ClosedLoop(times, references, tips, setpoints, tuple(plans), np.array(solve_s))
+
+
+def _effective(effects: Sequence[ArmEffect], pressure_pa: Array) -> Array:
+    """Pressures (N,) [Pa] that give an arm without effects the same push."""
+    bar = (pressure_pa / PA_PER_BAR).tolist() if effects else []
+    for effect in effects:
+        bar = effect.advance(bar)
+    return np.array(bar) * PA_PER_BAR if effects else pressure_pa
 
 
 def _between(tips: Array, times: Array, k: int, at_s: float) -> Array:

@@ -139,17 +139,23 @@ def test_an_arm_unlike_the_model_follows_far_better_than_by_feedforward() -> Non
     assert 0.5 < nis.mean() < 4.5
 
 
-def test_an_unknown_payload_is_weighed_and_compensated() -> None:
-    task = _task(0.25, 8.0, radius_m=0.02)
-    truth = Truth(OTHER, np.ones(3), payload_kg=0.05, payload_at_s=5.0)
-    run = simulate(SETTINGS, HorizonControl(SETTINGS), truth, task, seed=2)
-    before = next(p for p in reversed(run.plans) if p.times_s[0] < 5.0).estimate.payload_kg
-    after = next(p for p in run.plans if p.times_s[0] > 7.0).estimate.payload_kg
-    assert after - before == pytest.approx(0.05, abs=0.005)
-    assert run.rms_m(5.4, 6.5) < 0.3e-3
+@pytest.mark.parametrize(
+    ("frequency_hz", "radius_m", "seed"), [(0.25, 0.02, 2), (0.4, 0.02, 3), (0.5, 0.025, 4), (0.3, 0.03, 5)]
+)
+def test_an_unknown_payload_is_weighed_and_compensated(frequency_hz: float, radius_m: float, seed: int) -> None:
+    task = _task(frequency_hz, 8.0, radius_m)
+    rng = np.random.default_rng(seed)
+    truth = Truth(OTHER, 1 + 0.03 * rng.standard_normal(3), payload_kg=0.05, payload_at_s=5.0)
+    run = simulate(SETTINGS, HorizonControl(SETTINGS), truth, task, seed)
+    before = next(p for p in reversed(run.plans) if p.times_s[0] < 5.0).estimate
+    after = next(p for p in run.plans if p.times_s[0] > 7.0).estimate
+    assert after.payload_kg - before.payload_kg == pytest.approx(0.05, abs=0.003)
+    assert abs(after.payload_kg - before.payload_kg - 0.05) < 2 * after.payload_std_kg
+    off = np.linalg.norm(run.tip_m - run.reference_m, axis=1)
+    assert off[run.times_s > 6.0].max() < 0.3e-3
 
 
-def test_one_wrong_measurement_moves_no_estimate_and_a_second_one_only_payload_and_offset(
+def test_one_wrong_measurement_moves_no_estimate_and_more_of_them_only_payload_and_offset(
     static_map: StaticMap,
 ) -> None:
     estimator = TipEstimator(static_map)
@@ -163,7 +169,11 @@ def test_one_wrong_measurement_moves_no_estimate_and_a_second_one_only_payload_a
     np.testing.assert_array_equal(once.z, settled.z)
     twice, _ = estimator.update(once, *wrong)
     moved = np.flatnonzero(twice.z != settled.z)
-    assert moved.tolist() == [4, 5, 6, 7]  # payload and offset, after three strengths and the lag
+    assert moved.tolist() == [5, 6, 7, 8]  # payload and offset, after three strengths, softness and lag
+    assert twice.settling > 0
+    right = (tip, *wrong[1:])
+    forgotten, _ = estimator.update(once, *right)
+    assert forgotten.settling == 0
 
 
 def test_the_same_run_is_the_same_bit_for_bit() -> None:
