@@ -74,9 +74,9 @@ def header(options: argparse.Namespace) -> RunHeader:
 def record(path: Path, options: argparse.Namespace) -> float:
     """Write the journal in batches of one camera frame; return the CPU time that it took [s]."""
     rng = np.random.default_rng(0)
-    ticks, frames = options.control_hz, CAMERA_HZ * options.cameras
-    samples = np.zeros(ticks, sample_dtype(options.channels, options.channels))
-    noise = rng.normal(0, 100, (ticks, options.channels))
+    cycles, frames = options.control_hz, CAMERA_HZ * options.cameras
+    samples = np.zeros(cycles, sample_dtype(options.channels, options.channels))
+    noise = rng.normal(0, 100, (cycles, options.channels))
     rows = np.zeros(frames, observation_dtype(options.channels))
     rows["covariance_m2"], rows["model_ok"] = np.eye(3) * 1e-8, 1
     image = np.clip(np.linspace(40, 200, 640) + rng.normal(0, 2, (480, 640)), 0, 255).astype(np.uint8)
@@ -84,7 +84,7 @@ def record(path: Path, options: argparse.Namespace) -> float:
     began = time.process_time()
     writer = JournalWriter(path, header(options), live=True)
     for second in range(options.seconds):
-        at = second + np.arange(ticks) / ticks
+        at = second + np.arange(cycles) / cycles
         samples["t_ns"], samples["protocol_s"] = at * 1e9, at
         samples["setpoint_pa"] = 1e4 + 10.0 * (second // 4 * 4)
         samples["measured_pa"] = samples["setpoint_pa"] + noise
@@ -93,7 +93,7 @@ def record(path: Path, options: argparse.Namespace) -> float:
         rows["measured_m"] = rng.normal((second * 1e-4, 0, 0.17), 1e-4, (frames, 3))
         rows["model_m"] = rows["truth_m"] = (second * 1e-4, 0, 0.17)
         for k in range(frames):
-            writer.samples(samples[k * ticks // frames : (k + 1) * ticks // frames])
+            writer.samples(samples[k * cycles // frames : (k + 1) * cycles // frames])
             writer.observations(rows[k : k + 1])
             if k % options.keep_every == 0:
                 data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()

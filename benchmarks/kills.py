@@ -73,7 +73,7 @@ def virtual(trials: int, seed: int, place: Path) -> None:
     whole = runs.open(run_fast(place / "whole", protocol))
     # Half of a run passes between its first recorded row and its last; before and after, it starts and is finalised.
     takes_s = 0.5 * (time.monotonic() - began)
-    ticks, torn, ended = [], 0, 0
+    cycles, torn, ended = [], 0, 0
     for trial in range(trials):
         folder = place / f"{trial}"
         folder.mkdir()
@@ -91,11 +91,11 @@ def virtual(trials: int, seed: int, place: Path) -> None:
         np.testing.assert_array_equal(run.tip.measured_mm, whole.tip.measured_mm[:m])
         ended += run.status is Status.FINISHED
         torn += any(e.source == "recovery" and not e.message.endswith("nothing") for e in run.events)
-        ticks.append(n)
+        cycles.append(n)
     print(
         f"{trials} virtual runs killed: {ended} had ended, {torn} with a torn last block, every row as in the whole run"
     )
-    print(f"ticks recorded: {min(ticks)} to {max(ticks)} of {len(whole.pressure.time_s)}")
+    print(f"cycles recorded: {min(cycles)} to {max(cycles)} of {len(whole.pressure.time_s)}")
 
 
 def real_time(trials: int, seed: int, place: Path) -> None:

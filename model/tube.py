@@ -26,9 +26,9 @@ _AROUND = _STEP * np.stack([np.eye(3), -np.eye(3)])
 class BallooningError(Exception):
     """No equilibrium under the load asked for. `limit` is the load [Pa or N] at which it is lost."""
 
-    def __init__(self, asked: float, limit: float, unit: str) -> None:
+    def __init__(self, load: float, limit: float, unit: str) -> None:
         self.limit = limit
-        super().__init__(f"the tube has no equilibrium at {asked:.6g} {unit}: it balloons at {limit:.6g} {unit}")
+        super().__init__(f"the tube has no equilibrium at {load:.6g} {unit}: it balloons at {limit:.6g} {unit}")
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ def _motion(run: ArchiveReader, label: str, bounds: Floats) -> PeriodicMotion:
     rows = slice(*np.searchsorted(pressure.protocol_s, (bounds[0], bounds[-1])))
     time_s, setpoint = pressure.protocol_s[rows], pressure.setpoint_bar[rows]
     actuator = int(np.argmax(np.ptp(setpoint, axis=0)))
-    asked = fundamental(time_s, setpoint[:, actuator], period_s)
+    commanded = fundamental(time_s, setpoint[:, actuator], period_s)
     got = fundamental(time_s, pressure.measured_bar[rows, actuator], period_s)
 
     frames = slice(*np.searchsorted(tip.protocol_s, (bounds[0], bounds[-1])))
@@ -80,12 +80,12 @@ def _motion(run: ArchiveReader, label: str, bounds: Floats) -> PeriodicMotion:
     return PeriodicMotion(
         label=label,
         period_s=period_s,
-        pressure_ratio=abs(got) / abs(asked),
-        pressure_lag_ms=_lag_ms(asked, got, period_s),
+        pressure_ratio=abs(got) / abs(commanded),
+        pressure_lag_ms=_lag_ms(commanded, got, period_s),
         tip_amplitude_mm=abs(moved),
-        tip_lag_ms=_lag_ms(asked, moved, period_s, either_sign=True),
+        tip_lag_ms=_lag_ms(commanded, moved, period_s, either_sign=True),
         model_ratio=abs(modelled) / abs(moved) if abs(moved) > 0 else NAN,
-        model_lag_ms=_lag_ms(asked, modelled, period_s, either_sign=True),
+        model_lag_ms=_lag_ms(commanded, modelled, period_s, either_sign=True),
         tip_loop_percent=_mean([loop_percent(at_frame[k], measured[k]) for k in periods]),
         model_loop_percent=_mean([loop_percent(at_frame[k], model[k]) for k in periods]),
         error_mm=tuple(_mean(error[k].tolist()) for k in periods),

@@ -28,7 +28,7 @@ CHI2_3_95 = 7.814727903251179
 """95 % point of chi-squared with three degrees of freedom: the 95 % ellipsoid of a 3-D Gaussian."""
 Z_95 = 1.959963984540054
 JUMP_BAR = 0.005
-"""A larger change of a set-point between ticks is a step."""
+"""A larger change of a set-point between cycles is a step."""
 _REST_BAR = 0.02
 MOVED_MM = 2.0
 """Smallest motion of the tip that defines a plane of motion and a normalised error."""
@@ -119,7 +119,7 @@ class Summary:
     """Largest of the steps."""
     tracking_rms_bar: float
     """Over the segments that are not dwells."""
-    ticks: int
+    cycles: int
     missed_deadlines: int
     lateness_p50_us: float
     lateness_p99_us: float
@@ -181,7 +181,7 @@ def summarise(run: ArchiveReader) -> Summary:
         settling_s=max((step.settling_s for step in steps if not np.isnan(step.settling_s)), default=NAN),
         overshoot_bar=max((step.overshoot_bar for step in steps if not np.isnan(step.overshoot_bar)), default=NAN),
         tracking_rms_bar=_rms(np.array(moving)),
-        ticks=len(pressure.time_s),
+        cycles=len(pressure.time_s),
         missed_deadlines=int(timing.overruns.sum()),
         lateness_p50_us=_percentile(late, 50),
         lateness_p99_us=_percentile(late, 99),

@@ -17,7 +17,7 @@ from websockets.sync.client import ClientConnection, connect
 PATIENCE_S = 150.0
 
 
-def said(output: Callable[[], str], what: str) -> str:
+def printed_link(output: Callable[[], str], what: str) -> str:
     """The address on the line of the terminal that begins with `what`; waits until it is there."""
     deadline = time.monotonic() + PATIENCE_S
     while not (found := re.search(rf"^{what}\s+(http://\S+)", output(), re.MULTILINE)):

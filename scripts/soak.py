@@ -35,7 +35,7 @@ steps:
 HOUR_S = 3600.0
 LOOK_S = 5.0
 SLOW_CAMERA_HZ = 5
-"""Pictures a second of the virtual day: a rendered picture costs ten times what a tick does."""
+"""Pictures a second of the virtual day: a rendered picture costs ten times what a cycle does."""
 GROWTH_MB, GROWTH_SHARE = 8.0, 0.03
 """What resident memory may grow by over the second half: noise of the allocator."""
 FINALISING_LOOK_S = 0.05
@@ -155,12 +155,12 @@ def _mock(rate_hz: float) -> str:
 
 def _report(what: str, verdicts: list[tuple[bool, str]], run: Run) -> bool:
     pressure, timing = run.pressure, run.timing
-    holes = int(np.clip(np.diff(pressure.tick) - 1 - timing.overruns[1:], 0, None).sum())
+    holes = int(np.clip(np.diff(pressure.cycle) - 1 - timing.overruns[1:], 0, None).sum())
     missed = int(timing.overruns.sum())
     stolen = timing.counters.get("stolen_cpu_ms", 0)
     complete = str(run.status) == "finished" and holes == 0 and timing.ring_overflows == 0
     print(
-        f"{what}: {run.status}, {len(pressure.tick)} ticks, {holes} missing, {missed} deadlines missed "
+        f"{what}: {run.status}, {len(pressure.cycle)} cycles, {holes} missing, {missed} deadlines missed "
         f"({stolen} ms of CPU stolen by the host), {len(run.tip.time_s)} frames, {timing.dropped_frames} dropped, "
         f"{timing.ring_overflows} rows lost in rings",
         flush=True,

@@ -26,5 +26,5 @@ while step := answer.get("stream"):
     turn = math.tau * (time.monotonic() - begun) / 4
     levels = [0.1 - 0.1 * math.cos(turn)] * len(step["actuators"])
     answer, sequence = ask(do="stream", sequence=sequence, setpoint_bar=levels), sequence + 1
-    print(answer["protocol_s"], answer["pressure_bar"], answer["tip_mm"], answer["said"])
+    print(answer["protocol_s"], answer["pressure_bar"], answer["tip_mm"], answer["message"])
     time.sleep(0.02)

@@ -134,9 +134,9 @@ def _compiled(
 
 
 def _candidates() -> list[Path]:
-    asked = os.environ.get("SOFTRIG_CACHE")
-    if asked:
-        return [Path(asked)]
+    chosen = os.environ.get("SOFTRIG_CACHE")
+    if chosen:
+        return [Path(chosen)]
     folders = []
     shared = os.environ.get("XDG_CACHE_HOME")
     if shared:

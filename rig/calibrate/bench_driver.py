@@ -48,11 +48,11 @@ class BenchLog:
 
 
 class BenchDriver:
-    """Drives an armed bench. Every tick goes through the run's interlocks; a trip raises and the bench is made safe."""
+    """Drives an armed bench. Every control cycle goes through the interlocks of a run; a trip makes safe and raises."""
 
-    def __init__(self, config: RigConfig, bench: ValveOutputs, ticks: BenchClock, check: Callable[[], None]) -> None:
-        """`check` is called at every tick and raises when the operator wants no more."""
-        self._config, self._bench, self._ticks, self._check = config, bench, ticks, check
+    def __init__(self, config: RigConfig, bench: ValveOutputs, clock: BenchClock, check: Callable[[], None]) -> None:
+        """`check` is called at every control cycle and raises when the operator wants no more."""
+        self._config, self._bench, self._clock, self._check = config, bench, clock, check
         self._prepared = control.prepare(config)
         self._period_s = self._prepared.period_s
         self._volts = np.full(config.actuators, np.nan)
@@ -118,7 +118,7 @@ class BenchDriver:
     def _period(self, seconds: float, until: Callable[[], bool] | None) -> Iterator[int]:
         for _ in range(max(1, round(seconds / self._period_s))):
             self._check()
-            yield self._ticks.next()
+            yield self._clock.next()
             if until is not None and until():
                 return
 

@@ -73,7 +73,7 @@ class RealTimeClock:
         self._memory.heartbeat("control", now)
         self._memory.heartbeat("supervisor", now)
         if self._memory.watchdog_trip_ns:
-            raise StartError(f"the watchdog took the bench over: {self._memory.message('watchdog') or 'a late tick'}")
+            raise StartError(f"the watchdog took the bench over: {self._memory.message('watchdog') or 'a late cycle'}")
         if self._watchdog.exited:
             raise StartError("the watchdog process died")
         if self._silence.silent_ns(now, self._memory.heartbeat_ns("watchdog")) > self._silent_ns:
@@ -115,12 +115,12 @@ def real(config: RigConfig, rig_file: Path, purpose: str) -> Iterator[tuple[Valv
             memory.control_granted = enable_realtime_scheduling(CONTROL_PRIORITY)
             # The first scans are on their way.
             time.sleep(POWER_UP_NS * 1e-9)
-            ticks = RealTimeClock(memory, _period_ns(config), watchdog, timing_limits(config, memory.granted))
-            # What is imported or compiled at its first use makes a tick late: no valve may be open then, unwatched.
-            rehearsed = BenchDriver(config, NullOutputs(bench), ticks, lambda: None)
+            clock = RealTimeClock(memory, _period_ns(config), watchdog, timing_limits(config, memory.granted))
+            # Imports and compilation at first use make a control cycle late: no valve may be open then, unwatched.
+            rehearsed = BenchDriver(config, NullOutputs(bench), clock, lambda: None)
             rehearsed.regulate(np.zeros(config.actuators), _REHEARSED_S)
             memory.publish_stage("control", Stage.RUNNING)
-            yield GuardedOutputs(bench, memory), ticks
+            yield GuardedOutputs(bench, memory), clock
         except TrippedError as error:
             memory.vented = memory.vented or error.trip.vent
             raise

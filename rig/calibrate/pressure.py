@@ -126,17 +126,17 @@ def _measure(request: PressureCalibrationRequest, config: RigConfig, operator: B
     """Drive the bench in virtual or real time; it is safe afterwards, however this ends."""
     with operator.stop_requests() as stop:
         if request.fast:
-            with virtual(config, request.seed) as (bench, ticks, plant):
-                driver = BenchDriver(config, bench, ticks, lambda: _raise_if_stopped(stop))
+            with virtual(config, request.seed) as (bench, clock, plant):
+                driver = BenchDriver(config, bench, clock, lambda: _raise_if_stopped(stop))
                 gauge = simulated_gauge(plant, request.gauge_std_bar, request.seed, operator.tell)
                 return _drive(request, config, driver, gauge, operator)
         rig_file = path_of(request.rig)
         with (
             simulated(config, rig_file, request.seed),
             operator.keys() as keys,
-            real(config, rig_file, "rig calibrate pressure") as (held, ticks),
+            real(config, rig_file, "rig calibrate pressure") as (held, clock),
         ):
-            driver = BenchDriver(config, held, ticks, lambda: _raise_if_stopped(stop))
+            driver = BenchDriver(config, held, clock, lambda: _raise_if_stopped(stop))
             return _drive(request, config, driver, typed_gauge(keys, operator.tell), operator)
 
 

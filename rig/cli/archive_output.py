@@ -155,7 +155,7 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
     if summary.tip_plans is not None:
         _add_tip_plans(table, summary.tip_plans)
     if summary.lateness_max_us > 0:
-        table.add_row("deadlines missed", f"{summary.missed_deadlines} of {summary.ticks}")
+        table.add_row("deadlines missed", f"{summary.missed_deadlines} of {summary.cycles}")
         late = (summary.lateness_p50_us, summary.lateness_p99_us, summary.lateness_max_us)
         table.add_row("lateness p50/p99/max [us]", " / ".join(_number(us, 0) for us in late))
     if "stolen_cpu_ms" in counters:

@@ -108,26 +108,26 @@ def read_back(subject: CardSubject) -> str:
     with closing(subject.open()) as card:
         card.start()
         for fraction in FRACTIONS:
-            asked = subject.volts(fraction)
+            written = subject.volts(fraction)
             began = time.monotonic()
-            card.write(asked)
-            found = stands(card, asked, subject)
+            card.write(written)
+            found = stands(card, written, subject)
             slowest_s = max(slowest_s, time.monotonic() - began)
             if np.all(np.isnan(found)):
                 raise NotApplicableError("the card has no read-back: an output that does not obey is not detected")
-            if not np.all(np.abs(found - asked) <= subject.tolerance_v):
-                raise BrokenContractError(f"{_v(asked)} were written and {_v(found)} read back")
-    return f"{len(FRACTIONS)} sets of {len(asked)} values, read back within {slowest_s * 1e3:.1f} ms"
+            if not np.all(np.abs(found - written) <= subject.tolerance_v):
+                raise BrokenContractError(f"{_v(written)} were written and {_v(found)} read back")
+    return f"{len(FRACTIONS)} sets of {len(written)} values, read back within {slowest_s * 1e3:.1f} ms"
 
 
 def bad_values(subject: CardSubject) -> str:
     """NaN is refused, and a value outside the range is clipped."""
     needs_outputs(subject)
     with closing(subject.open()) as card:
-        asked = subject.volts(0.5)
-        card.write(asked)
+        written = subject.volts(0.5)
+        card.write(written)
         with suppress(CardError):
-            card.write(np.full(len(asked), np.nan))
+            card.write(np.full(len(written), np.nan))
             found = card.readback()
             raise BrokenContractError(f"NaN was accepted; the outputs stand at {_v(found)}")
         card.write(np.array([c.high_v + 100.0 for c in subject.setup.outputs]))
@@ -290,12 +290,12 @@ def needs_outputs(subject: CardSubject) -> None:
         raise NotApplicableError("the rig uses no output of this card")
 
 
-def stands(card: Card, asked: Volts, subject: CardSubject) -> Volts:
-    """The read-back, once it is what was asked, or after SETTLED_S."""
+def stands(card: Card, written: Volts, subject: CardSubject) -> Volts:
+    """The read-back, once it is what was written, or after SETTLED_S."""
     until = time.monotonic() + SETTLED_S
     while True:
         found = card.readback()
-        right = np.all(np.isnan(found) | (np.abs(found - asked) <= subject.tolerance_v))
+        right = np.all(np.isnan(found) | (np.abs(found - written) <= subject.tolerance_v))
         if right or time.monotonic() > until:
             return found
         time.sleep(0.002)

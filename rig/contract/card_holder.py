@@ -27,12 +27,12 @@ def main(mode: str, rig_file: str, name: str, volts: str) -> None:
     """Open the card; `hold`: start it, and write and read it until the process is killed."""
     config = loader.load(rig_file)
     setup = card_setup(config, name)
-    asked = np.array([float(v) for v in volts.split(",")])
+    written = np.array([float(v) for v in volts.split(",")])
     try:
         card = open_card(config.cards[name], setup if mode == "hold" else replace(setup, inputs=()))
         if mode == "hold":
             card.start()
-        card.write(asked)
+        card.write(written)
         time.sleep(SETTLED_S if mode == "write" else 0.0)
         stands = card.readback().tolist()
     except CardBusyError as busy:
@@ -48,7 +48,7 @@ def main(mode: str, rig_file: str, name: str, volts: str) -> None:
     while mode == "hold":
         time.sleep(HELD_PERIOD_S)
         card.read()
-        card.write(asked)
+        card.write(written)
     card.close()
 
 

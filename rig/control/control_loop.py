@@ -185,7 +185,7 @@ class ControlLoop:
         self._bench.write(command.valve_v)
         row = self._row
         row["t_ns"] = self._scan_t_ns
-        row["tick"] = number
+        row["cycle"] = number
         row["protocol_s"] = protocol_s
         row["setpoint_pa"] = setpoint_pa
         row["measured_pa"] = self._pressure_pa

@@ -95,7 +95,7 @@ class ActuatorInterlock(ABC):
         """The interlock with the limits of a rig, for the actuator of a sensor."""
 
     @abstractmethod
-    def trip(self, t_ns: int, w: SensorState, asked: RegulatorDemand) -> Trip | None:
+    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
         """The trip by the state after a scan, None if the condition is not met."""
 
 
@@ -218,7 +218,7 @@ class OverPressure(ActuatorInterlock):
         limits = config.limits
         return cls(sensor.actuator, (limits.pressure_bar + limits.pressure_margin_bar) * PA_PER_BAR)
 
-    def trip(self, t_ns: int, w: SensorState, asked: RegulatorDemand) -> Trip | None:
+    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
         """Compare the pressure."""
         if w.pressure_pa <= self.limit_pa:
             return None
@@ -238,7 +238,7 @@ class UnderPressure(ActuatorInterlock):
         limits = config.limits
         return cls(sensor.actuator, (limits.lowest_pressure_bar - limits.pressure_margin_bar) * PA_PER_BAR)
 
-    def trip(self, t_ns: int, w: SensorState, asked: RegulatorDemand) -> Trip | None:
+    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
         """Compare the pressure."""
         if w.pressure_pa >= self.limit_pa:
             return None
@@ -258,7 +258,7 @@ class PressureRate(ActuatorInterlock):
         limits = config.limits
         return cls(sensor.actuator, (limits.rate_bar_per_s + limits.rate_margin_bar_per_s) * PA_PER_BAR)
 
-    def trip(self, t_ns: int, w: SensorState, asked: RegulatorDemand) -> Trip | None:
+    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
         """Compare the rate."""
         if not abs(w.rate_pa_s) > self.limit_pa_s:
             return None
@@ -279,7 +279,7 @@ class FrozenReading(ActuatorInterlock):
         """The limit of the rig file."""
         return cls(sensor.actuator, config.limits.frozen_s, sensor.accuracy_bar * PA_PER_BAR)
 
-    def trip(self, t_ns: int, w: SensorState, asked: RegulatorDemand) -> Trip | None:
+    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
         """Compare the time without a change, and the change that should have come."""
         expected = abs(w.expected_pa)
         if not (w.anchor_s >= self.frozen_s and expected > EVIDENCE * self.accuracy_pa):
@@ -293,7 +293,7 @@ class FrozenReading(ActuatorInterlock):
 
 
 @dataclass(frozen=True)
-class UnledReading(ActuatorInterlock):
+class UnresponsiveSensor(ActuatorInterlock):
     """The reading moves by noise only while the reference leads it away.
 
     `response_s` is how long the pressure may take to follow a moving reference: zero if the sensor controls a
@@ -311,16 +311,16 @@ class UnledReading(ActuatorInterlock):
         response_s = 0.0 if valve.closed_v is not None else config.limits.frozen_s
         return cls(sensor.actuator, config.limits.tracking_bar * PA_PER_BAR, response_s)
 
-    def trip(self, t_ns: int, w: SensorState, asked: RegulatorDemand) -> Trip | None:
+    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
         """Compare the way of the reference since the reading last moved."""
-        led = asked.reference_pa - w.left_reference_pa
-        if not (abs(led) > self.tracking_pa and w.left_s > self.response_s):
+        reference_change = demand.reference_pa - w.left_reference_pa
+        if not (abs(reference_change) > self.tracking_pa and w.left_s > self.response_s):
             return None
         name = f"sensor {self.actuator}"
         message = (
             f"{name} stays at {w.pressure_pa / PA_PER_BAR:.3f} bar: frozen, or no air, while its reference moved by"
         )
-        return _trip_bar(t_ns, name, message, led, self.tracking_pa)
+        return _trip_bar(t_ns, name, message, reference_change, self.tracking_pa)
 
 
 @dataclass(frozen=True)
@@ -336,13 +336,13 @@ class Tracking(ActuatorInterlock):
         """The limits of the rig file."""
         return cls(sensor.actuator, config.limits.tracking_bar * PA_PER_BAR, config.limits.tracking_s)
 
-    def trip(self, t_ns: int, w: SensorState, asked: RegulatorDemand) -> Trip | None:
+    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
         """Compare the errors and how long they last."""
-        name, error = f"actuator {self.actuator}", w.pressure_pa - asked.setpoint_pa
+        name, error = f"actuator {self.actuator}", w.pressure_pa - demand.setpoint_pa
         if w.still_s >= self.tracking_s and abs(error) > self.tracking_pa:
             return _trip_bar(t_ns, "tracking", f"{name} is off its standing set-point by", error, self.tracking_pa)
         if w.off_reference_s >= self.tracking_s:
-            error = w.pressure_pa - asked.reference_pa
+            error = w.pressure_pa - demand.reference_pa
             message = f"{name} has strayed from its moving set-point for {w.off_reference_s:.2f} s, now by"
             return _trip_bar(t_ns, "tracking", message, error, self.tracking_pa)
         return None
@@ -354,7 +354,7 @@ ACTUATOR_INTERLOCKS: tuple[type[ActuatorInterlock], ...] = (
     UnderPressure,
     PressureRate,
     FrozenReading,
-    UnledReading,
+    UnresponsiveSensor,
     Tracking,
 )
 
@@ -406,19 +406,19 @@ def evaluate(
     first: Trip | None = None
     moved = []
     readings = zip(states, sample.volts.tolist(), sample.pressure_pa.tolist(), demands, strict=True)
-    for i, (state, volts, pressure_pa, asked) in enumerate(readings):
+    for i, (state, volts, pressure_pa, demand) in enumerate(readings):
         after = sensor_state.updated(
             s.sensors[i],
-            sensor_state.started(state, volts, pressure_pa, asked),
+            sensor_state.started(state, volts, pressure_pa, demand),
             dt_s,
             volts,
             pressure_pa,
-            asked,
+            demand,
             counted_s,
         )
         moved.append(after)
         for condition in s.actuators[i]:
-            first = first or condition.trip(sample.t_ns, after, asked)
+            first = first or condition.trip(sample.t_ns, after, demand)
     return tuple(moved), first
 
 

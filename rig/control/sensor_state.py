@@ -65,7 +65,7 @@ def count_v(sensor: Sensor) -> float:
     return (sensor.signal_range[1] - sensor.signal_range[0]) / SIXTEEN_BITS
 
 
-def started(watch: SensorState, volts: float, pressure_pa: float, asked: RegulatorDemand) -> SensorState:
+def started(watch: SensorState, volts: float, pressure_pa: float, demand: RegulatorDemand) -> SensorState:
     """The state; the initial one at the first scan."""
     if not math.isnan(watch.pressure_pa):
         return watch
@@ -73,8 +73,8 @@ def started(watch: SensorState, volts: float, pressure_pa: float, asked: Regulat
         pressure_pa=pressure_pa,
         anchor_v=volts,
         left_pa=pressure_pa,
-        left_reference_pa=asked.reference_pa,
-        setpoint_pa=asked.setpoint_pa,
+        left_reference_pa=demand.reference_pa,
+        setpoint_pa=demand.setpoint_pa,
     )
 
 
@@ -84,23 +84,23 @@ def updated(
     dt: float,
     volts: float,
     pressure: float,
-    asked: RegulatorDemand,
+    demand: RegulatorDemand,
     counted: float,
 ) -> SensorState:
     """The state after a scan `dt` after the last one; `counted` is the part of `dt` that counts for the timers."""
     slope = (pressure - watch.pressure_pa) / dt
     rate = watch.rate_pa_s + (slope - watch.rate_pa_s) * dt / (RATE_FILTER_S + dt)
     if abs(volts - watch.anchor_v) >= s.count_v:
-        anchor, still, expected, held = volts, 0.0, 0.0, asked.integral_pa_s
+        anchor, still, expected, held = volts, 0.0, 0.0, demand.integral_pa_s
     else:
         anchor, still, held = watch.anchor_v, watch.anchor_s + counted, watch.anchor_integral_pa_s
         # A chamber cannot be emptied below the lowest pressure, whatever the valve does.
-        expected = max(watch.expected_pa + (asked.rate_pa_s - held) * counted, -max(pressure - s.lowest_pa, 0.0))
+        expected = max(watch.expected_pa + (demand.rate_pa_s - held) * counted, -max(pressure - s.lowest_pa, 0.0))
     left, left_reference, left_s = watch.left_pa, watch.left_reference_pa, watch.left_s + counted
     if abs(pressure - left) > NOISE_SHARE * s.accuracy_pa:
-        left, left_reference, left_s = pressure, asked.reference_pa, 0.0
-    settled = asked.setpoint_pa == watch.setpoint_pa
-    off_reference = abs(asked.reference_pa - pressure) > s.tracking_pa
+        left, left_reference, left_s = pressure, demand.reference_pa, 0.0
+    settled = demand.setpoint_pa == watch.setpoint_pa
+    off_reference = abs(demand.reference_pa - pressure) > s.tracking_pa
     # Positional, because keyword arguments would double the time of this function.
     return SensorState(
         pressure,
@@ -112,7 +112,7 @@ def updated(
         left,
         left_reference,
         left_s,
-        asked.setpoint_pa,
+        demand.setpoint_pa,
         watch.still_s + counted if settled else 0.0,
         watch.off_reference_s + counted if off_reference else 0.0,
     )

@@ -125,7 +125,7 @@ def _step(
     for i, valve_index in enumerate(settings.valve_of):
         valve = state.valves[valve_index]
         reference = pressure[i] if math.isnan(valve.reference_pa) else valve.reference_pa
-        demands.append(RegulatorDemand(setpoint[i], reference, valve.asked_pa_s, valve.integral_pa_s))
+        demands.append(RegulatorDemand(setpoint[i], reference, valve.demand_pa_s, valve.integral_pa_s))
     watches, trip = interlocks.evaluate(
         limits, state.watches, sample, demands, max(dt, passed), new=new, counted_s=counted
     )

@@ -18,8 +18,9 @@ Array = NDArray[np.float64]
 
 
 class StreamLimits(NamedTuple):
-    """Limits: the highest pressure [Pa], and equal values for the actuators (indices) on a valve."""
+    """Limits: the lowest and highest pressure [Pa], and equal values for the actuators (indices) on a valve."""
 
+    lowest_pa: float
     pressure_pa: float
     valves: tuple[tuple[int, ...], ...]
 
@@ -27,19 +28,22 @@ class StreamLimits(NamedTuple):
     def of(cls, config: RigConfig) -> StreamLimits:
         """Those of a rig."""
         valves = tuple(tuple(number - 1 for number in valve.actuators) for valve in config.valves)
-        return cls(config.limits.pressure_bar * PA_PER_BAR, valves)
+        limits = config.limits
+        return cls(limits.lowest_pressure_bar * PA_PER_BAR, limits.pressure_bar * PA_PER_BAR, valves)
 
-    def kept(self, asked_pa: Array, interval: StreamInterval) -> bool:
+    def kept(self, setpoint_pa: Array, interval: StreamInterval) -> bool:
         """Whether set-points (N,) of the actuators of an interval are within the limits."""
-        named = asked_pa[[number - 1 for number in interval.actuators]]
+        named = setpoint_pa[[number - 1 for number in interval.actuators]]
         return (
-            bool(np.isfinite(named).all() and (named >= 0.0).all() and (named <= self.pressure_pa).all())
-            and self.unequal(asked_pa) is None
+            bool(np.isfinite(named).all() and (named >= self.lowest_pa).all() and (named <= self.pressure_pa).all())
+            and self.unequal(setpoint_pa) is None
         )
 
-    def unequal(self, asked_pa: Array) -> tuple[int, ...] | None:
+    def unequal(self, setpoint_pa: Array) -> tuple[int, ...] | None:
         """The actuators (indices) of a valve whose set-points differ; None if there is no such valve."""
-        return next((v for v in self.valves if not np.isnan(asked_pa[v[0]]) and np.ptp(asked_pa[list(v)]) > 0.0), None)
+        return next(
+            (v for v in self.valves if not np.isnan(setpoint_pa[v[0]]) and np.ptp(setpoint_pa[list(v)]) > 0.0), None
+        )
 
 
 class StreamPosition(NamedTuple):
@@ -77,7 +81,7 @@ class StreamFollower:
         self._rate_pa_s = config.limits.rate_bar_per_s * PA_PER_BAR
         self._interval: StreamInterval | None = None
         self._newest = StreamPosition()
-        self._asked_pa: Array | None = None
+        self._setpoint_pa: Array | None = None
         self._last_pa: Array | None = None
         self._silent_s = 0.0
 
@@ -91,7 +95,7 @@ class StreamFollower:
         if row["status"] == StreamStatus.FOLLOWED:
             self._enter(interval)
             self._newest = StreamPosition(int(row["connection"]), int(row["sequence"]))
-            self._asked_pa, self._silent_s = row["setpoint_pa"].copy(), 0.0
+            self._setpoint_pa, self._silent_s = row["setpoint_pa"].copy(), 0.0
         return row
 
     def follow(
@@ -105,12 +109,12 @@ class StreamFollower:
             self._silent_s += dt_s
         last = feed_pa if self._last_pa is None else self._last_pa
         wanted = feed_pa
-        if self._interval is not None and self._asked_pa is not None:
-            wanted = np.where(np.isfinite(self._asked_pa), self._asked_pa, feed_pa)
+        if self._interval is not None and self._setpoint_pa is not None:
+            wanted = np.where(np.isfinite(self._setpoint_pa), self._setpoint_pa, feed_pa)
         elif self._interval is not None:
             wanted = last  # no set-point has come: the pressures stay
         room = 0.0 if held else self._rate_pa_s * dt_s
-        given = np.clip(np.clip(wanted, 0.0, self._limits.pressure_pa), last - room, last + room)
+        given = np.clip(np.clip(wanted, self._limits.lowest_pa, self._limits.pressure_pa), last - room, last + room)
         returned = self._interval is None and bool((given == feed_pa).all())
         self._last_pa = None if returned else given
         # What comes next is not known, so a streamed set-point has no rate, as a jump.
@@ -121,10 +125,10 @@ class StreamFollower:
         """For how long no set-point has come; None outside of a stream."""
         if self._interval is None:
             return None
-        first = self._asked_pa is None
+        first = self._setpoint_pa is None
         limit_s = self._interval.connect_s if first else self._interval.timeout_s
         return StreamSilence(self._silent_s, limit_s, first, self._interval.line, self._newest.sequence)
 
     def _enter(self, interval: StreamInterval | None) -> None:
         if interval is not self._interval:
-            self._interval, self._asked_pa, self._silent_s = interval, None, 0.0
+            self._interval, self._setpoint_pa, self._silent_s = interval, None, 0.0

@@ -83,7 +83,7 @@ class Recorder(Protocol):
         """For how long writes to the disk have been blocked [s]."""
 
     def samples(self, rows: NDArray[np.void]) -> None:
-        """Record control ticks."""
+        """Record control cycles."""
 
     def observations(self, rows: NDArray[np.void]) -> None:
         """Record camera frames."""

@@ -133,7 +133,7 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
     observer = Observer(config, variant)
     tip = run.tip
     clock = run.header.started_t_ns
-    ticks_ns = _nanoseconds(run.pressure.time_s, clock)
+    cycles_ns = _nanoseconds(run.pressure.time_s, clock)
     measured_pa = run.pressure.measured_bar * PA_PER_BAR
     aux = _auxiliary(run, config)
     truth_mm = run.simulated.tip_mm if run.simulated is not None else np.full((len(tip.frame), 3), np.nan)
@@ -153,12 +153,12 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
             truth_m = truth_mm[row] * 1e-3
             frames[camera_of[run.frames.camera[k]]] = Frame(index, t_ns, _picture(run, k), truth_m)
         frame_set = FrameSet(index, tuple(frames))
-        until = min(int(np.searchsorted(ticks_ns, frame_set.t_ns, side="left")) + 1, len(ticks_ns))
+        until = min(int(np.searchsorted(cycles_ns, frame_set.t_ns, side="left")) + 1, len(cycles_ns))
         dropped = 0 if before is None else index - before - 1
         before = index
         yield observer.step(
             frame_set,
-            ticks_ns[seen:until],
+            cycles_ns[seen:until],
             measured_pa[seen:until],
             float(tip.protocol_s[row]),
             dropped,
@@ -217,7 +217,7 @@ def _samples(run: Run) -> NDArray[np.void]:
     pressure = run.pressure
     rows = blank(len(pressure.time_s), sample_dtype(run.header.actuators, run.header.valves, len(run.header.auxiliary)))
     rows["t_ns"] = _nanoseconds(pressure.time_s, run.header.started_t_ns)
-    rows["tick"], rows["protocol_s"], rows["scans"] = pressure.tick, pressure.protocol_s, pressure.scans
+    rows["cycle"], rows["protocol_s"], rows["scans"] = pressure.cycle, pressure.protocol_s, pressure.scans
     rows["setpoint_pa"] = pressure.setpoint_bar * PA_PER_BAR
     rows["measured_pa"] = pressure.measured_bar * PA_PER_BAR
     rows["valve_v"] = pressure.valve_v

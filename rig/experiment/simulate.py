@@ -40,12 +40,12 @@ def simulate(request: RunRequest, plan: RunPlan, static: bool) -> Path:
     dynamics = motion_model(arm, dt_s, static)
 
     samples = blank(steps, sample_dtype(config.actuators, len(config.valves)))
-    samples["tick"] = np.arange(steps)
+    samples["cycle"] = np.arange(steps)
     samples["t_ns"] = np.round(np.arange(steps) * dt_s * 1e9)
     samples["protocol_s"] = np.arange(steps) * dt_s
     samples["setpoint_pa"] = samples["measured_pa"] = pressures
     rows = blank(steps, observation_dtype(config.actuators, len(config.cameras)))
-    rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["tick"], samples["protocol_s"]
+    rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["cycle"], samples["protocol_s"]
     rows["seen"] = rows["camera_seen"] = DetectionStatus.NO_FRAME
     rows["pressure_pa"] = pressures
     rows["reference_m"] = trajectory.tip.sample(rows["protocol_s"])

@@ -144,8 +144,8 @@ def running_rigs() -> tuple[RunningRig, ...]:
             pid = int(record.stem)
             descriptor = open_private(record, os.O_RDONLY)
             with os.fdopen(descriptor, "rb") as file:
-                said = json.loads(file.read(_MOST_BYTES))
-            running = RunningRig(pid, str(said["purpose"]), RigConfig.model_validate_json(json.dumps(said["rig"])))
+                facts = json.loads(file.read(_MOST_BYTES))
+            running = RunningRig(pid, str(facts["purpose"]), RigConfig.model_validate_json(json.dumps(facts["rig"])))
             if pid in holders(running.config):
                 found.append(running)
     return tuple(found)

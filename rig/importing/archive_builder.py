@@ -142,9 +142,9 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
 
 
 def _samples(t_ns: Ints, frame: Ints, asked_pa: Floats, gauge_pa: Floats, valve_v: Floats) -> NDArray[np.void]:
-    """One tick per row (n,), never late."""
+    """One control cycle per row (n,), never late."""
     samples = blank(len(t_ns), sample_dtype(gauge_pa.shape[1], valve_v.shape[1]))
-    samples["t_ns"], samples["tick"], samples["scans"] = t_ns, frame, 1
+    samples["t_ns"], samples["cycle"], samples["scans"] = t_ns, frame, 1
     samples["protocol_s"] = (t_ns - t_ns[0]) * 1e-9
     samples["setpoint_pa"], samples["measured_pa"], samples["valve_v"] = asked_pa, gauge_pa, valve_v
     return samples
@@ -153,8 +153,8 @@ def _samples(t_ns: Ints, frame: Ints, asked_pa: Floats, gauge_pa: Floats, valve_
 def _observations(samples: NDArray[np.void], tips: PlacedTips, weight_kg: Floats) -> NDArray[np.void]:
     """One frame per row (n,), without a model."""
     rows = blank(len(samples), observation_dtype(samples["measured_pa"].shape[1]))
-    rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["tick"], samples["protocol_s"]
-    rows["dropped"] = np.diff(samples["tick"], prepend=-1) - 1
+    rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["cycle"], samples["protocol_s"]
+    rows["dropped"] = np.diff(samples["cycle"], prepend=-1) - 1
     rows["pressure_pa"], rows["weight_kg"] = samples["measured_pa"], weight_kg
     rows["measured_m"], rows["covariance_m2"] = tips.tip_m, tips.covariance[:, :3, :3]
     known = np.isfinite(tips.rotation).all(axis=(1, 2))

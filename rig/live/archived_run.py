@@ -145,7 +145,7 @@ class ArchivedRun:
     def now(self, t_s: float, frame: int, playing: bool) -> dict[str, Any]:
         """Return the numbers at a time."""
         run, pressure = self.run, self.run.pressure
-        tick = int(np.searchsorted(pressure.time_s, t_s, side="right")) - 1
+        cycle = int(np.searchsorted(pressure.time_s, t_s, side="right")) - 1
         now: dict[str, Any] = {
             "state": "playing" if playing else "stopped",
             "t": t_s,
@@ -153,23 +153,23 @@ class ArchivedRun:
             "prompt": None,
             "protocol": 0.0,
             "left": self.duration_s,
-            "missed": int(run.timing.overruns[: tick + 1].sum()),
+            "missed": int(run.timing.overruns[: cycle + 1].sum()),
             "dropped": int(run.tip.dropped[: frame + 1].sum()) if run.header.cameras else None,
         }
-        if tick >= 0:
-            protocol_s = float(pressure.protocol_s[tick])
-            recent = run.timing.lateness_us[max(0, tick + 1 - lateness_cycles(run.header.control_hz)) : tick + 1]
+        if cycle >= 0:
+            protocol_s = float(pressure.protocol_s[cycle])
+            recent = run.timing.lateness_us[max(0, cycle + 1 - lateness_cycles(run.header.control_hz)) : cycle + 1]
             now |= {
                 "protocol": protocol_s,
                 "left": self.duration_s - protocol_s,
-                "setpoint": pressure.setpoint_bar[tick],
-                "measured": pressure.measured_bar[tick],
-                "late": float(run.timing.lateness_us[tick]),
+                "setpoint": pressure.setpoint_bar[cycle],
+                "measured": pressure.measured_bar[cycle],
+                "late": float(run.timing.lateness_us[cycle]),
                 "lateMax": float(recent.max()),
                 **self._segment(protocol_s),
             }
             if run.auxiliary is not None:
-                now["inputs"] = auxiliary(run.header.auxiliary, run.auxiliary.value[tick])
+                now["inputs"] = auxiliary(run.header.auxiliary, run.auxiliary.value[cycle])
         if frame >= 0:
             tip = run.tip
             now |= {
@@ -238,7 +238,7 @@ class ArchivedRunViewer:
     def handle(self, message: Message, who: str) -> dict[str, Any] | None:
         """Seek, change the speed, play or stop."""
         if message.do is not None:
-            return {"done": False, "said": f"refused: an archive has no run to {message.do}"}
+            return {"done": False, "message": f"refused: an archive has no run to {message.do}"}
         self._last = time.monotonic()
         if message.seek is not None:
             self._t_s = min(max(message.seek, 0.0), self._source.end_s)

@@ -79,13 +79,13 @@ class ClientSession:
             self.ended = True
 
     def request(self, do: str, who: str, via: str = "live page") -> dict[str, Any]:
-        """Send an operator command and wait for the reply, `done` and `said`. Thread-safe.
+        """Send an operator command and wait for the reply, `done` and `message`. Thread-safe.
 
         `who` names the operator, `via` the program; the record adds the account of this process.
         """
         connection = connect(self._path)
         if connection is None:
-            return {"done": False, "said": "the run has ended"}
+            return {"done": False, "message": "the run has ended"}
         with connection:
             try:
                 connection.send(json.dumps({"do": do, "who": who, "via": via}).encode())
@@ -93,10 +93,10 @@ class ClientSession:
                     reply: dict[str, Any] = json.loads(answer)
                     return reply
             except TimeoutError:
-                return {"done": False, "said": "the run did not answer"}
+                return {"done": False, "message": "the run did not answer"}
             except OSError:
                 pass
-        return {"done": False, "said": "the run has ended"}
+        return {"done": False, "message": "the run has ended"}
 
     def check_ended(self) -> None:
         """Set `ended` when the run has closed the connection."""

@@ -54,7 +54,7 @@ class LiveRun:
         self.sample: NDArray[np.void] | None = None
         self.observations: dict[int, tuple[NDArray[np.void], float]] = {}
         self.adaptation: NDArray[np.void] | None = None
-        self.missed = self.dropped = self.ticks = 0
+        self.missed = self.dropped = self.cycles = 0
         self.view: tuple[NDArray[np.void], NDArray[np.uint8]] | None = None
         self._lateness = np.zeros(lateness_cycles(config.control.rate_hz))
         self._mean = RunningMean()
@@ -135,11 +135,11 @@ class LiveRun:
 
     def _take_samples(self, rows: NDArray[np.void]) -> None:
         for row in rows:
-            self._lateness[self.ticks % len(self._lateness)] = row["lateness_ns"]
-            if self.ticks % CHART_DECIMATION == 0:
+            self._lateness[self.cycles % len(self._lateness)] = row["lateness_ns"]
+            if self.cycles % CHART_DECIMATION == 0:
                 t_s = self.seconds(int(row["t_ns"]))
                 self.pressure.add(np.concatenate([[t_s], bar(row["setpoint_pa"]), bar(row["measured_pa"])]))
-            self.ticks += 1
+            self.cycles += 1
         if len(rows):
             self.sample = rows[-1]
             self.missed += int(rows["missed"].sum())
@@ -199,7 +199,7 @@ class LiveRunViewer:
     def handle(self, message: Message, who: str) -> dict[str, Any] | None:
         """Send an operator command to the supervisor."""
         if message.do is None:
-            return {"done": False, "said": "refused: seek, speed and play are for archives"}
+            return {"done": False, "message": "refused: seek, speed and play are for archives"}
         return {"do": message.do, **self._source.session.request(message.do, who)}
 
     def close(self) -> None:

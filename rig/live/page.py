@@ -116,7 +116,7 @@ def _actions(session: LoginSession) -> None:
             return
         _button("pause", "Pause", "primary")
         _button("skip", "Skip segment", "primary")
-        _part("span", "said").props("role=status")
+        _part("span", "answer").props("role=status")
         _button("stop", "Stop", "warning")
         _button("vent", "VENT", "negative")
 

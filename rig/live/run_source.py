@@ -14,7 +14,7 @@ class Viewer(Protocol):
         """Return the data since the last call; None where there is none."""
 
     def handle(self, message: Message, who: str) -> dict[str, Any] | None:
-        """Execute a message; return the answer, `done` and `said`, or None."""
+        """Execute a message; return the answer, `done` and `message`, or None."""
 
     def close(self) -> None:
         """Unregister the browser."""

@@ -76,13 +76,13 @@ async def _listen(
         try:
             message = await _message(socket)
         except MessageError as error:
-            answer = {"done": False, "said": str(error)}
+            answer = {"done": False, "message": str(error)}
         else:
             if message.more is not None:
                 ready.set()
                 continue
             if acting and not session.operator:
-                answer = {"done": False, "said": "refused: this is a view-only session"}
+                answer = {"done": False, "message": "refused: this is a view-only session"}
             else:
                 # A busy supervisor may answer late; other browsers must not wait.
                 answer = await asyncio.to_thread(viewer.handle, message, session.who)

@@ -153,7 +153,7 @@ def _framed(head: bytes, file: Path, tail: bytes) -> Iterator[bytes]:
 def _reason(error: urllib.error.HTTPError) -> str:
     """The description that the server gives as JSON, else the reason phrase of the status."""
     try:
-        said = json.loads(error.read(10_000))
-        return str(said.get("description") or said.get("message") or error.reason)
+        answer = json.loads(error.read(10_000))
+        return str(answer.get("description") or answer.get("message") or error.reason)
     except (ValueError, AttributeError, OSError, HTTPException):
         return str(error.reason)

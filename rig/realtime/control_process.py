@@ -165,10 +165,10 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
             return "the supervisor died before the run began"
     memory.heartbeat("control", time.monotonic_ns())
     memory.publish_stage("control", Stage.RUNNING)
-    tick = skipped = skips = 0
+    cycle = skipped = skips = 0
     watchdogs = HeartbeatMonitor(period, timing.watchdog_silent_ns // 10)
     while True:
-        deadline = go + tick * period
+        deadline = go + cycle * period
         now = wait_until(deadline)
         if memory.stop_request != Stop.NONE:
             valves.undisturbed()  # `rig vent` requests a stop, too: its writes are reported and kept
@@ -186,11 +186,11 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
             memory.plans.push(loop.take_plan(StampedPlan.of(plan), plan["row"]))
         for setpoint in memory.new_setpoints.read() if job.plan.trajectory.streams else ():
             memory.streamed.push(loop.take_setpoint(setpoint, now))
-        row, trip = loop.cycle(tick, now, 1 + skipped, memory.prompts_answered, memory.paused, now - deadline, skipped)
+        row, trip = loop.cycle(cycle, now, 1 + skipped, memory.prompts_answered, memory.paused, now - deadline, skipped)
         memory.samples.push(row)
         memory.lost_scans = loop.lost
         memory.setpoint_source = loop.setpoint_source
-        if tick % clocks_cycles == 0:
+        if cycle % clocks_cycles == 0:
             sampling_clocks.publish(memory, bench)
         memory.protocol_s = loop.position.protocol_s
         memory.waiting_prompt = loop.position.prompts_passed if loop.position.waiting else -1
@@ -202,9 +202,9 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
         if loop.finished:
             return ""
         # A deadline is missed if its cycle has not begun before the next one is due.
-        following = max(tick + 1, (time.monotonic_ns() - go) // period)
-        skipped = following - tick - 1
-        tick = following
+        following = max(cycle + 1, (time.monotonic_ns() - go) // period)
+        skipped = following - cycle - 1
+        cycle = following
 
 
 if __name__ == "__main__":

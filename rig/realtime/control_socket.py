@@ -141,11 +141,11 @@ class ControlSocket:
         if do == "watch":
             self._memory.viewer_ns = time.monotonic_ns()
         elif do == "attach":
-            socket.send_fds(client, [b'{"done": true, "said": ""}'], [self._view_fd, self._plan_fd])
+            socket.send_fds(client, [b'{"done": true, "message": ""}'], [self._view_fd, self._plan_fd])
         elif not isinstance(do, str):
             raise TypeError("a command is a string")
         elif do == "state":
-            client.send(json.dumps({"done": True, "said": "", **self._stream.state()}).encode())
+            client.send(json.dumps({"done": True, "message": "", **self._stream.state()}).encode())
         elif do == "stream":
             sender = _named(_uid(client), packet.get("who"), packet.get("via"))
             client.send(json.dumps(self._stream.take(self._clients[client], sender, packet)).encode())
@@ -153,7 +153,7 @@ class ControlSocket:
             answer = handle(
                 OperatorCommand(CommandKind(do), _named(_uid(client), packet.get("who"), packet.get("via")))
             )
-            client.send(json.dumps({"done": answer.accepted, "said": answer.message}).encode())
+            client.send(json.dumps({"done": answer.accepted, "message": answer.message}).encode())
 
 
 def _uid(client: socket.socket) -> int:

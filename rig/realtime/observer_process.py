@@ -49,7 +49,7 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
     config = job.plan.config
     frame_s = timing_limits(config, memory.granted).frame_s
     observer = _observer(job)
-    show = PreviewPublisher(config, memory)
+    preview = PreviewPublisher(config, memory)
     album, names = PictureRecorder(config), list(config.cameras)
     supervisor = supervisor_monitor(job)
     if not await_turn(memory, supervisor, lambda: not memory.simulator_starting):
@@ -64,19 +64,19 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
         while memory.stop_request == Stop.NONE and not supervisor.exited:
             memory.heartbeat("observer", time.monotonic_ns())
             try:
-                shot = cameras.read(frame_s)
+                frame_set = cameras.read(frame_s)
             except CameraError:
                 if memory.stop_request != Stop.NONE:
                     break
                 raise
             go = memory.start_ns
-            if not go or shot.t_ns < go:
+            if not go or frame_set.t_ns < go:
                 continue
-            dropped = 0 if previous is None else max(0, shot.index - previous - 1)
-            previous = shot.index
-            _record(job, observer, memory, shot, dropped)
-            show.shot(shot, observer)
-            for picture in album.pictures(shot, observer):
+            dropped = 0 if previous is None else max(0, frame_set.index - previous - 1)
+            previous = frame_set.index
+            _record(job, observer, memory, frame_set, dropped)
+            preview.publish(frame_set, observer)
+            for picture in album.pictures(frame_set, observer):
                 memory.push_picture(picture, names.index(picture.camera))
     finally:
         cameras.close()
@@ -87,34 +87,34 @@ def _observer(job: ChildJob) -> Observer:
     return Observer(plan.config, plan.variant, [quantity.name for quantity in plan.adapted], plan.trajectory.tip)
 
 
-def _warm_up(job: ChildJob, shots: list[FrameSet]) -> None:
+def _warm_up(job: ChildJob, frame_sets: list[FrameSet]) -> None:
     """Observe some frame sets with a separate observer, so that imports and compilation are done before the start."""
     config = job.plan.config
     observer = _observer(job)
-    for index, shot in enumerate(shots):
-        times = np.array([shot.t_ns])
+    for index, frame_set in enumerate(frame_sets):
+        times = np.array([frame_set.t_ns])
         aux = np.zeros((1, len(config.inputs)))
-        observer.step(replace(shot, index=index), times, np.zeros((1, config.actuators)), 0.0, sample_aux=aux)
+        observer.step(replace(frame_set, index=index), times, np.zeros((1, config.actuators)), 0.0, sample_aux=aux)
 
 
-def _record(job: ChildJob, observer: Observer, memory: SharedState, shot: FrameSet, dropped: int) -> None:
-    ticks = memory.samples.last(round(HISTORY_S * job.plan.config.control.rate_hz))
-    if not len(ticks):
+def _record(job: ChildJob, observer: Observer, memory: SharedState, frame_set: FrameSet, dropped: int) -> None:
+    cycles = memory.samples.last(round(HISTORY_S * job.plan.config.control.rate_hz))
+    if not len(cycles):
         return
-    latest = ticks[max(0, int(ticks["t_ns"].searchsorted(shot.t_ns, side="right")) - 1)]
+    latest = cycles[max(0, int(cycles["t_ns"].searchsorted(frame_set.t_ns, side="right")) - 1)]
     protocol_s = float(latest["protocol_s"])
     weight_kg = job.plan.trajectory.weight_kg(protocol_s)
     row = observer.step(
-        shot,
-        ticks["t_ns"],
-        ticks["measured_pa"],
+        frame_set,
+        cycles["t_ns"],
+        cycles["measured_pa"],
         protocol_s,
         dropped,
         weight_kg,
-        ticks["protocol_s"],
-        auxiliary_values(ticks),
+        cycles["protocol_s"],
+        auxiliary_values(cycles),
     )
-    row["age_ns"] = time.monotonic_ns() - shot.t_ns
+    row["age_ns"] = time.monotonic_ns() - frame_set.t_ns
     memory.observations.push(row)
     if observer.adaptation is not None:
         memory.adaptations.push(observer.adaptation)

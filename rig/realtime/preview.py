@@ -25,8 +25,8 @@ class PreviewPublisher:
         self._projectors = [OverlayProjector(config, name, LINE_POINTS) for name in config.cameras]
         self._row = np.zeros((), view_dtype(memory.layout))
 
-    def shot(self, shot: FrameSet, observer: Observer) -> None:
-        """Publish the leading frame of the shot that the observer has just observed, if there is a viewer.
+    def publish(self, frame_set: FrameSet, observer: Observer) -> None:
+        """Publish the leading frame of the frame set that the observer has just observed, if there is a viewer.
 
         Without cameras the picture is empty, and the overlay is the lines of the arm.
         """
@@ -34,14 +34,14 @@ class PreviewPublisher:
         if not watched or observer.measurement is None:
             return
         row = self._row
-        row["t_ns"], row["frame"] = shot.t_ns, shot.index
-        if not shot.frames:
+        row["t_ns"], row["frame"] = frame_set.t_ns, frame_set.index
+        if not frame_set.frames:
             row["shape"], row["found"], row["tip_px"], row["model_px"] = 0, 0, np.nan, np.nan
             row["lines_m"] = arm_lines(self._config, observer.shape, LINE_POINTS)
             self._memory.push_view(row, _NO_PICTURE)
             return
-        frame = shot.lead
-        overlay = self._projectors[shot.leader].project(observer.measurement, observer.shape)
+        frame = frame_set.lead
+        overlay = self._projectors[frame_set.leader].project(observer.measurement, observer.shape)
         row["shape"] = (*frame.image.shape, 1)[:3]
         row["found"] = len(overlay.corners_px)
         row["corners_px"][: len(overlay.corners_px)] = overlay.corners_px

@@ -74,7 +74,7 @@ class StreamReceiver:
     def take(self, connection: int, sender: str, packet: Mapping[str, Any]) -> Answer:
         """Pass a set-point on to control; return the answer to its sender: what became of it, and `state`."""
         if not self._memory.start_ns:
-            return {"done": False, "said": "the run has not begun", **self.state()}
+            return {"done": False, "message": "the run has not begun", **self.state()}
         client = self._clients.setdefault(connection, _Client(sender))
         interval = self._open_interval()
         row = self._row
@@ -83,7 +83,7 @@ class StreamReceiver:
             row["sequence"], row["setpoint_pa"] = _sequence(packet), self._setpoint_pa(interval, packet)
         except _MalformedError as error:
             self._refuse(client, f"a set-point of {sender} is refused: {error}")
-            return {"done": False, "said": str(error), **self.state()}
+            return {"done": False, "message": str(error), **self.state()}
         sequence = int(row["sequence"])
         if interval is not None and self._owner not in (0, connection):
             row["status"] = StreamStatus.OTHER_CLIENT
@@ -95,7 +95,7 @@ class StreamReceiver:
             self._refuse(client, f"set-point {sequence} of {sender} is refused: {reason}")
         else:
             self._follow(connection, client, sequence, interval)
-        return {"done": not reason, "said": reason, "sequence": sequence, **self.state()}
+        return {"done": not reason, "message": reason, "sequence": sequence, **self.state()}
 
     def disconnected(self, connection: int) -> None:
         """Report the end of a connection that has sent set-points; another program may continue."""
@@ -161,9 +161,8 @@ class StreamReceiver:
                 if (unequal := self._limits.unequal(self._row["setpoint_pa"])) is not None:
                     names = " and ".join(str(index + 1) for index in unequal)
                     return f"{asked} bar; actuators {names} are on one valve: the same pressure is expected"
-                return (
-                    f"{asked} bar; expected 0 to {self._limits.pressure_pa / PA_PER_BAR:g} bar (limits, pressure_bar)"
-                )
+                lowest, highest = (pa / PA_PER_BAR for pa in (self._limits.lowest_pa, self._limits.pressure_pa))
+                return f"{asked} bar; expected {lowest:g} to {highest:g} bar (limits, pressure_bar)"
             case StreamStatus.OUT_OF_ORDER:
                 return f"a sequence number above {client.sequence} is expected"
             case StreamStatus.OTHER_CLIENT:

@@ -62,11 +62,11 @@ def main() -> int:
         time.sleep(0.005)
         # A control process that was only slow may have written once more before it died.
         trouble = _make_safe(outputs, memory)
-    said = f"{reason}; then {trouble}" if reason and trouble else reason or trouble
-    memory.publish_stage("watchdog", Stage.FAILED if trouble else Stage.DONE, said)
+    message = f"{reason}; then {trouble}" if reason and trouble else reason or trouble
+    memory.publish_stage("watchdog", Stage.FAILED if trouble else Stage.DONE, message)
     if ended:
         # No other process is left to report it.
-        print(f"{said}: the process that held the card was ended to make the valves safe", file=sys.stderr)
+        print(f"{message}: the process that held the card was ended to make the valves safe", file=sys.stderr)
     outputs.close()
     disable_realtime_scheduling()
     return 1 if trouble else 0

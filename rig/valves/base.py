@@ -38,14 +38,14 @@ Faults = Iterator[ValidationFault]
 class RegulatorState(NamedTuple):
     """State of one regulator after a step; `valve_v` is the voltage to write.
 
-    `reference_pa` is the set-point after the rate limit, `asked_pa_s` the rate of pressure change that the voltage
+    `reference_pa` is the set-point after the rate limit, `demand_pa_s` the rate of pressure change that the voltage
     should cause, `integral_pa_s` its part that compensates leakage. `reference_pa` is NaN before the first
     step, which starts it at the measured pressure.
     """
 
     reference_pa: float = math.nan
     integral_pa_s: float = 0.0
-    asked_pa_s: float = 0.0
+    demand_pa_s: float = 0.0
     valve_v: float = math.nan
 
 

@@ -61,19 +61,19 @@ class FlowRegulator(Regulator):
         if reference_pa < VENTED_PA and reference_rate_pa_s <= 0.0:
             return RegulatorState(reference_pa, integral, integral, self.vent_v)
         error = reference_pa - measured_pa
-        asked = reference_rate_pa_s + self.gain_per_s * error + integral
-        full_rate = self._full_rate_pa_s(asked, measured_pa)
-        fraction = asked / full_rate
+        demand = reference_rate_pa_s + self.gain_per_s * error + integral
+        full_rate = self._full_rate_pa_s(demand, measured_pa)
+        fraction = demand / full_rate
         saturated = abs(fraction) >= 1.0
         if saturated:
             fraction = math.copysign(1.0, fraction)
-            asked = fraction * full_rate
+            demand = fraction * full_rate
         if not (saturated and error * fraction > 0.0):
             bound = LARGEST_LEAK * self.conductance * (self.supply_pa + ATMOSPHERE_PA) * ANR_PA / self.volume_m3
             integral = min(max(integral + self.integral_per_s2 * error * dt_s, -bound), bound)
         offset = math.copysign(_interpolate(abs(fraction), self.fractions, self.offsets_v), fraction)
         volts = min(max(self.closed_v + self.fill_sign * offset, self.low_v), self.high_v)
-        return RegulatorState(reference_pa, integral, asked, volts)
+        return RegulatorState(reference_pa, integral, demand, volts)
 
     def rate_pa_s(self, offset_v: float, pressure_pa: float) -> float:
         """The rate of the pressure that an offset from the closed voltage should cause; positive fills."""

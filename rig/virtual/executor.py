@@ -96,7 +96,7 @@ class _VirtualRun:
         self._answered = 0
         self._unseen = 0
         rate_hz = config.control.rate_hz
-        self._batch_ticks = max(1, round(BATCH_S * rate_hz))
+        self._batch_cycles = max(1, round(BATCH_S * rate_hz))
         self._history_ticks = max(1, round(HISTORY_S * rate_hz))
         self._sample_rows = sample_dtype(config.actuators, len(config.valves), len(config.inputs))
         self._samples = _RecentRows(self._sample_rows, self._history_ticks)
@@ -129,15 +129,15 @@ class _VirtualRun:
         self._plant.advance(START_NS)
         self._recorder = open_record(START_NS)
         self._event(START_NS, Level.INFO, "control", armed_sentence(len(unverified)))
-        tick = 0
+        cycle = 0
         now = START_NS
         try:
             while True:
-                now = START_NS + tick * self._loop.period_ns
-                ending = self._cycle(tick, now)
+                now = START_NS + cycle * self._loop.period_ns
+                ending = self._cycle(cycle, now)
                 if ending is not None:
                     break
-                tick += 1
+                cycle += 1
         except (CardError, CameraError) as error:
             self._event(now, Level.FAULT, "observer" if isinstance(error, CameraError) else "control", str(error))
             ending = Status.ABORTED, str(error)
@@ -170,11 +170,11 @@ class _VirtualRun:
 
         return VentVerification(self._plan.config, self._bench, vent=self._vents).outcome(checks())
 
-    def _cycle(self, tick: int, now: int) -> tuple[Status, str] | None:
+    def _cycle(self, cycle: int, now: int) -> tuple[Status, str] | None:
         """Run one cycle and its frames; return how the run ends, None while it continues."""
         self._plant.hang(self._plan.trajectory.weight_kg(self._loop.position.protocol_s))
         self._plant.advance(now)
-        row, trip = self._loop.cycle(tick, now, 1, self._answered, False, 0, 0)
+        row, trip = self._loop.cycle(cycle, now, 1, self._answered, False, 0, 0)
         self._samples.add(row)
         self._unseen = min(self._unseen + 1, self._history_ticks)
         # A frame is processed once there are samples before and after it, and the last camera has exposed.
@@ -199,7 +199,7 @@ class _VirtualRun:
             message = self._plan.trajectory.prompts[self._answered].message
             self._answered += 1
             self._event(now, Level.INFO, "operator", f"done (virtual time answers by itself): {message}")
-        if tick % self._batch_ticks == self._batch_ticks - 1:
+        if cycle % self._batch_cycles == self._batch_cycles - 1:
             self._flush()
             if time.monotonic() - self._shown > SHOW_S:
                 self._shown = time.monotonic()
@@ -220,9 +220,9 @@ class _VirtualRun:
                 failures.append(error)
         if failures and len(exposures) - len(failures) < self._plan.config.limits.least_cameras:
             raise failures[0]
-        ticks, self._unseen = self._samples.recent(self._unseen), 0
+        cycles, self._unseen = self._samples.recent(self._unseen), 0
         weight_kg = self._plan.trajectory.weight_kg(protocol_s)
-        self._pipeline.submit(frame, t_ns, exposures, FrameSamples(ticks.tobytes(), protocol_s, weight_kg))
+        self._pipeline.submit(frame, t_ns, exposures, FrameSamples(cycles.tobytes(), protocol_s, weight_kg))
 
     def _steer(self, controller: TipControlSession, now: int) -> None:
         """Give the controller each frame once its delay has passed, and the control loop the plan."""

@@ -14,7 +14,7 @@ class Pressure(Table):
     group, rows, signal, about = "pressure", "N", "measured_bar", "one row per control cycle"
 
     time_s = time_column("time of the newest scan of the cycle")
-    tick = Column("tick", "<i8", about="number of the control cycle")
+    cycle = Column("cycle", "<i8", about="number of the control cycle")
     protocol_s = protocol_time_column()
     setpoint_bar = Column("setpoint_pa", axes=("actuator",), unit="bar", about="set-point", convert=to_bar)
     measured_bar = Column(

@@ -84,7 +84,7 @@ class JournalWriter:
         return self._file.stalled_s
 
     def samples(self, rows: NDArray[np.void]) -> None:
-        """Append control ticks: `sample_dtype` rows (n,)."""
+        """Append control cycles: `sample_dtype` rows (n,)."""
         self._rows(self._samples, rows)
 
     def observations(self, rows: NDArray[np.void]) -> None:

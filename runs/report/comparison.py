@@ -70,7 +70,7 @@ def by_model(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
         if math.isfinite(summary.normalised_percent):
             known.setdefault((run.header.model_variant, summary.simulated), []).append(summary.normalised_percent)
     rows = "".join(
-        f"<tr><td>{_tick(model.startswith('inhomogeneous'))}</td><td>{_tick(model.endswith('+rpe'))}</td>"
+        f"<tr><td>{_check_mark(model.startswith('inhomogeneous'))}</td><td>{_check_mark(model.endswith('+rpe'))}</td>"
         f"<td class=n>{plain(sum(errors) / len(errors), 2)}</td><td class=n>{len(errors)}{_marked(simulated)}</td></tr>"
         for (model, simulated), errors in sorted(known.items())
     )
@@ -145,7 +145,7 @@ def _marked(simulated: bool) -> str:
     return " (simulated)" if simulated else ""
 
 
-def _tick(yes: bool) -> str:
+def _check_mark(yes: bool) -> str:
     return "\N{HEAVY CHECK MARK}" if yes else "\N{MULTIPLICATION X}"
 
 

@@ -33,7 +33,7 @@ def of_pictures(run: Run, summary: Summary) -> Iterator[FigureSpecification]:
 
 
 def _pressures(run: Run, summary: Summary) -> FigureSpecification | None:
-    if not summary.ticks:
+    if not summary.cycles:
         return None
     setpoints = np.isfinite(run.pressure.setpoint_bar).any()
     title, height = ("Pressures and set-points", 4.1) if setpoints else ("Pressures", 3.2)
@@ -41,7 +41,7 @@ def _pressures(run: Run, summary: Summary) -> FigureSpecification | None:
 
 
 def _auxiliary(run: Run, summary: Summary) -> FigureSpecification | None:
-    if run.auxiliary is None or not summary.ticks:
+    if run.auxiliary is None or not summary.cycles:
         return None
     size = auxiliary_figure.size(run.auxiliary)
     return FigureSpecification("inputs", "Auxiliary inputs", auxiliary_figure.draw, size)

@@ -307,7 +307,7 @@ def _mark_missing_frames(axes: Axes, tip: Tip) -> None:
 
 
 def timing(figure: Figure, run: Run, summary: Summary) -> None:
-    """How late the control ticks began: over time, and how often."""
+    """How late the control cycles began: over time, and how often."""
     t = run.timing
     left, right = panels(figure, columns=2, width_ratios=[1.6, 1], sharey=True)[0]
     if len(t.time_s) == 0:
@@ -328,7 +328,7 @@ def timing(figure: Figure, run: Run, summary: Summary) -> None:
     for value, name in ((summary.lateness_p50_us, "50 %"), (summary.lateness_p99_us, "99 %")):
         right.axhline(max(value, 0.01), color=INK, lw=0.8, ls=(0, (4, 2)))
         right.annotate(name, (1, max(value, 0.01)), (-2, 2), ("axes fraction", "data"), "offset points", ha="right")
-    right.set_xlabel("ticks")
+    right.set_xlabel("control cycles")
     # To typeset powers of ten takes longer than to draw the panel.
     for axis in (left.yaxis, right.xaxis):
         axis.set_major_formatter("{x:g}")

@@ -148,10 +148,10 @@ def _tiles(s: Summary) -> str:
         (with_unit(s.overshoot_bar * 1e3, "mbar", 1), "largest overshoot"),
         (with_unit(s.tracking_rms_bar * 1e3, "mbar", 1), "rms tracking, moving set-points"),
         (
-            f"{s.missed_deadlines} <small>of {s.ticks}</small>" if s.lateness_max_us else DASH,
+            f"{s.missed_deadlines} <small>of {s.cycles}</small>" if s.lateness_max_us else DASH,
             "control deadlines missed",
         ),
-        (with_unit(s.lateness_p99_us or math.nan, "us", 1), "lateness, 99 % of the ticks below"),
+        (with_unit(s.lateness_p99_us or math.nan, "us", 1), "lateness, 99 % of the control cycles below"),
         (
             with_unit(100 * s.measured_fraction, "%", 1) if s.camera else DASH,
             f"frames measured of {s.frames_expected} expected; {s.frames_dropped} dropped",
@@ -190,8 +190,8 @@ def _figures(run: Run, summary: Summary) -> Iterator[str]:
     drawings = drawn([partial(svg, figure.draw, figure.size, salt, run, summary) for figure in figures])
     for figure, drawing in zip(figures, drawings, strict=True):
         yield _figure(figure.title, drawing, figure.caption)
-    if run.header.executor == "virtual time" and summary.ticks and not summary.lateness_max_us:
-        yield "<h2>Timing of the control loop</h2>\n<p class=small>Not in real time: no tick is late.</p>"
+    if run.header.executor == "virtual time" and summary.cycles and not summary.lateness_max_us:
+        yield "<h2>Timing of the control loop</h2>\n<p class=small>Not in real time: no control cycle is late.</p>"
 
 
 def _figure(title: str, drawing: str, caption: str) -> str:

@@ -30,7 +30,7 @@ class TrialObservation:
 
     fault_ns: int
     safe_ns: int | None
-    said: str
+    output: str
     """The output on the terminal."""
 
 
@@ -38,25 +38,25 @@ def judge(fault: Fault, executor: str, at_s: float, watched: TrialObservation, f
     """Compare what came of a trial with what has to; recovers the journal where the run could not."""
     wrong = []
     run = archive(folder)
-    status, said = "no archive", watched.said
+    status, output = "no archive", watched.output
     lost_s = math.nan
     if run is None:
         wrong.append("no archive, and none could be recovered")
     else:
         status = str(run.status)
-        said = "\n".join((*(event.message for event in run.events), run.message, said))
+        output = "\n".join((*(event.message for event in run.events), run.message, output))
         if run.status not in fault.ends:
             wrong.append(f"status {status} ({run.message})")
         lost_s = _lost_s(run, watched)
         if lost_s > 0.1:
             wrong.append(f"{lost_s:.2f} s of samples lost")
-    found = re.search(fault.says, said)
-    told = _sentence(said, found) if found and fault.says else ""
+    found = re.search(fault.says, output)
+    told = _sentence(output, found) if found and fault.says else ""
     if not found:
-        heard = f"{run.message if run else ''} | {said[-600:]}"
+        heard = f"{run.message if run else ''} | {output[-600:]}"
         wrong.append(f"the operator was not told: nothing like '{fault.says}' in {heard!r}")
-    if "Traceback" in said:
-        wrong.append(f"a traceback: {said[-800:]}")
+    if "Traceback" in output:
+        wrong.append(f"a traceback: {output[-800:]}")
     if fault.safe and watched.safe_ns is None:
         wrong.append("THE VALVES ARE NOT SAFE")
     ended_itself = run is not None and status == "finished"
@@ -97,10 +97,10 @@ def _lost_s(run: Run, watched: TrialObservation) -> float:
     A deadline that control missed is no lost sample: the archive counts it, and its scans are in the next row.
     """
     pressure, timing = run.pressure, run.timing
-    if not len(pressure.tick):
+    if not len(pressure.cycle):
         return math.inf
     period_s = 1 / run.header.control_hz
-    holes = np.diff(pressure.tick) - 1 - timing.overruns[1:]
+    holes = np.diff(pressure.cycle) - 1 - timing.overruns[1:]
     lost_s = float(np.clip(holes, 0, None).sum()) * period_s
     last_ns = run.header.started_t_ns + round(float(pressure.time_s[-1]) * 1e9)
     until_ns = watched.fault_ns
@@ -110,7 +110,7 @@ def _lost_s(run: Run, watched: TrialObservation) -> float:
     return lost_s + max(0.0, (until_ns - last_ns) * 1e-9 - 2 * period_s)
 
 
-def _sentence(said: str, found: re.Match[str]) -> str:
-    start = said.rfind("\n", 0, found.start()) + 1
-    end = said.find("\n", found.end())
-    return said[start : end if end >= 0 else None].strip()
+def _sentence(output: str, found: re.Match[str]) -> str:
+    start = output.rfind("\n", 0, found.start()) + 1
+    end = output.find("\n", found.end())
+    return output[start : end if end >= 0 else None].strip()

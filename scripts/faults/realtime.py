@@ -58,7 +58,7 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
                 time.sleep(at_s)
                 if run.ended(registers):
                     run.process.wait(END_S)
-                    raise EndedBeforeError(run.said[-1500:])
+                    raise EndedBeforeError(run.output[-1500:])
                 watch = OutputMonitor(run, registers)
                 fault_ns = time.monotonic_ns()
                 fault_ns = injection.inject_realtime(run) or fault_ns
@@ -66,9 +66,9 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
                 registers.close()
                 run.undo.close()
                 time.sleep(0.1)
-                said = run.said
+                output = run.output
             with contextlib.suppress(FileNotFoundError):
                 (out / "filler").unlink()
-            return judge(fault, "real", at_s, TrialObservation(fault_ns, safe_ns, said), out)
+            return judge(fault, "real", at_s, TrialObservation(fault_ns, safe_ns, output), out)
     except UnsupportedFaultError as why:
         return skipped(fault, "real", at_s, str(why))

@@ -61,7 +61,7 @@ class TransitionFault(Injection):
             _wait(run, self, chance.randint(0, 4))
             time.sleep(chance.uniform(0.0, FAULT_DELAY_S))
             if run.process.poll() is not None:
-                raise EndedBeforeError(run.said[-1500:])
+                raise EndedBeforeError(run.output[-1500:])
             run.members = {SUPERVISOR: run.process.pid} | children(run.process.pid)
             killed = _act(run, self.action, chance)
             return _judged(fault.name, self, at_s, run, killed)
@@ -131,17 +131,17 @@ def _judged(name: str, fault: TransitionFault, at_s: float, run: TrialRun, kille
             lost_s = max(0.0, DURATION_S - float(kept.pressure.time_s[-1]) - 2 / kept.header.control_hz)
     elif list(run.out.glob("*")):
         wrong.append("the archive does not open, and none could be made of its journal")
-    said = run.said + (kept.message if kept else "")
-    found = re.search(TOLD, said)
+    output = run.output + (kept.message if kept else "")
+    found = re.search(TOLD, output)
     if ended == 0 and kept is not None and kept.status is not Status.FINISHED:
         wrong.append(f"exit status 0 with an archive that is {status}")
     if ended != 0 and not killed and not found and ended not in [-number for number in SIGNALS]:
-        wrong.append(f"the operator was not told: nothing like '{TOLD}' in {said[-600:]!r}")
-    if "Traceback" in said:
-        wrong.append(f"a traceback: {said[-800:]}")
+        wrong.append(f"the operator was not told: nothing like '{TOLD}' in {output[-600:]!r}")
+    if "Traceback" in output:
+        wrong.append(f"a traceback: {output[-800:]}")
     if lost_s > 0.1:
         wrong.append(f"{lost_s:.2f} s of samples lost")
-    told = next((line.strip() for line in said.splitlines() if re.search(TOLD, line)), "") if not killed else ""
+    told = next((line.strip() for line in output.splitlines() if re.search(TOLD, line)), "") if not killed else ""
     return FaultTrial(name, "real", at_s, status, told, math.nan, lost_s, "; ".join(wrong))
 
 

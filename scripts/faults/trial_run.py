@@ -123,7 +123,7 @@ class TrialRun:
         self.members: dict[str, int] = {}
 
     @property
-    def said(self) -> str:
+    def printed_link(self) -> str:
         """Everything printed so far."""
         return b"".join(self._said).decode(errors="replace").replace("\r", "")
 
@@ -169,7 +169,7 @@ class TrialRun:
                     return registers
                 registers.close()
             time.sleep(0.02)
-        raise RuntimeError(f"the run never drove a valve: {self.said}")
+        raise RuntimeError(f"the run never drove a valve: {self.output}")
 
     def attached(self) -> Registers | None:
         """The card's registers, None as long as there are none."""

@@ -30,11 +30,11 @@ class Listener(NullOperator):
     """An operator interface that stores messages."""
 
     def __init__(self) -> None:
-        self.said: list[str] = []
+        self.output: list[str] = []
 
     def report(self, event: Event) -> None:
         """Remember."""
-        self.said.append(event.message)
+        self.output.append(event.message)
 
 
 class FaultyPlant(Plant):
@@ -101,5 +101,5 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
         result = experiment.run(request, experiment.plan(request), listener)
         with contextlib.suppress(FileNotFoundError):
             (out / "filler").unlink()
-        said = "\n".join((*listener.said, result.outcome.message, *result.warnings, ""))
-        return judge(fault, "virtual", at_s, TrialObservation(plant.fault_ns, plant.made.safe_ns, said), out)
+        output = "\n".join((*listener.output, result.outcome.message, *result.warnings, ""))
+        return judge(fault, "virtual", at_s, TrialObservation(plant.fault_ns, plant.made.safe_ns, output), out)

@@ -134,5 +134,5 @@ def test_a_batch_agrees_with_single_solutions_for_one_arm_and_for_one_arm_a_row(
     single = [statics(one, row).tip_m for one, row in zip(arms, rows, strict=True)]
     assert batch.statics(arms, rows).tip_m == pytest.approx(np.array(single), abs=1e-9)
     assert batch.statics(arms[0], rows).tip_m[0] == pytest.approx(single[0], abs=1e-9)
-    with pytest.raises(ValueError, match="actuation"):
+    with pytest.raises(ValueError, match="laws"):
         batch.statics([arms[0], arm(None, "inhomogeneous+rpe")], rows)

@@ -220,7 +220,7 @@ def test_dynamic_tip_gradients_by_pressures_geometry_weight_and_wrench_equal_fin
     ("change", "message"),
     [
         (Variation(0.0, Arm.paper()), "step"),
-        (Variation(1e-6, Arm.paper("homogeneous")), "constitutive law"),
+        (Variation(1e-6, Arm.paper("homogeneous")), "laws of the arm"),
         (Variation(1e-6, Arm.paper(), np.zeros((2, 3))), "shape"),
         (Variation(1e-6, Arm.paper(), None, TipWrench(np.ones((1, 3)), np.zeros((1, 3)), np.zeros(3))), "pulls"),
     ],

@@ -127,7 +127,7 @@ def test_losses_are_counted(run: Run) -> None:
     assert (found.frames, found.frames_measured, found.frames_dropped, found.frames_expected) == (300, 298, 3, 303)
     assert found.measured_fraction == pytest.approx(298 / 303)
     assert (found.frames_oriented, found.orientation_std_deg) == (298, pytest.approx(0.1))
-    assert (found.ticks, found.missed_deadlines) == (2000, 2)
+    assert (found.cycles, found.missed_deadlines) == (2000, 2)
     lateness = made_up.samples(10.0)["lateness_ns"] / 1e3
     assert found.lateness_p99_us == pytest.approx(np.percentile(lateness, 99))
     assert found.lateness_max_us == pytest.approx(lateness.max())
@@ -160,7 +160,7 @@ def test_a_real_rig_has_no_truth(tmp_path: Path) -> None:
 def test_a_run_of_any_length_has_a_summary(tmp_path: Path, seconds: float) -> None:
     made_up.write_journal(tmp_path / "a.mcap", duration_s=seconds)
     found = summarise(runs.open(finalise(tmp_path / "a.mcap")))
-    assert found.ticks == int(seconds * 200)
+    assert found.cycles == int(seconds * 200)
 
 
 def test_a_run_without_measured_tips_has_a_summary(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from scripts.live_client import request, said
+from scripts.live_client import printed_link, request
 from scripts.rig_process import write_rig
 from tests.support.browser import browsing
 
@@ -45,7 +45,7 @@ def main() -> None:
                 stdout=file,
                 stderr=subprocess.STDOUT,
             )
-        url = said(log.read_text, "live page")
+        url = printed_link(log.read_text, "live page")
         request(url)
         tab = browser.tab()
         tab.size(1440, 1000)

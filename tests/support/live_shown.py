@@ -125,7 +125,7 @@ class Moment:
 
     def handle(self, message: Message, who: str) -> dict[str, Any]:
         """Answer with the requested command and its account."""
-        return {"done": True, "said": f"{message.do} by {who} (live page) at protocol time 3723.40 s"}
+        return {"done": True, "message": f"{message.do} by {who} (live page) at protocol time 3723.40 s"}
 
     def close(self) -> None:
         """There is nothing to release."""

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 Setpoint = Callable[[float], tuple[Floats, Floats]]
 Disturb = Callable[[float, Plant, Floats], Floats]
 
-TICK_NS = 5_000_000
+CYCLE_NS = 5_000_000
 BEGIN_NS = 100_000_000
 MOCK = Path(rig.__file__).parent / "rigs" / "mock-ideal.yaml"
 
@@ -39,7 +39,7 @@ def mock_rig(**changes: object) -> RigConfig:
 
 
 class Played:
-    """What a closed loop did: columns over ticks; `true_pa` comes from the plant, `measured_pa` from the sensors."""
+    """What a closed loop did: columns over cycles; `true_pa` comes from the plant, `measured_pa` from the sensors."""
 
     def __init__(self) -> None:
         self.t_s: list[float] = []
@@ -89,9 +89,9 @@ def play(
     state = control.initial(settings)
     sensors = sorted(config.sensors, key=lambda s: s.actuator)
     played = Played()
-    for tick in range(round(duration_s * 1e9) // TICK_NS):
-        t_s = tick * TICK_NS * 1e-9
-        now = BEGIN_NS + tick * TICK_NS
+    for cycle in range(round(duration_s * 1e9) // CYCLE_NS):
+        t_s = cycle * CYCLE_NS * 1e-9
+        now = BEGIN_NS + cycle * CYCLE_NS
         plant.advance(now)
         scans = bench.read()
         volts = disturb(t_s, plant, scans.volts) if disturb else scans.volts
@@ -139,6 +139,6 @@ def steps_of(played: Played, pressure_pa: Floats, levels_bar: list[float], dwell
         since = played.time[during] - i * dwell_s
         error = pressure_pa[during] / 1e5 - levels_bar[i]
         outside = since[np.abs(error) > 0.01]
-        settled = float(outside.max()) + TICK_NS * 1e-9 if len(outside) else 0.0
+        settled = float(outside.max()) + CYCLE_NS * 1e-9 if len(outside) else 0.0
         out.append((settled, float((error * np.sign(levels_bar[i] - levels_bar[i - 1])).max())))
     return out

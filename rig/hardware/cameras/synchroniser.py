@@ -79,9 +79,9 @@ class CameraSynchroniser:
             while True:
                 self._exclude_stall()
                 self._check(timeout_s)
-                shot = self._pair()
-                if shot is not None:
-                    return shot
+                frame_set = self._pair()
+                if frame_set is not None:
+                    return frame_set
                 if time.monotonic() > until:
                     raise CameraError(f"no camera gave a picture within {timeout_s:g} s")
                 # With a time-out: the wait for a late camera ends by the clock.
@@ -106,11 +106,11 @@ class CameraSynchroniser:
         now = time.monotonic_ns()
         lost = [k for k, r in enumerate(self._readers) if now - r.arrived_ns > timeout_s * 1e9]
         if len(self._readers) - len(lost) < self._least:
-            said = "; ".join(
+            reasons = "; ".join(
                 f"camera {self._names[k]}: {self._readers[k].failure or f'no picture within {timeout_s:g} s'}"
                 for k in lost
             )
-            raise CameraError(said)
+            raise CameraError(reasons)
 
     def _pair(self) -> FrameSet | None:
         """The next frame set; None while there is none.

@@ -26,7 +26,7 @@ function connect() {
     if (typeof event.data === "string") {
       const message = JSON.parse(event.data);
       if (message.about) begin(message.about);
-      if (message.answer && at("said")) at("said").textContent = message.answer.said;
+      if (message.answer && at("answer")) at("answer").textContent = message.answer.message;
       return;
     }
     await show(event.data);

@@ -3,7 +3,7 @@ const form = document.querySelector("form");
 const person = document.getElementById("name");
 const token = decodeURIComponent(location.hash.slice(1));
 if (form.dataset.mark === "wrong") {
-  document.getElementById("said").textContent = "This token opens nothing, or was used before.";
+  document.getElementById("answer").textContent = "This token opens nothing, or was used before.";
 }
 if (token) {
   history.replaceState(null, "", location.pathname);

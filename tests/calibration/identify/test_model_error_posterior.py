@@ -48,7 +48,7 @@ def linear_problem() -> tuple[NormalEquations, Array, Array, Array, Array]:
     problem = LeastSquaresProblem(data, START, named(("a1_per_n", "rpe_per_bar", "base_x_m"), 3), priors)
     solution = problem.solve(np.zeros(3), [])
     columns = [
-        error_columns(one, Predictor(one).push_response(problem.setup(solution.z, run)), 0.65e5).pose[:, :, :12]
+        error_columns(one, Predictor(one).push_response(problem.setup(solution.z, run)), 0.65e5, TERMS).pose[:, :, :12]
         for run, one in enumerate(data)
     ]
     root = 1 / np.sqrt(1e-8 + NOISE_M**2)
@@ -206,7 +206,7 @@ def test_a_single_ramp_that_leaves_most_parameters_open_has_a_posterior() -> Non
     stated = stated_values(START, {})
     data = [perform(planned, drawn_setup(START, stated, rng), rng, errors)]
     fit = identify(data, START, ("law", "rpe_per_bar", "base"), stated=stated)
-    columns = [error_columns(one, Predictor(one).push_response(START), 0.65e5).pose for one in data]
+    columns = [error_columns(one, Predictor(one).push_response(START), 0.65e5, TERMS).pose for one in data]
     for noise_m in (0.0, NOISE_M):
         seen = normal_equations(fit.problem, fit.solution, (), columns, Discrepancy(noise_m)).seen
         values = np.linalg.eigvalsh(seen)

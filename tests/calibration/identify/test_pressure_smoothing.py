@@ -13,7 +13,7 @@ from calibration.identify.pressure_smoothing import curve, noise_std, smoothed
 from calibration.identify.simulated_experiments import MeasurementErrors, plan
 from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
 
-TICK_HZ, CAMERA_HZ = 200, 30
+CYCLE_HZ, CAMERA_HZ = 200, 30
 NOISE_PA = 45.0
 
 
@@ -24,7 +24,7 @@ def sine(time_s: np.ndarray) -> np.ndarray:
 
 
 def test_noise_of_a_smooth_signal_is_estimated_and_removed() -> None:
-    time_s = np.arange(0, 12, 1 / TICK_HZ)
+    time_s = np.arange(0, 12, 1 / CYCLE_HZ)
     truth = sine(time_s)
     samples = truth + NOISE_PA * np.random.default_rng(5).standard_normal(truth.shape)
     assert noise_std(samples) == pytest.approx(np.full(3, NOISE_PA), rel=0.1)
@@ -38,13 +38,13 @@ def test_noise_of_a_smooth_signal_is_estimated_and_removed() -> None:
 
 
 def test_smoothing_keeps_amplitude_and_phase_of_a_motion() -> None:
-    ticks_s = np.arange(0, 40, 1 / TICK_HZ)
+    cycles_s = np.arange(0, 40, 1 / CYCLE_HZ)
     omega = 2 * np.pi * np.array([0.6, 0.9])
-    truth = 2e4 * np.sin(np.outer(ticks_s, omega))
+    truth = 2e4 * np.sin(np.outer(cycles_s, omega))
     rng = np.random.default_rng(3)
     found = np.mean([smoothed(truth + 2 * NOISE_PA * rng.standard_normal(truth.shape))[0] for _ in range(6)], axis=0)
     height = (found * truth).sum(axis=0) / (truth**2).sum(axis=0)
-    ahead = 2e4 * np.cos(np.outer(ticks_s, omega))
+    ahead = 2e4 * np.cos(np.outer(cycles_s, omega))
     late_s = -(found * ahead).sum(axis=0) / (truth**2).sum(axis=0) / omega
     # Chance alone leaves 2e-5 and 5 us. A crest cut by a ten-thousandth is a tenth of a usual damping.
     assert height == pytest.approx(np.ones(2), abs=8e-5)
@@ -52,7 +52,7 @@ def test_smoothing_keeps_amplitude_and_phase_of_a_motion() -> None:
 
 
 def test_smoothing_is_as_accurate_at_the_ends_as_in_the_middle() -> None:
-    time_s = np.arange(0, 8, 1 / TICK_HZ)
+    time_s = np.arange(0, 8, 1 / CYCLE_HZ)
     truth = 2e4 * np.sin(2 * np.pi * np.outer(time_s, [0.6, 0.9]) + 0.7)
     rng = np.random.default_rng(4)
     courses = np.array([smoothed(truth + NOISE_PA * rng.standard_normal(truth.shape))[0] for _ in range(20)])
@@ -93,15 +93,15 @@ def test_smoothing_keeps_edges() -> None:
 def test_pressure_noise_does_not_bias_the_density(monkeypatch: pytest.MonkeyPatch) -> None:
     arm = model.Arm.paper()
     truth = Setup(replace(arm, material=replace(arm.material, damping_s=0.01, density_kg_m3=1100.0)))
-    ticks_s, frames_s = np.arange(0, 9, 1 / TICK_HZ), np.arange(0, 9, 1 / CAMERA_HZ)
+    cycles_s, frames_s = np.arange(0, 9, 1 / CYCLE_HZ), np.arange(0, 9, 1 / CAMERA_HZ)
     planned = plan(
         "sine", sine(frames_s), period_s=1 / CAMERA_HZ, errors=MeasurementErrors((3e-5, 3e-5, 3e-5), 0.0, 0.0)
     )
     rng = np.random.default_rng(1)
     tip = Predictor(planned)(truth) + 3e-5 * rng.standard_normal((len(planned), 3))
-    samples = sine(ticks_s) + 3 * NOISE_PA * rng.standard_normal((len(ticks_s), 3))
+    samples = sine(cycles_s) + 3 * NOISE_PA * rng.standard_normal((len(cycles_s), 3))
     noise = np.full((len(frames_s), 3), 3 * NOISE_PA)
-    data = replace(planned, tip_m=tip, pressure_pa=curve(ticks_s, samples, frames_s)[0], pressure_std_pa=noise)
+    data = replace(planned, tip_m=tip, pressure_pa=curve(cycles_s, samples, frames_s)[0], pressure_std_pa=noise)
 
     def found() -> float:
         free, priors = ["density_kg_m3", "sensor_offsets"], {"sensor_offsets": Prior(0.0, 200.0)}

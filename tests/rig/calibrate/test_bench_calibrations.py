@@ -227,16 +227,16 @@ def test_readings_that_tell_nothing_get_one_clear_message(tmp_path: Path, rows: 
 
 
 def test_an_interlock_ends_the_drive_and_the_valves_vent(truth: RigConfig) -> None:
-    with virtual(truth, 0, moving_arm=False) as (bench, ticks, _):
-        driver = BenchDriver(truth, bench, ticks, lambda: None)
+    with virtual(truth, 0, moving_arm=False) as (bench, clock, _):
+        driver = BenchDriver(truth, bench, clock, lambda: None)
         with pytest.raises(TrippedError, match="changes by"):
             driver.let(0, 3.0, 1.0)  # far open: faster than the limit
     assert np.allclose(bench.readback(), bench.safe_voltages, atol=1e-3)
 
 
 def test_a_frozen_sensor_ends_the_drive_while_the_valve_is_open(truth: RigConfig) -> None:
-    with virtual(truth, 0, moving_arm=False) as (bench, ticks, plant):
-        driver = BenchDriver(truth, bench, ticks, lambda: None)
+    with virtual(truth, 0, moving_arm=False) as (bench, clock, plant):
+        driver = BenchDriver(truth, bench, clock, lambda: None)
         driver.regulate(np.array([2e4, 0, 0]), 0.5)
         plant.faults.inject(sensor_1=SensorFault.FROZEN)
         with pytest.raises(TrippedError, match="has not moved by one count"):
@@ -254,9 +254,9 @@ def test_a_pressed_stop_ends_the_drive_and_vents_valves_that_hold(drive: str) ->
     left: list[Bench] = []
 
     def driven() -> None:
-        with virtual(config, 0, moving_arm=False) as (bench, ticks, plant):
+        with virtual(config, 0, moving_arm=False) as (bench, clock, plant):
             left.append(bench)
-            driver = BenchDriver(config, bench, ticks, lambda: None)
+            driver = BenchDriver(config, bench, clock, lambda: None)
             driver.regulate(np.array([2e4, 0, 0]), 0.3)
             plant.faults.inject(contact_1=1)
             if drive == "regulate":

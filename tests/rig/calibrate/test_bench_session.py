@@ -48,35 +48,35 @@ def watchdog() -> Iterator[subprocess.Popen[bytes]]:
 def test_every_period_sends_a_heartbeat_and_a_dead_watchdog_ends_the_session(
     memory: SharedState, watchdog: subprocess.Popen[bytes]
 ) -> None:
-    ticks = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid), TIMING)
-    before, now = ticks.next(), ticks.next()
+    clock = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid), TIMING)
+    before, now = clock.next(), clock.next()
     assert now > before
     assert memory.heartbeat_ns("control") == memory.heartbeat_ns("supervisor") == now
     watchdog.kill()
     watchdog.wait()
     with pytest.raises(StartError, match="the watchdog process died"):
-        ticks.next()
+        clock.next()
 
 
 def test_a_watchdog_without_heartbeat_ends_the_session(memory: SharedState, watchdog: subprocess.Popen[bytes]) -> None:
-    ticks = RealTimeClock(
+    clock = RealTimeClock(
         memory, PERIOD_NS, ProcessMonitor(watchdog.pid), replace(TIMING, watchdog_silent_ns=100 * PERIOD_NS)
     )
     for _ in range(20):
         memory.heartbeat("watchdog", time.monotonic_ns())
-        ticks.next()
+        clock.next()
     with pytest.raises(StartError, match="the watchdog is silent"):
-        deque((ticks.next() for _ in range(10_000)), maxlen=0)
+        deque((clock.next() for _ in range(10_000)), maxlen=0)
 
 
 def test_a_takeover_by_the_watchdog_is_reported_with_its_reason(
     memory: SharedState, watchdog: subprocess.Popen[bytes]
 ) -> None:
-    ticks = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid), TIMING)
+    clock = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid), TIMING)
     memory.board["watchdog"]["message"] = b"the control process hung"
     memory.watchdog_trip_ns = 1
     with pytest.raises(StartError, match="took the bench over: the control process hung"):
-        ticks.next()
+        clock.next()
 
 
 @pytest.fixture
@@ -112,10 +112,10 @@ def test_valves_vented_by_another_program_stay_vented_where_the_session_would_ho
     stood = []
 
     def drive() -> None:
-        with real(config, file, "a test") as (valves, ticks):
+        with real(config, file, "a test") as (valves, clock):
             stood.append(empty.outputs["volts"].tolist())
             valves.write(told)
-            ticks.next()
+            clock.next()
             valves.write(told)
             stood.append(empty.outputs["volts"].tolist())
             empty.outputs["volts"] = 0.0

@@ -161,4 +161,4 @@ def test_memory_is_identified_and_its_file_applies_to_a_rig_with_as_much_only(tm
     assert laid.actuation.stops[0].width_bar == pytest.approx(fit["stop_1_width_pa"].used * 1e-5)
     with pytest.raises(BadInputError) as caught:
         loader.read("mock").identified(read(written))
-    assert [p.expected for p in caught.value.problems] == ["0, as mock has"] * 2
+    assert [p.expected for p in caught.value.problems] == ["0, as mock.yaml has"] * 2

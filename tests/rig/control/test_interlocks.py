@@ -11,7 +11,7 @@ from rig.control import step as control
 from rig.hardware.safe_state import safe_voltages
 from tests.support.plant_bench import mock_rig
 
-TICK_NS = 5_000_000
+CYCLE_NS = 5_000_000
 RIG = mock_rig()
 SETTINGS = control.prepare(RIG)
 REGULATING: dict[str, object] = {
@@ -20,7 +20,7 @@ REGULATING: dict[str, object] = {
 
 
 class Loop:
-    """Feeds made-up readings to the control step, tick by tick."""
+    """Feeds made-up readings to the control step, cycle by cycle."""
 
     def __init__(self, settings: control.ControlSettings = SETTINGS) -> None:
         self.settings, self.state, self.t_ns = settings, control.initial(settings), 1_000_000_000
@@ -35,7 +35,7 @@ class Loop:
         scan: bool = True,
         stalled_ns: int = 0,
     ) -> control.ControlOutput:
-        self.t_ns += TICK_NS
+        self.t_ns += CYCLE_NS
         if scan:
             self.scan_t_ns = self.t_ns
             pressure = np.array(bar) + 1e-3 * self.rng.standard_normal(3)
@@ -44,8 +44,8 @@ class Loop:
         self.state, command = control.step(self.settings, self.state, sample, np.array(setpoint) * 1e5, np.zeros(3))
         return command
 
-    def hold(self, bar: float, ticks: int = 300) -> control.ControlOutput:
-        for _ in range(ticks):
+    def hold(self, bar: float, cycles: int = 300) -> control.ControlOutput:
+        for _ in range(cycles):
             command = self.cycle((bar, 0.0, 0.0), (bar, 0.0, 0.0))
             assert command.trip is None
         return command
@@ -67,14 +67,14 @@ def test_an_open_stop_trips_first_and_vents_valves_that_hold() -> None:
     state = control.initial(settings)
     for number, closed in enumerate((True, True, False, True), 1):
         # No scan is new: a stop is judged all the same.
-        sample = control.Sample(TICK_NS * number, TICK_NS, np.full(3, 0.1), np.full(3, 1e4), stops_closed=(closed,))
+        sample = control.Sample(CYCLE_NS * number, CYCLE_NS, np.full(3, 0.1), np.full(3, 1e4), stops_closed=(closed,))
         state, command = control.step(settings, state, sample, np.full(3, 1e4), np.zeros(3))
         if number == 2:
             assert command.trip is None
     trip = command.trip
     assert trip is not None
     assert trip.vent
-    assert trip.t_ns == 3 * TICK_NS, "a trip latches"
+    assert trip.t_ns == 3 * CYCLE_NS, "a trip latches"
     assert "emergency stop 'button': its contact is open (pressed, or a wire is broken)" in trip.message
     np.testing.assert_array_equal(command.valve_v, safe_voltages(config, vent=True))
     assert command.valve_v[0] != safe_voltages(config)[0]
@@ -129,10 +129,10 @@ def test_a_voltage_outside_the_sensor_span_trips_at_once(volts: float) -> None:
 def test_without_scans_the_valves_wait_then_close_and_then_the_run_stops() -> None:
     loop = Loop()
     before = loop.hold(0.3)
-    for tick in range(1, round(RIG.limits.stale_s / 0.005) + 1):
+    for cycle in range(1, round(RIG.limits.stale_s / 0.005) + 1):
         command = loop.cycle((0, 0, 0), (0.35, 0, 0), scan=False)
         assert command.trip is None
-        np.testing.assert_array_equal(command.valve_v, before.valve_v if tick <= 3 else [5.0, 5.0])
+        np.testing.assert_array_equal(command.valve_v, before.valve_v if cycle <= 3 else [5.0, 5.0])
     command = loop.cycle((0, 0, 0), (0.35, 0, 0), scan=False)
     assert command.trip is not None
     assert command.trip.message == "no pressure sample for 105 ms (limit 100 ms)"
@@ -177,12 +177,12 @@ def test_without_any_scan_there_is_no_run() -> None:
 def test_an_error_at_a_constant_set_point_trips_after_the_tracking_time() -> None:
     loop = Loop()
     loop.hold(0.3, 100)
-    ticks = 0
-    while not (command := loop.cycle((0.3, min(0.003 * ticks, 0.08), 0.0), (0.3, 0, 0))).trip:
-        ticks += 1
+    cycles = 0
+    while not (command := loop.cycle((0.3, min(0.003 * cycles, 0.08), 0.0), (0.3, 0, 0))).trip:
+        cycles += 1
     assert command.trip.source == "tracking"
     assert "actuator 2" in command.trip.message
-    assert ticks * 0.005 == pytest.approx(RIG.limits.tracking_s - 0.5, abs=0.02)
+    assert cycles * 0.005 == pytest.approx(RIG.limits.tracking_s - 0.5, abs=0.02)
 
 
 def test_an_error_during_a_set_point_step_does_not_trip() -> None:
@@ -207,11 +207,11 @@ def test_a_moving_set_point_that_is_not_followed_trips() -> None:
 def test_a_reading_that_does_not_move_by_a_count_is_frozen_after_the_time_allowed() -> None:
     loop = Loop()
     loop.hold(0.3)
-    ticks = 0
+    cycles = 0
     while not (command := loop.cycle((0.3, 0, 0), (0.34, 0, 0), volts=(0.3, 0.0, 0.0))).trip:
-        ticks += 1
+        cycles += 1
     assert command.trip.message.startswith("sensor 1 has not moved by one count")
-    assert ticks * 0.005 == pytest.approx(RIG.limits.frozen_s, abs=0.02)
+    assert cycles * 0.005 == pytest.approx(RIG.limits.frozen_s, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -224,12 +224,12 @@ def test_a_pressure_that_does_not_follow_is_a_fault_of_a_pressure_valve_only_aft
     loop.hold(0.3)
     for bar in np.arange(0.3, 0.4, 0.006):
         assert loop.cycle((float(bar), 0, 0), (float(bar), 0, 0)).trip is None
-    ticks = 0
+    cycles = 0
     while not (command := loop.cycle((float(bar), 0, 0), (0.6, 0, 0))).trip:
-        ticks += 1
+        cycles += 1
     assert command.trip.message.startswith("sensor 1 stays at")
     # Until the reference, at 1 bar/s, is 0.05 bar away.
-    assert ticks * 0.005 == pytest.approx(max(allowed_s, 0.05), abs=0.03)
+    assert cycles * 0.005 == pytest.approx(max(allowed_s, 0.05), abs=0.03)
 
 
 def test_a_constant_reading_of_a_vented_chamber_is_not_a_frozen_sensor() -> None:
@@ -261,7 +261,7 @@ def test_a_valve_of_two_chambers_controls_their_mean() -> None:
         # From 0.3 bar it goes on at 0.2 bar/s, which is where the set-points are.
         second = state.valves[1]
         assert second.reference_pa == pytest.approx(0.301e5)
-        assert second.asked_pa_s == pytest.approx(0.2e5 + SETTINGS.valves[1].gain_per_s * 100.0)  # type: ignore[union-attr]
+        assert second.demand_pa_s == pytest.approx(0.2e5 + SETTINGS.valves[1].gain_per_s * 100.0)  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(
@@ -299,10 +299,10 @@ def test_safe_voltages_follow_the_valve(changes: dict[str, object], safe_v: tupl
     )
 )
 def test_whatever_the_readings_every_command_lies_in_the_valves_range(
-    ticks: list[tuple[float, float, float, int, float]],
+    cycles: list[tuple[float, float, float, int, float]],
 ) -> None:
     state, t_ns = control.initial(SETTINGS), 0
-    for bar, setpoint, rate, late_ms, volts in ticks:
+    for bar, setpoint, rate, late_ms, volts in cycles:
         t_ns += 5_000_000 + late_ms * 1_000_000
         sample = control.Sample(t_ns, t_ns, np.array([bar, bar, volts]), np.array([bar, bar, volts]) * 1e5)
         state, command = control.step(SETTINGS, state, sample, np.full(3, setpoint * 1e5), np.full(3, rate * 1e5))

@@ -60,9 +60,9 @@ def test_the_voltage_lets_exactly_the_asked_rate_through_a_valve_as_stated(bar: 
     ease = max(flow_function(downstream / upstream, 0.3), 0.15)
     flow = math.copysign(fraction * s.conductance * upstream * ease, offset)
     if fraction > SOFT_FRACTION:
-        assert flow * ANR_PA / s.volume_m3 == pytest.approx(out.asked_pa_s, rel=1e-6)
+        assert flow * ANR_PA / s.volume_m3 == pytest.approx(out.demand_pa_s, rel=1e-6)
     else:
-        assert abs(out.asked_pa_s) <= SOFT_FRACTION * s.conductance * upstream * ANR_PA / s.volume_m3 * 1.001
+        assert abs(out.demand_pa_s) <= SOFT_FRACTION * s.conductance * upstream * ANR_PA / s.volume_m3 * 1.001
 
 
 @pytest.mark.parametrize(("fills", "sign"), [("above", 1), ("below", -1)])

@@ -11,14 +11,14 @@ from rig.hardware.cards.scan_clock import ScanClock
 from tests.support.budget import examples
 
 PERIOD_NS = 1_000_000.0
-TICK_NS = 5_000_000
+CYCLE_NS = 5_000_000
 
 
-def play(clock: ScanClock, start_ns: int, true_period_ns: float, ticks: int, rng: np.random.Generator) -> list[float]:
+def play(clock: ScanClock, start_ns: int, true_period_ns: float, cycles: int, rng: np.random.Generator) -> list[float]:
     """Read every 5 ms with delays as of a busy machine; the error of the last stamp at each read [ns]."""
     errors, taken = [], 0
-    for tick in range(1, ticks + 1):
-        now = start_ns + tick * TICK_NS + round(rng.exponential(100_000))
+    for cycle in range(1, cycles + 1):
+        now = start_ns + cycle * CYCLE_NS + round(rng.exponential(100_000))
         if rng.random() < 0.01:
             now += round(rng.uniform(0, 4e6))
         there = int((now - start_ns - 50_000) / true_period_ns)

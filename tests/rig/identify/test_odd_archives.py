@@ -26,12 +26,12 @@ from runs.journal.journal import JournalWriter
 from runs.records import DetectionStatus, RunFooter, RunHeader, Status, observation_dtype, sample_dtype
 from tests.support.synthetic_runs import header
 
-HZ, TICK_HZ = 15, 60
+HZ, CYCLE_HZ = 15, 60
 MILLISECOND = 1_000_000
 
 
 def about(name: str, **changes: Any) -> RunHeader:
-    plain = {"rig_yaml": text("mock"), "intervals": (), "quantities": (), "control_hz": TICK_HZ, "camera_hz": HZ}
+    plain = {"rig_yaml": text("mock"), "intervals": (), "quantities": (), "control_hz": CYCLE_HZ, "camera_hz": HZ}
     return replace(header(name), **{**plain, **changes})
 
 
@@ -39,7 +39,7 @@ def archive(
     folder: Path,
     name: str = "odd",
     frames: int = 18,
-    ticks: int = 72,
+    cycles: int = 72,
     seen: DetectionStatus = DetectionStatus.MEASURED,
     swing_pa: float = 1.5e4,
     std_m: tuple[float, float, float] = (1e-4, 1e-4, 1e-4),
@@ -48,18 +48,18 @@ def archive(
     **changes: Any,
 ) -> Path:
     """An arm of the mock's file that swings for a second, as its archive would be."""
-    rng = np.random.default_rng(frames + ticks)
+    rng = np.random.default_rng(frames + cycles)
     who = about(name, actuators=actuators, **changes)
-    samples, rows = np.zeros(ticks, sample_dtype(actuators, 2)), np.zeros(frames, observation_dtype(actuators))
+    samples, rows = np.zeros(cycles, sample_dtype(actuators, 2)), np.zeros(frames, observation_dtype(actuators))
 
     def course(time_s: np.ndarray) -> np.ndarray:
         return 3e4 + swing_pa * np.sin(3.0 * time_s)[:, None] * np.eye(actuators)[0]
 
-    sampled_s, frame_s = np.arange(ticks) / TICK_HZ, np.arange(1, frames + 1) / HZ
-    samples["tick"], samples["scans"] = np.arange(ticks), 1
+    sampled_s, frame_s = np.arange(cycles) / CYCLE_HZ, np.arange(1, frames + 1) / HZ
+    samples["cycle"], samples["scans"] = np.arange(cycles), 1
     samples["t_ns"] = who.started_t_ns + np.round(sampled_s * 1e9).astype(np.int64)
     samples["setpoint_pa"] = course(sampled_s)
-    samples["measured_pa"] = samples["setpoint_pa"] + (rng.normal(0, 20, (ticks, actuators)) if swing_pa else 0.0)
+    samples["measured_pa"] = samples["setpoint_pa"] + (rng.normal(0, 20, (cycles, actuators)) if swing_pa else 0.0)
     rows["frame"], rows["seen"] = np.arange(1, frames + 1), seen
     rows["t_ns"] = who.started_t_ns + np.round(frame_s * 1e9).astype(np.int64)
     samples["protocol_s"], rows["protocol_s"] = sampled_s, frame_s
@@ -91,7 +91,7 @@ def identify(capsys: pytest.CaptureFixture[str], *arguments: str | Path, status:
     [
         ({"frames": 0}, "no frame shows the tip"),
         ({"seen": DetectionStatus.NO_BOARD}, "no frame shows the tip"),
-        ({"ticks": 0}, "no pressure was recorded"),
+        ({"cycles": 0}, "no pressure was recorded"),
         ({"std_m": (1e-4, 0.0, 1e-4)}, "uncertainty is zero along an axis"),
         ({"rig_yaml": ""}, "holds no rig"),
     ],
@@ -106,7 +106,7 @@ def test_an_archive_without_usable_data_is_refused_in_one_sentence(
 
 
 @pytest.mark.parametrize(
-    "changes", [{"frames": 1}, {"frames": 2}, {"ticks": 1}, {"swing_pa": 0.0}, {"status": Status.ABORTED}]
+    "changes", [{"frames": 1}, {"frames": 2}, {"cycles": 1}, {"swing_pa": 0.0}, {"status": Status.ABORTED}]
 )
 def test_an_archive_with_little_information_gives_verdicts_or_wide_error_bars(
     tmp_path: Path, changes: dict[str, Any], capsys: pytest.CaptureFixture[str]
@@ -116,7 +116,7 @@ def test_an_archive_with_little_information_gives_verdicts_or_wide_error_bars(
 
 
 def test_frames_after_the_last_pressure_do_not_count(tmp_path: Path) -> None:
-    run = runs.open(archive(tmp_path, frames=45, ticks=60))
+    run = runs.open(archive(tmp_path, frames=45, cycles=60))
     poses = in_motion(run)
     assert (poses.time_s[poses.has_tip] < 1 + 2 / HZ).all()
     assert poses.has_tip.sum() > 10

@@ -21,7 +21,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 import tests.support.synthetic_runs as made_up
 from rig.live.admission import ACCEPTED_AT_ONCE, CONNECTION, PLACES, Admission, ClientClass, http_protocol
 from runs.archive.writer import finalise
-from scripts.live_client import Stream, enter, request, said
+from scripts.live_client import Stream, enter, printed_link, request
 
 PATIENCE_S = 60.0
 ONE_BYTE = b"G"
@@ -54,7 +54,9 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Links]:
             start_new_session=True,
         )
     try:
-        links = Links(said(log.read_text, "live page"), said(log.read_text, "guest link"), log.read_text)
+        links = Links(
+            printed_link(log.read_text, "live page"), printed_link(log.read_text, "guest link"), log.read_text
+        )
         request(links.operator)
         yield links
         assert "Traceback" not in log.read_text()
@@ -114,7 +116,7 @@ def test_a_malformed_message_is_refused_and_the_stream_continues(page: Links, sa
         stream.socket.send(said)
         answer = json.loads(stream.socket.recv(PATIENCE_S))["answer"]
         assert answer["done"] is False
-        assert answer["said"].startswith("refused: ")
+        assert answer["message"].startswith("refused: ")
         assert stream.packet()[0]["now"]
 
 

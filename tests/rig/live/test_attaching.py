@@ -13,7 +13,7 @@ import pytest
 
 import runs
 from runs.records import DetectionStatus, Status
-from scripts.live_client import Stream, request, said
+from scripts.live_client import Stream, printed_link, request
 from scripts.rig_process import RigProcess, rig_run
 
 HELD = """
@@ -34,7 +34,7 @@ def attached(run: RigProcess, log: Path) -> Iterator[Stream]:
             command, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT, start_new_session=True
         )
     try:
-        url = said(log.read_text, "live page")
+        url = printed_link(log.read_text, "live page")
         request(url)
         with Stream(url) as stream:
             yield stream

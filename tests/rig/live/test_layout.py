@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from scripts.live_client import said
+from scripts.live_client import printed_link
 from tests.support.browser import Browser, Tab, browsing
 from tests.support.live_page import open_tab
 
@@ -75,7 +75,7 @@ def shown(browser: Browser, folder: Path, *options: str) -> Iterator[Tab]:
     with log.open("w") as file:
         process = subprocess.Popen([sys.executable, str(SHOWN), *options], stdout=file, stderr=subprocess.STDOUT)
     try:
-        tab = open_tab(browser, said(log.read_text, "live page"))
+        tab = open_tab(browser, printed_link(log.read_text, "live page"))
         # NiceGUI's own connection reloads the page when the machine is too busy to answer it in time.
         tab.value("void window.socket.disconnect()")
         yield tab

@@ -16,7 +16,7 @@ from websockets.exceptions import InvalidStatus
 import runs
 from rig.realtime.operator_commands import user_name
 from runs.records import Status
-from scripts.live_client import PATIENCE_S, Stream, request, said
+from scripts.live_client import PATIENCE_S, Stream, printed_link, request
 from scripts.rig_process import rig_run
 from tests.support.live_page import reachable
 
@@ -33,7 +33,7 @@ steps:
 
 def test_only_a_session_gets_data_and_only_an_operators_acts(tmp_path: Path) -> None:
     with rig_run(tmp_path, HOLDING, "--live", "--port", "0", "--listen", "0.0.0.0") as run, ExitStack() as stack:
-        operator_link, guest_link = (said(lambda: run.output, f"{who} link") for who in ("operator", "guest"))
+        operator_link, guest_link = (printed_link(lambda: run.output, f"{who} link") for who in ("operator", "guest"))
         page = reachable(operator_link)
         for path in ("", "live/stream", "live/live.js", "_nicegui_ws/socket.io/?EIO=4&transport=polling"):
             assert request(page + path)[0] == 401
@@ -65,7 +65,7 @@ def test_only_a_session_gets_data_and_only_an_operators_acts(tmp_path: Path) -> 
 
 def test_stalled_flooding_and_dead_pages_do_not_affect_the_run(tmp_path: Path) -> None:
     with rig_run(tmp_path, HOLDING, "--live", "--port", "0") as run, ExitStack() as stack:
-        page = said(lambda: run.output, "live page")
+        page = printed_link(lambda: run.output, "live page")
         request(page)
         viewers = [stack.enter_context(Stream(page)) for _ in range(5)]
         viewers[0].until("running")
@@ -101,7 +101,7 @@ def test_stalled_flooding_and_dead_pages_do_not_affect_the_run(tmp_path: Path) -
 
 def test_a_page_ends_with_the_run_that_was_killed(tmp_path: Path) -> None:
     with rig_run(tmp_path, HOLDING, "--live", "--port", "0") as run, ExitStack() as stack:
-        page = said(lambda: run.output, "live page")
+        page = printed_link(lambda: run.output, "live page")
         request(page)
         viewer = stack.enter_context(Stream(page))
         viewer.until("running")

@@ -176,7 +176,7 @@ def test_a_client_maps_the_run_read_only(served: ServedRun, memory: SharedState)
 def test_commands_are_passed_on_with_their_account(served: ServedRun, memory: SharedState) -> None:
     session = ClientSession(served.socket.path)
     me = user_name()
-    assert session.request("pause", me) == {"done": True, "said": f"pause by {me} (live page)"}
+    assert session.request("pause", me) == {"done": True, "message": f"pause by {me} (live page)"}
     assert served.asked == [OperatorCommand(CommandKind.PAUSE, f"{me} (live page)")]
     session.watch()
     session.request("resume", "ada")

@@ -17,7 +17,7 @@ from rig.execution.plan import NullOperator
 from rig.experiment import run as experiment
 from runs.records import Status
 from runs.run import Run
-from scripts.live_client import request, said
+from scripts.live_client import printed_link, request
 from scripts.rig_process import RigProcess, rig_run
 from tests.support.browser import Browser, Tab, browsing
 from tests.support.live_page import open_files, open_tab, reachable
@@ -60,7 +60,7 @@ def browser() -> Iterator[Browser]:
 
 def watch(browser: Browser, run: RigProcess) -> Tab:
     """A tab that shows a run."""
-    tab = open_tab(browser, said(lambda: run.output, "live page"))
+    tab = open_tab(browser, printed_link(lambda: run.output, "live page"))
     tab.until("window.softrig.packets > 2")
     return tab
 
@@ -152,7 +152,7 @@ def playing(archive: Run, folder: Path, *options: str) -> Iterator[tuple[str, in
             start_new_session=True,
         )
     try:
-        said(log.read_text, "live page")
+        printed_link(log.read_text, "live page")
         yield log.read_text(), child_of(process.pid)
     finally:
         process.terminate()
@@ -172,7 +172,7 @@ def child_of(parent: int) -> int:
 
 def test_an_archive_is_played_with_slider_and_speed(browser: Browser, archive: Run, tmp_path: Path) -> None:
     with playing(archive, tmp_path) as (output, _):
-        tab = open_tab(browser, said(lambda: output, "live page"))
+        tab = open_tab(browser, printed_link(lambda: output, "live page"))
         tab.until("window.softrig.packets > 2 && window.softrig.now.state === 'playing'")
         assert tab.value("location.hash + document.cookie") == ""
         tab.click("#play")
@@ -186,8 +186,8 @@ def test_an_archive_is_played_with_slider_and_speed(browser: Browser, archive: R
         row = int(np.searchsorted(archive.tip.time_s, 4.5, side="right")) - 1
         assert now["frame"] == archive.tip.frame[row]
         assert now["error"] == pytest.approx(archive.tip.error_mm[row], abs=1e-4)
-        tick = int(np.searchsorted(archive.pressure.time_s, now["t"], side="right")) - 1
-        assert now["measured"] == pytest.approx(archive.pressure.measured_bar[tick].tolist(), abs=1e-4)
+        cycle = int(np.searchsorted(archive.pressure.time_s, now["t"], side="right")) - 1
+        assert now["measured"] == pytest.approx(archive.pressure.measured_bar[cycle].tolist(), abs=1e-4)
         tab.value(
             "(() => { const e = document.getElementById('speed'); e.value = '20';"
             " e.dispatchEvent(new Event('change')); })()"
@@ -201,7 +201,7 @@ def test_beyond_this_machine_a_wrong_token_is_refused_and_a_right_one_enters(
     browser: Browser, archive: Run, tmp_path: Path
 ) -> None:
     with playing(archive, tmp_path, "--listen", "0.0.0.0") as (output, _):
-        operator = said(lambda: output, "operator link")
+        operator = printed_link(lambda: output, "operator link")
         page, token = reachable(operator), operator.partition("#")[2]
         assert request(page)[0] == 401
         tab = browser.tab()
@@ -209,7 +209,7 @@ def test_beyond_this_machine_a_wrong_token_is_refused_and_a_right_one_enters(
         tab.until("document.getElementById('token')?.value === 'wrong-token'")
         assert tab.value("location.hash") == ""
         tab.value("document.querySelector('form').submit()")
-        tab.until("document.getElementById('said')?.textContent.includes('opens nothing')")
+        tab.until("document.getElementById('answer')?.textContent.includes('opens nothing')")
         assert tab.value("document.getElementById('softrig') === null")
         tab.go(f"{page}#{token}")
         tab.until(f"document.getElementById('token')?.value === {token!r}")
@@ -223,7 +223,7 @@ def test_beyond_this_machine_a_wrong_token_is_refused_and_a_right_one_enters(
 
 def test_reloads_leak_nothing(browser: Browser, archive: Run, tmp_path: Path) -> None:
     with playing(archive, tmp_path) as (output, pid):
-        url = said(lambda: output, "live page")
+        url = printed_link(lambda: output, "live page")
         tab = open_tab(browser, url)
         counts = []
         for _ in range(6):

@@ -115,7 +115,7 @@ def test_no_set_point_whatever_can_raise_a_chamber_above_the_limit(bar: float, b
             assert np.array_equal(command.valve_v, bench.safe_voltages)
     limit_pa = (config.limits.pressure_bar + config.limits.pressure_margin_bar) * 1e5
     assert trip is not None
-    # Beyond it the air goes on for the sensor's lag, one tick and the spool: 20 ms at the fastest rate allowed.
+    # Beyond it the air goes on for the sensor's lag, one cycle and the spool: 20 ms at the fastest rate allowed.
     assert highest < limit_pa + 0.05e5
     assert np.all(plant.pressure_pa < 0.05e5)
 

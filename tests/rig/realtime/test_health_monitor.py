@@ -9,7 +9,7 @@ import rig.config.loader
 from rig.realtime.health_monitor import HealthMonitor
 from runs.records import DetectionStatus, Event, Level, observation_dtype, sample_dtype
 
-FRAME_NS, TICK_NS = 33_333_333, 5_000_000
+FRAME_NS, CYCLE_NS = 33_333_333, 5_000_000
 
 
 @pytest.fixture
@@ -77,7 +77,7 @@ def test_a_camera_whose_pictures_are_stamped_unevenly_keeps_its_pace(monitor: He
 
 def test_missed_deadlines_and_lost_scans_are_reported(monitor: HealthMonitor) -> None:
     rows = np.zeros(400, sample_dtype(3, 2))
-    rows["t_ns"] = 10**9 + np.arange(400) * 3 * TICK_NS
+    rows["t_ns"] = 10**9 + np.arange(400) * 3 * CYCLE_NS
     rows["missed"] = 2
     (told,) = monitor.samples(rows)
     assert "deadlines" in told.message
@@ -89,7 +89,7 @@ def test_a_tenth_of_the_deadlines_missed_in_a_second_is_reported_during_the_run(
     """A control process that is stopped for 12 ms repeatedly is reported during the run."""
     rows = np.zeros(200, sample_dtype(3, 2))
     rows["missed"][::10] = 1
-    rows["t_ns"] = 10**9 + np.cumsum(1 + rows["missed"]) * TICK_NS
+    rows["t_ns"] = 10**9 + np.cumsum(1 + rows["missed"]) * CYCLE_NS
     (told,) = monitor.samples(rows)
     assert "of the deadlines are missed" in told.message
     assert told.t_ns < 10**9 + 1_000_000_000
@@ -97,7 +97,7 @@ def test_a_tenth_of_the_deadlines_missed_in_a_second_is_reported_during_the_run(
 
 def test_a_single_missed_deadline_is_not_reported(monitor: HealthMonitor) -> None:
     rows = np.zeros(400, sample_dtype(3, 2))
-    rows["t_ns"] = 10**9 + np.arange(400) * TICK_NS
+    rows["t_ns"] = 10**9 + np.arange(400) * CYCLE_NS
     rows["missed"][200] = 2
     assert list(monitor.samples(rows)) == []
 

@@ -53,7 +53,7 @@ def test_a_run_to_the_end_leaves_safe_valves_a_finished_archive_and_status_0(tmp
     assert archive.pressure.protocol_s[-1] == pytest.approx(1.0)
     # No sooner than its protocol is long; where the machine stalls at its end, later.
     assert archive.pressure.time_s[-1] > 0.95
-    assert np.all(np.diff(archive.pressure.tick) >= 1)
+    assert np.all(np.diff(archive.pressure.cycle) >= 1)
     assert len(archive.tip.time_s) > 15
     assert "SIMULATED" in run.output
 

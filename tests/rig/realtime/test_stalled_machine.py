@@ -27,7 +27,7 @@ from runs.records import Level, sample_dtype
 from tests.support.plant_bench import mock_rig
 
 MS = 1_000_000
-TICK_NS = 5 * MS
+CYCLE_NS = 5 * MS
 BEGIN_NS = 100 * MS
 MOVING = """
 title: Both valves in motion
@@ -53,11 +53,11 @@ def test_after_a_stall_the_pressures_return_within_the_rate_limit(moving: RunPla
     bench.arm()
     bench.start()
     loop = ControlLoop(moving, bench)
-    still, standing = round(still_s * 1e9) // TICK_NS, round(at_s * 1e9) // TICK_NS
+    still, standing = round(still_s * 1e9) // CYCLE_NS, round(at_s * 1e9) // CYCLE_NS
     number = skipped = 0
     while not loop.finished:
-        late_ns = still * TICK_NS if number == standing else 0
-        now = BEGIN_NS + number * TICK_NS + late_ns
+        late_ns = still * CYCLE_NS if number == standing else 0
+        now = BEGIN_NS + number * CYCLE_NS + late_ns
         plant.advance(now)
         row, trip = loop.cycle(number, now, 1 + skipped, 0, False, late_ns, skipped)
         assert trip is None

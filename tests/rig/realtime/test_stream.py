@@ -142,7 +142,7 @@ def test_what_is_wrong_is_refused_with_its_reason_and_recorded(tmp_path: Path) -
         Client(run) as first,
         Client(run) as second,
     ):
-        assert "the run has not begun" in first.stream(0, 0.1, 0.1, 0.1)["said"]
+        assert "the run has not begun" in first.stream(0, 0.1, 0.1, 0.1)["message"]
         step = first.wait_for_the_step()
         assert step["actuators"] == [1, 2, 3]
         assert step["pressure_bar"] == run.config.limits.pressure_bar
@@ -159,11 +159,11 @@ def test_what_is_wrong_is_refused_with_its_reason_and_recorded(tmp_path: Path) -
         ):
             answer = first.stream(sequence, *values)
             assert not answer["done"]
-            assert reason in answer["said"]
-        assert "(test) sends the set-points" in second.stream(0, 0.1, 0.1, 0.1)["said"]
+            assert reason in answer["message"]
+        assert "(test) sends the set-points" in second.stream(0, 0.1, 0.1, 0.1)["message"]
         assert first.stream(9, 0.0, 0.2, 0.0)["done"]
         assert first.ask(do="pause")["done"]
-        assert "paused" in first.stream(10, 0.0, 0.2, 0.0)["said"]
+        assert "paused" in first.stream(10, 0.0, 0.2, 0.0)["message"]
         time.sleep(0.8)  # longer than timeout_s, which does not count now
         assert first.ask(do="resume")["done"]
         first.close()

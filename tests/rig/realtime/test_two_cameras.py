@@ -67,11 +67,11 @@ def test_softrig_waits_for_a_camera_whose_pictures_arrive_later(monkeypatch: pyt
     start_ns = time.monotonic_ns()
     cameras = opened(monkeypatch, Paced(start_ns), Paced(start_ns, late_ns=33_000_000))
     try:
-        shots = [cameras.read(1.0) for _ in range(20)]
+        frame_sets = [cameras.read(1.0) for _ in range(20)]
     finally:
         cameras.close()
-    assert np.mean([shot.frames[1] is not None for shot in shots]) > 0.6
-    assert np.all(np.diff([shot.t_ns for shot in shots]) > 0)
+    assert np.mean([frame_set.frames[1] is not None for frame_set in frame_sets]) > 0.6
+    assert np.all(np.diff([frame_set.t_ns for frame_set in frame_sets]) > 0)
 
 
 def test_old_pictures_of_a_returning_camera_do_not_turn_the_time_back(
@@ -81,12 +81,12 @@ def test_old_pictures_of_a_returning_camera_do_not_turn_the_time_back(
     away = Paced(start_ns, away_ns=(400_000_000, 700_000_000), late_afterwards_ns=150_000_000)
     cameras = opened(monkeypatch, away, Paced(start_ns))
     try:
-        shots = [cameras.read(1.0) for _ in range(40)]
+        frame_sets = [cameras.read(1.0) for _ in range(40)]
     finally:
         cameras.close()
-    assert {shot.leader for shot in shots} == {0, 1}
-    assert np.all(np.diff([shot.t_ns for shot in shots]) > 0)
-    assert np.all(np.diff([shot.index for shot in shots]) > 0)
+    assert {frame_set.leader for frame_set in frame_sets} == {0, 1}
+    assert np.all(np.diff([frame_set.t_ns for frame_set in frame_sets]) > 0)
+    assert np.all(np.diff([frame_set.index for frame_set in frame_sets]) > 0)
 
 
 def test_a_process_that_stalled_does_not_blame_its_cameras(monkeypatch: pytest.MonkeyPatch) -> None:

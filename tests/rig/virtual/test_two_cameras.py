@@ -101,7 +101,7 @@ def test_a_replay_measures_again_with_both(stereo: Run, tmp_path: Path) -> None:
     assert np.linalg.norm(off, axis=1).mean() < 0.05
 
 
-def shots(config: RigConfig, count: int, lose: int | None = None) -> list[FrameSet]:
+def frame_sets(config: RigConfig, count: int, lose: int | None = None) -> list[FrameSet]:
     cameras = [MockCamera(config, Sweep(), name, 5) for name in config.cameras]
     found = []
     for k in range(count):
@@ -115,7 +115,7 @@ def shots(config: RigConfig, count: int, lose: int | None = None) -> list[FrameS
 @pytest.mark.parametrize("lose", [0, 1])
 def test_a_camera_that_is_lost_leaves_the_other_to_measure(config: RigConfig, lose: int) -> None:
     eyes = MultiCameraTipEstimator(config)
-    seen = [eyes.measure(shot) for shot in shots(config, 8, lose)]
+    seen = [eyes.measure(frame_set) for frame_set in frame_sets(config, 8, lose)]
     assert all(m.seen is DetectionStatus.MEASURED for m in seen)
     assert seen[3].cameras == (DetectionStatus.MEASURED, DetectionStatus.MEASURED)
     assert seen[-1].cameras[lose] is DetectionStatus.NO_FRAME
@@ -130,8 +130,8 @@ def test_contradicting_cameras_give_no_measurement(config: RigConfig) -> None:
     pushed = left.placement.model_copy(update={"translation_mm": (x, y, z + 10.0)})
     cameras = {**config.cameras, "left": left.model_copy(update={"placement": pushed})}
     eyes = MultiCameraTipEstimator(config.model_copy(update={"cameras": cameras}))
-    for shot in shots(config, 3):
-        measured = eyes.measure(shot)
+    for frame_set in frame_sets(config, 3):
+        measured = eyes.measure(frame_set)
         assert measured.seen is DetectionStatus.DISAGREE
         assert np.all(np.isnan(measured.tip_m))
 

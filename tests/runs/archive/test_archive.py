@@ -430,4 +430,4 @@ def test_a_long_run_is_finalised_in_the_memory_of_a_short_one(tmp_path: Path, mo
     finally:
         tracemalloc.stop()
     assert peak < 0.5 * source.stat().st_size, "the rows were held, or what was made of them"
-    assert len(runs.open(made).pressure.tick) == 20_000
+    assert len(runs.open(made).pressure.cycle) == 20_000

@@ -205,11 +205,11 @@ def link(path: str, to: object) -> Callable[[h5py.File], object]:
         (link("entry/rig/yaml", h5py.ExternalLink("/etc/passwd", "/")), "entry/rig/yaml: found a link to elsewhere"),
         (link("entry/backbone/time", np.zeros(3)), "entry/backbone/time: found shape .3,., expected .90,."),
         (
-            put("entry/pressure/tick", shape=(600,), dtype="i8", external=[("/etc/passwd", 0, 4800)]),
-            "entry/pressure/tick: found data that is stored elsewhere, expected data in the file itself",
+            put("entry/pressure/cycle", shape=(600,), dtype="i8", external=[("/etc/passwd", 0, 4800)]),
+            "entry/pressure/cycle: found data that is stored elsewhere, expected data in the file itself",
         ),
         (
-            compressed_zeros("entry/pressure/tick", 100_000_000),
+            compressed_zeros("entry/pressure/cycle", 100_000_000),
             "all datasets together: found .* bytes once read, expected at most",
         ),
     ],

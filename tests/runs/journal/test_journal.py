@@ -59,7 +59,7 @@ def changed(tmp: Path, data: bytes) -> Path:
 
 def subset_of_truth(content: journal.Journal) -> bool:
     """Every row that was read is, bit for bit, the row that was written."""
-    truth = made_up.samples(1.0)[content.samples[:]["tick"]] if len(content.samples) else content.samples[:]
+    truth = made_up.samples(1.0)[content.samples[:]["cycle"]] if len(content.samples) else content.samples[:]
     return truth.tobytes() == content.samples[:].tobytes()
 
 
@@ -99,7 +99,7 @@ def test_the_public_mcap_reader_reads_it_and_finds_every_checksum_right(whole: P
 def test_a_row_is_described_for_viewers_in_the_order_of_its_bytes() -> None:
     assert messages.row_definition(sample_dtype(3, 2)).splitlines() == [
         "int64 t_ns",
-        "int64 tick",
+        "int64 cycle",
         "float64 protocol_s",
         "float64[3] setpoint_pa",
         "float64[3] measured_pa",
@@ -212,7 +212,7 @@ def test_the_rows_may_be_reused_after_the_call(tmp_path: Path) -> None:
     rows = made_up.samples(0.1)
     kept = rows.copy()
     writer.samples(rows)
-    rows["tick"] = -1
+    rows["cycle"] = -1
     writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
     assert journal.read(path).samples[:].tobytes() == kept.tobytes()
 
@@ -383,5 +383,5 @@ def test_the_journal_of_another_version_is_read_by_the_names_of_its_columns(
     monkeypatch.undo()
     samples = journal.read(tmp_path / "old.mcap").samples[:]
     assert samples.dtype == sample_dtype(3, 2)
-    assert (list(samples["t_ns"]), samples["measured_pa"][1, 2], samples["tick"][0]) == ([5, 6], 7.0, 0)
+    assert (list(samples["t_ns"]), samples["measured_pa"][1, 2], samples["cycle"][0]) == ([5, 6], 7.0, 0)
     assert np.isnan(samples["setpoint_pa"]).all()

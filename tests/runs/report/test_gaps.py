@@ -23,17 +23,17 @@ from runs.summary import summarise
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """A dwell and a sine of 4 s, in which 16 frames are dropped, and a stretch of ticks is lost."""
+    """A dwell and a sine of 4 s, in which 16 frames are dropped, and a stretch of cycles is lost."""
     played = (
         Interval(0.0, 2.0, "dwell", "rest", (5000.0, 0.0, 0.0)),
         Interval(2.0, 4.0, "sine", "", (5000.0, 0.0, 0.0)),
     )
     path = tmp_path_factory.mktemp("gaps") / "run.mcap"
     writer = JournalWriter(path, replace(made_up.header("run", 4.0), intervals=played))
-    ticks, frames = made_up.samples(4.0), made_up.observations(4.0)
+    cycles, frames = made_up.samples(4.0), made_up.observations(4.0)
     frames["dropped"] = 0
     frames["dropped"][66] = 16
-    writer.samples(np.delete(ticks, slice(300, 400)))
+    writer.samples(np.delete(cycles, slice(300, 400)))
     writer.observations(np.delete(frames, slice(50, 66)))
     writer.close(RunFooter(made_up.START_NS + 4_000_000_000, Status.FINISHED, "", {"dropped_frames": 16}))
     return runs.open(finalise(path))
@@ -98,7 +98,7 @@ def test_no_curve_of_several_runs_bridges_dropped_frames(run: Run) -> None:
     assert np.isnan(line[50, 1])
 
 
-def test_no_pressure_bridges_lost_ticks(run: Run) -> None:
+def test_no_pressure_bridges_lost_cycles(run: Run) -> None:
     figure = Figure(figsize=(9, 6))
     figures.pressures(figure, run, summarise(run))
     assert not is_bridged(lines(figure)["actuator 1"], 1.4999, 1.9999)
