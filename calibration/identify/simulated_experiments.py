@@ -226,8 +226,9 @@ def run_trial(trial: CoverageTrial) -> Array:
 
 def drawn_setup(setup: Setup, stated: Mapping[str, Prior], rng: np.random.Generator) -> Setup:
     """A setup whose every number is drawn from what is stated of it, within its bounds; without sensor offsets."""
+    absent = ALL_NAMES - set(memory_names(setup.arm))
     for name, parameter in known(setup.arm.geometry.actuators).items():
-        if not parameter.per_run:
+        if not parameter.per_run and name not in absent:
             value = rng.normal(stated[name].mean, stated[name].std)
             setup = parameter.write(setup, float(np.clip(value, parameter.lower, parameter.upper)))
     return setup
