@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.identify.data import Poses
 from calibration.identify.fit import identify
+from calibration.identify.memory_parameters import ALL_NAMES, memory_names
 from calibration.identify.orientation import MIN_FRAMES, Orientations
 from calibration.identify.parameters import Prior, Setup, known, named
 from calibration.identify.pressure_course import PressureCourse
