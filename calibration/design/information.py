@@ -77,9 +77,14 @@ def block_information(problem: LeastSquaresProblem, frames: Sequence[slice]) -> 
 def error_bars(planned: Sequence[Poses], unknowns: Unknowns) -> ErrorBars:
     """Expected standard errors (Cramer-Rao bound) of an identification from all the planned experiments together."""
     problem = unknowns.problem(planned)
+    rows, prior = problem.whitened_slopes(np.zeros(len(problem.unknowns)))
+    data = np.sum([np.einsum("kin,kim->nm", own, own) for own in rows], axis=0)
+    return bars_of(problem, unknowns, prior.T @ prior + data)
+
+
+def bars_of(problem: LeastSquaresProblem, unknowns: Unknowns, information: Array) -> ErrorBars:
+    """Standard errors of the parameters of interest by the information (n, n) of data and priors, in spans."""
     z = np.zeros(len(problem.unknowns))
-    rows, prior = problem.whitened_slopes(z)
-    information = prior.T @ prior + np.sum([np.einsum("kin,kim->nm", own, own) for own in rows], axis=0)
     chosen = of_interest(problem, unknowns)
     rates = problem.rates(z)
     scaled = covariance(information) * np.outer(rates, rates)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +16,9 @@ from calibration.identify.errors import NoDataError
 from calibration.identify.fit import identify
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.memory_parameters import memory_names
+from calibration.identify.nuisance import nuisance_parameters
 from calibration.identify.parameters import PUSH_GROWTH, Prior, Setup, named
+from calibration.identify.results import Fit
 from calibration.identify.tip_predictor import SUBSTEPS, Predictor
 from calibration.parallel_map import Progress, parallel_map
 from model.actuation import ACTUATION_LAWS, Proportional, StopElement
@@ -33,6 +36,10 @@ DAMPING = "damping_s"
 TYPICAL_BRANCH, TYPICAL_STOP = MaxwellBranch(0.03, 5.0), StopElement(0.05, 2e3)
 # Leave-one-out for up to this many runs, else this many folds.
 _FOLDS = 10
+# Parts of equal length that a single run is divided into, each left out once; and the fewest tips of such a run.
+_PARTS, _FEWEST_TIPS = 5, 10
+# Differences of BIC below which the data do not decide between two models (Kass and Raftery 1995).
+_MIN_DECISIVE = 2.0
 # Most data per run, to bound the time of slow candidates: first frames of a motion, or poses.
 _MAX_FRAMES, _MAX_POSES = 2000, 300
 # Numbers in the result of `fit_all` before the values.
@@ -76,7 +83,7 @@ class Candidate:
 class ComparisonRow:
     """One line of the table.
 
-    error_percent: mean distance of a left-out run's tips from their prediction over the tip's own excursion, as in
+    error_percent: mean distance of left-out tips from their prediction over the tip's own excursion, as in
     Table 3. error_m: the same distance, rms. dof: fitted numbers. damping_s: estimate, None if not identified.
     """
 
@@ -153,14 +160,46 @@ def _with_damping(setup: Setup, damping_s: float) -> Setup:
 
 
 @dataclass(frozen=True)
+class HeldOut:
+    """Tips to predict: a run, and which of its entries (K,) were left out of the fit."""
+
+    poses: Poses
+    entries: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Fold:
+    """One division of the data: what is fitted, and what is predicted."""
+
+    fitted: tuple[Poses, ...]
+    held_out: tuple[HeldOut, ...]
+
+
+@dataclass(frozen=True)
 class ComparisonFit:
-    """One task: a candidate, the runs to fit, initial values, and the held-out runs to predict."""
+    """One task: a candidate, the runs to fit, initial values, and the tips to predict.
+
+    stated: value and uncertainty of what is not free, by name; without it, these numbers are exact.
+    """
 
     candidate: Candidate
     data: tuple[Poses, ...]
     priors: tuple[tuple[str, Prior], ...]
     initial_values: tuple[tuple[str, str, float], ...] = ()
-    held_out: tuple[Poses, ...] = ()
+    held_out: tuple[HeldOut, ...] = ()
+    stated: tuple[tuple[str, Prior], ...] | None = None
+
+    def fit(self) -> Fit:
+        """The fit of the candidate to the data."""
+        return identify(
+            self.data,
+            self.candidate.start,
+            self.candidate.free,
+            dict(self.priors),
+            initial_values={(name, run): value for name, run, value in self.initial_values} or None,
+            substeps=SUBSTEPS,
+            stated=None if self.stated is None else dict(self.stated),
+        )
 
 
 def compare_models(
@@ -171,45 +210,75 @@ def compare_models(
     scheduler: str | None = None,
     store: Path | None = None,
     progress: Progress | None = None,
+    stated: Mapping[str, Prior] | None = None,
 ) -> ModelComparison:
     """Fit every candidate to all runs, and cross-validate it over runs (leave-one-out, or `_FOLDS` folds).
 
-    The other arguments are those of `parallel_map`.
+    A single run is divided into `_PARTS` parts in time. stated: as for `identify`. The other arguments are those of
+    `parallel_map`.
 
     Raises:
-        NoDataError: fewer than two runs.
+        NoDataError: no run, or a single one with too few tips.
     """
-    if len(data) < 2:
-        raise NoDataError("models are compared by predicting runs left out: give at least two runs")
-    folds = min(len(data), _FOLDS)
-    total = len(models) * (1 + folds)
+    folds = _folds(data)
+    total = len(models) * (1 + len(folds))
 
     def done(before: int) -> Progress | None:
         return None if progress is None else lambda now, _: progress(before + now, total)
 
-    known = tuple((priors or {}).items())
-    wholes = [ComparisonFit(candidate, tuple(data), known) for candidate in models]
+    known, numbers = tuple((priors or {}).items()), None if stated is None else tuple(stated.items())
+    wholes = [ComparisonFit(candidate, tuple(data), known, stated=numbers) for candidate in models]
     # The slow candidates are last in the table and start first, to balance the load of the cores.
     fitted = parallel_map(fit_all, wholes[::-1], workers, scheduler, store, done(0))[::-1]
     names = [_unknowns(task) for task in wholes]
     parts = [
         ComparisonFit(
             task.candidate,
-            tuple(poses for k, poses in enumerate(data) if k % folds != fold),
+            fold.fitted,
             known,
             tuple((*of, value) for of, value in zip(unknowns, found[_FACTS:].tolist(), strict=True)),
-            tuple(data[fold::folds]),
+            fold.held_out,
+            numbers,
         )
         for task, unknowns, found in zip(wholes, names, fitted, strict=True)
-        for fold in range(folds)
+        for fold in folds
     ]
     errors = parallel_map(prediction_errors, parts[::-1], workers, scheduler, store, done(len(models)))[::-1]
     rows = tuple(
-        _row(candidate, found, np.concatenate(errors[k * folds : (k + 1) * folds], axis=1))
+        _row(candidate, found, np.concatenate(errors[k * len(folds) : (k + 1) * len(folds)], axis=1))
         for k, (candidate, found) in enumerate(zip(models, fitted, strict=True))
     )
     best = min(rows, key=lambda row: row.error_m)
-    return ModelComparison(rows, best, sentence(rows, best))
+    text = sentence(rows, best, "runs" if len(data) > 1 else "parts of the run")
+    return ModelComparison(rows, best, f"{text} {decision(rows)}" if len(rows) == 2 else text)
+
+
+def _folds(data: Sequence[Poses]) -> list[Fold]:
+    """Divisions of the data, each of which leaves out runs, or a part of a single run."""
+    if len(data) > 1:
+        count = min(len(data), _FOLDS)
+        return [
+            Fold(
+                tuple(poses for k, poses in enumerate(data) if k % count != fold),
+                tuple(HeldOut(poses, np.ones(len(poses), np.bool_)) for poses in data[fold::count]),
+            )
+            for fold in range(count)
+        ]
+    if not data or data[0].has_tip.sum() < _FEWEST_TIPS:
+        raise NoDataError(
+            "models are compared by predicting runs left out: give at least two runs, or one with at least "
+            f"{_FEWEST_TIPS} plateaus"
+        )
+    (poses,) = data
+    part = np.minimum(np.arange(len(poses)) * _PARTS // len(poses), _PARTS - 1)
+    return [Fold((_without(poses, part == k),), (HeldOut(poses, part == k),)) for k in range(_PARTS)]
+
+
+def _without(poses: Poses, entries: NDArray[np.bool_]) -> Poses:
+    """Poses without some entries; a motion keeps the pressures there, because what follows depends on them."""
+    if poses.moving:
+        return replace(poses, tip_m=np.where(entries[:, None], np.nan, poses.tip_m))
+    return poses.only(~entries)
 
 
 def compared(poses: Poses) -> Poses:
@@ -232,7 +301,7 @@ def excursion(poses: Poses) -> Array:
 
 def fit_all(task: ComparisonFit) -> Array:
     """AIC, BIC, fitted numbers and damping (NaN: undecided) of a fit to all runs; then the value of each unknown."""
-    fit = identify(task.data, task.candidate.start, task.candidate.free, dict(task.priors), substeps=SUBSTEPS)
+    fit = task.fit()
     damping = next((e.value for e in fit.estimates if e.name == DAMPING), None)
     facts = [fit.aic, fit.bic, float(fit.fitted), np.nan if damping is None else damping]
     return np.array(facts + [e.used for e in fit.estimates])
@@ -240,17 +309,13 @@ def fit_all(task: ComparisonFit) -> Array:
 
 def prediction_errors(task: ComparisonFit) -> Array:
     """Prediction errors of the held-out tips: distances [m], and distances over the excursion of the run, (2, K)."""
-    initial_values = {(name, run): value for name, run, value in task.initial_values}
-    candidate = task.candidate
-    fit = identify(
-        task.data, candidate.start, candidate.free, dict(task.priors), initial_values=initial_values, substeps=SUBSTEPS
-    )
-    setup, found = fit.setup, []
-    for poses in task.held_out:
+    setup, found = task.fit().setup, []
+    for held in task.held_out:
+        poses = held.poses
         moved, seen = excursion(poses), poses.has_tip
         error = np.linalg.norm(poses.tip_m - Predictor(poses)(setup), axis=1)
         # Without a solution the prediction is the tip at rest.
-        error = np.where(np.isfinite(error), error, moved)[seen]
+        error = np.where(np.isfinite(error), error, moved)[seen & held.entries]
         found.append(np.stack([error, error / moved[seen].max()]))
     return np.concatenate(found, axis=1)
 
@@ -258,7 +323,9 @@ def prediction_errors(task: ComparisonFit) -> Array:
 def _unknowns(task: ComparisonFit) -> list[tuple[str, str]]:
     """Name and run of each unknown, in the order of `fit_all`."""
     start = task.candidate.start
-    problem = LeastSquaresProblem(task.data, start, named(task.candidate.free, start.arm.geometry.actuators))
+    free = named(task.candidate.free, start.arm.geometry.actuators)
+    beside = () if task.stated is None else nuisance_parameters(start, task.data, free)
+    problem = LeastSquaresProblem(task.data, start, (*free, *beside))
     return [(u.parameter.name, "" if u.run is None else task.data[u.run].run_id) for u in problem.unknowns]
 
 
@@ -275,10 +342,25 @@ def _row(candidate: Candidate, found: Array, errors: Array) -> ComparisonRow:
     )
 
 
-def sentence(rows: Sequence[ComparisonRow], best: ComparisonRow) -> str:
-    """The conclusion of a comparison, with a warning if the BIC of the fits to all runs prefers another model."""
+def decision(rows: Sequence[ComparisonRow]) -> str:
+    """Which of two models the data prefer, by the lower BIC; the odds are exp of half the difference."""
     name = _named(rows)
-    text = f"{name(best)} predicts runs left out best: {best.error_m * 1e3:.3g} mm rms"
+    preferred, other = sorted(rows, key=lambda row: row.bic)
+    gain = other.bic - preferred.bic
+    if gain < _MIN_DECISIVE:
+        return f"The data do not decide between {name(preferred)} and {name(other)} (BIC {gain:.1f} apart)."
+    power = gain / 2 / math.log(10)
+    odds = f"about {10**power:.0f}" if power < 3 else "more than 1000"
+    return f"Decision: {name(preferred)}; BIC lower by {gain:.1f}, odds of {odds} to 1 against {name(other)}."
+
+
+def sentence(rows: Sequence[ComparisonRow], best: ComparisonRow, parts: str = "runs") -> str:
+    """The conclusion of a comparison, with a warning if the BIC of the fits to all data prefers another model.
+
+    parts: what was left out.
+    """
+    name = _named(rows)
+    text = f"{name(best)} predicts {parts} left out best: {best.error_m * 1e3:.3g} mm rms"
     simpler = [r for r in rows if r.dof < best.dof]
     if simpler:
         rival = min(simpler, key=lambda row: row.error_m)
@@ -293,9 +375,9 @@ def sentence(rows: Sequence[ComparisonRow], best: ComparisonRow) -> str:
     fittest = min(rows, key=lambda row: row.bic)
     if (better := best.bic - fittest.bic) > _MIN_BIC_GAIN and fittest not in simpler:
         text += (
-            f" All runs together {name(fittest)} meets better (BIC lower by {better:.0f}): the runs are too few, or "
+            f" All {parts} together {name(fittest)} meets better (BIC lower by {better:.0f}): the {parts} are too few, "
         )
-        text += "too different, for each to be predicted from the others."
+        text += "or too different, for each to be predicted from the others."
     return text
 
 

@@ -258,12 +258,21 @@ class Fit:
         return rms(np.concatenate([run.error_m for run in self.runs]))
 
     @property
+    def penalised_log_likelihood(self) -> float:
+        """Log likelihood of the data, less half the squared distances from the priors: implausible values cost."""
+        gaps = self.problem.prior_rows(self.solution.z)[1]
+        return self.log_likelihood - 0.5 * float(gaps @ gaps)
+
+    @property
     def aic(self) -> float:
-        """Akaike information criterion (AIC); the discrepancy counts as one parameter."""
-        return 2 * (self.fitted + 1) - 2 * self.log_likelihood
+        """Akaike information criterion (AIC), penalised by the priors; the discrepancy counts as one parameter."""
+        return 2 * (self.fitted + 1) - 2 * self.penalised_log_likelihood
 
     @property
     def bic(self) -> float:
-        """Bayesian information criterion (BIC, Schwarz); the sample size is the number of independent tips."""
+        """Bayesian information criterion (BIC, Schwarz), penalised by the priors.
+
+        The sample size is the number of independent tips.
+        """
         new = sum(np.isfinite(run.gap).sum() / max(run.correlation, 1.0) for run in self.runs)
-        return float((self.fitted + 1) * np.log(max(new, 2.0)) - 2 * self.log_likelihood)
+        return float((self.fitted + 1) * np.log(max(new, 2.0)) - 2 * self.penalised_log_likelihood)

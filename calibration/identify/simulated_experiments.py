@@ -140,6 +140,14 @@ def perform(
     return replace(done, orientation=replace(planned.orientation, rotation=rotation))
 
 
+def perform_as_planned(planned: Poses, truth: Setup, rng: np.random.Generator, errors: MeasurementErrors) -> Poses:
+    """As `perform`, but the errors of the tips are drawn from the covariances of the plan, those of the pressures from
+    `errors`."""
+    exact = perform(planned, truth, rng, replace(errors, tip_m=(0.0, 0.0, 0.0)))
+    root = np.linalg.cholesky(planned.covariance_m2)
+    return replace(exact, tip_m=exact.tip_m + np.einsum("kij,kj->ki", root, rng.standard_normal(exact.tip_m.shape)))
+
+
 @dataclass(frozen=True)
 class CoverageTrial:
     """One simulated identification: planned runs, true and starting setup, free parameters, and the seed.

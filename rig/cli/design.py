@@ -18,11 +18,22 @@ Criterion = Annotated[
 ]
 
 
+Compare = Annotated[
+    tuple[str, str] | None,
+    typer.Option(
+        "--compare",
+        metavar="LAW_A LAW_B",
+        help="Separate two laws instead, by the names of `rig identify compare` or shorter: homogeneous+rpe secant.",
+    ),
+]
+
+
 def design(
     free: Free = "",
     rig: RigName = None,
     duration_s: Duration = 60.0,
     criterion: Criterion = "d",
+    compare: Compare = None,
     seed: Seed = 0,
     to: OutputFile = Path("design.yaml"),
     replace: Replace = False,
@@ -30,41 +41,33 @@ def design(
 ) -> None:
     """Write the protocol that makes the error bars of an identification smallest.
 
-    Without --free: the default parameters of `rig identify` for motions, and the shear ratio.
+    Without --free: the default parameters of `rig identify` for motions, and the shear ratio. --compare writes the
+    protocol that separates two laws, for `rig identify compare RUN --between LAW_A LAW_B`.
     """
-    import json as json_text
-
-    from rig.cli.column_table import ColumnTable
-    from rig.cli.console import console
+    from rig.cli import design_output as output
     from rig.config.loader import chosen_rig, read
-    from rig.design.design import LIBRARY
-    from rig.design.design import design as find
     from runs.overwriting import refuse_existing
 
+    if compare is not None and (free or criterion != "d"):
+        given = "--free" if free else "--criterion"
+        raise typer.BadParameter("--compare has its own free parameters and criterion", param_hint=given)
     refuse_existing([to], replace=replace)
-    names = [name.strip() for name in free.split(",") if name.strip()]
-    found = find(read(chosen_rig(rig).name).config, names, duration_s, criterion, seed)
+    config = read(chosen_rig(rig).name).config
+    if compare is None:
+        from rig.design.design import design as find
+
+        names = [name.strip() for name in free.split(",") if name.strip()]
+        found = find(config, names, duration_s, criterion, seed)
+        _write(to, found.text)
+        output.error_bars(found, to, json)
+    else:
+        from rig.design.law_comparison import design_comparison
+
+        separated = design_comparison(config, compare, duration_s, seed)
+        _write(to, separated.text)
+        output.separations(separated, to, json)
+
+
+def _write(to: Path, text: str) -> None:
     to.parent.mkdir(parents=True, exist_ok=True)
-    to.write_text(found.text, encoding="utf-8")
-    bars, library = found.bars, found.library
-    if json:
-        numbers = zip(bars.values.tolist(), bars.std.tolist(), library.std.tolist(), strict=True)
-        labels = zip(bars.names, bars.units, bars.decided.tolist(), strict=True)
-        rows = {
-            name: {"value": value, "std": std, "std_library": other, "unit": unit, "identified": decided}
-            for (name, unit, decided), (value, std, other) in zip(labels, numbers, strict=True)
-        }
-        typer.echo(json_text.dumps({"protocol": str(to), "parameters": rows}, indent=2))
-        return
-    table = ColumnTable()
-    for head in ("parameter", "value", "design +-", "library +-", "ratio", "unit", "identified"):
-        table.add_column(head)
-    words = ["yes" if decided else "no" for decided in bars.decided]
-    for name, value, std, other, unit, said in zip(
-        bars.names, bars.values, bars.std, library.std, bars.units, words, strict=True
-    ):
-        table.add_row(name, f"{value:.4g}", f"{std:.3g}", f"{other:.3g}", f"{std / other:.2f}", unit, said)
-    screen = console()
-    screen.print(table)
-    screen.print(f"expected standard errors; library: {', '.join(LIBRARY)} together")
-    typer.echo(to)
+    to.write_text(text, encoding="utf-8")

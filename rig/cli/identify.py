@@ -39,6 +39,10 @@ QuasiStatic = Annotated[
 Store = Annotated[
     Path | None, typer.Option("--store", metavar="DIR", help="Keep finished fits in this folder, to resume.")
 ]
+Between = Annotated[
+    tuple[str, str] | None,
+    typer.Option("--between", metavar="LAW_A LAW_B", help="Only these two laws, by the names of the table or shorter."),
+]
 
 
 @app.command(cls=EstimationCommand)
@@ -181,11 +185,13 @@ def compare(
     quasi_static: QuasiStatic = False,
     scheduler: Scheduler = None,
     store: Store = None,
+    between: Between = None,
     json: AsJson = False,
 ) -> None:
     """Compare the paper's models by cross-validation over runs, as in its Table 3.
 
-    Without --free, the base is free in every model.
+    A single run is divided into parts. Without --free, the base is free in every model. --between decides between two
+    laws; then every uncertain number of the rig is estimated, too, as in `rig identify`.
     """
     from rig.cli import identification_output as output
     from rig.cli.progress import progress_bar
@@ -195,7 +201,8 @@ def compare(
     seen = _opened(archives).seen
     start, data = initial_setup.setup_of(seen[0]), _read(seen, quasi_static)
     with progress_bar("fitting") as progress:
-        found = model_comparison.compare(start, data, _names(free), priors, scheduler, store, progress)
+        config = initial_setup.rig_of(seen[0]) if between else None
+        found = model_comparison.compare(start, data, _names(free), priors, scheduler, store, progress, between, config)
     output.comparison(found, json)
 
 

@@ -12,13 +12,19 @@ from protocols import from_steps
 from rig.config.schema import RigConfig
 from rig.experiment.preflight import check
 
-BLOCK_S = 4.5
+BLOCK_S = 4.0
 # Levels as fractions of the pressure limit: at rest, where sensors are not at the foot of their scale, and the highest.
 _REST, _HIGHEST = 0.1, 0.95
 # Steepest set-point as a fraction of the rate limit.
 _STEEPEST = 0.9
 _FREQUENCIES_HZ = (0.4, 0.8, 1.6, 3.2)
-_LEVELS = (0.5, 1.0)
+_MEANS = (0.5, 1.0)
+# Levels of a valve in steps, as fractions of the way from rest to the highest level: the finest grid with at most so
+# many combinations is used, the last one with more valves.
+_GRIDS = ((0.0, 0.35, 0.7, 1.0), (0.0, 0.5, 1.0), (0.0, 1.0))
+_MAX_COMBINATIONS = 30
+# Share of the dwell that is spent at the level; the rest of it is at the rest level.
+_DWELL_SHARE = 0.95
 _LEAD_IN_S = 1.0
 _MIN_AMPLITUDE_BAR = 0.01
 # Time at rest after a sinusoid; and the factor by which an amplitude that breaks a limit shrinks.
@@ -38,7 +44,7 @@ def rest_bar(config: RigConfig) -> float:
 
 
 def blocks(config: RigConfig) -> tuple[Block, ...]:
-    """Every block that a rig can do: steps and sinusoids of each combination of valves, in phase and in sequence."""
+    """Every block that a rig can do: steps to combinations of levels, and sinusoids in phase and in sequence."""
     return tuple(itertools.chain(_steps(config), _sines(config)))
 
 
@@ -56,20 +62,36 @@ def _fall_s(config: RigConfig) -> float:
     return round((_HIGHEST - _REST) * limits.pressure_bar / (_STEEPEST * limits.rate_bar_per_s) + 0.005, 2)
 
 
+def _combinations(config: RigConfig) -> list[tuple[float, ...]]:
+    """Levels of the valves, as fractions of the way from rest to the highest level; not all at rest."""
+    for grid in _GRIDS:
+        if len(grid) ** len(config.valves) - 1 <= _MAX_COMBINATIONS:
+            break
+    return list(itertools.product(grid, repeat=len(config.valves)))[1:]
+
+
 def _steps(config: RigConfig) -> Iterator[Block]:
     """Up as fast as the limit allows, a dwell, and down again: all frequencies at once."""
-    limits, rest, fall_s = config.limits, rest_bar(config), _fall_s(config)
-    for group, share in itertools.product(_valve_groups(config), _LEVELS):
-        actuators = sorted(itertools.chain(*group))
-        level = round(rest + share * (_HIGHEST * limits.pressure_bar - rest), 4)
-        rise_s = round((level - rest) / (_STEEPEST * limits.rate_bar_per_s) + 0.005, 2)
-        dwell_s = round(max(BLOCK_S - rise_s - fall_s, 0.0) / 2, 3)
+    rest, fall_s = rest_bar(config), _fall_s(config)
+    span = _HIGHEST * config.limits.pressure_bar - rest
+    for combination in _combinations(config):
+        to_bar = {
+            actuator: round(rest + fraction * span, 4)
+            for valve, fraction in zip(config.valves, combination, strict=True)
+            for actuator in valve.actuators
+            if fraction
+        }
+        actuators = sorted(to_bar)
+        rise_s = round(max(combination) * fall_s + 0.005, 2)
+        dwell_s = max(BLOCK_S - rise_s - fall_s, 0.1)
+        high_s = round(_DWELL_SHARE * dwell_s, 3)
+        ramp = {"actuators": actuators, "to_bar": [to_bar[one] for one in actuators], "duration_s": rise_s}
         block = Block(
             (
-                {"ramp": {"actuators": actuators, "to_bar": level, "duration_s": rise_s}},
-                {"hold": {"duration_s": dwell_s}},
+                {"ramp": ramp},
+                {"hold": {"duration_s": high_s}},
                 _ramp_down(config, actuators),
-                {"hold": {"duration_s": dwell_s}},
+                {"hold": {"duration_s": round(dwell_s - high_s, 3)}},
             )
         )
         if _is_possible(config, block):
@@ -80,7 +102,7 @@ def _sines(config: RigConfig) -> Iterator[Block]:
     """Sinusoids as large as the limits allow; the valves in phase, and one after the other."""
     limits, rest = config.limits, rest_bar(config)
     span = _HIGHEST * limits.pressure_bar - rest
-    for group, share, hertz in itertools.product(_valve_groups(config), _LEVELS, _FREQUENCIES_HZ):
+    for group, share, hertz in itertools.product(_valve_groups(config), _MEANS, _FREQUENCIES_HZ):
         largest = min(share * span / 2, _STEEPEST * limits.rate_bar_per_s / (2 * math.pi * hertz))
         for spread in (0.0, 120.0) if len(group) > 1 else (0.0,):
             amplitude = largest

@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 import protocols
 from calibration.design.exchange import CRITERIA, choose
-from calibration.design.information import ErrorBars, Unknowns, block_information, error_bars, of_interest
+from calibration.design.information import (
+    ErrorBars,
+    Unknowns,
+    bars_of,
+    block_information,
+    error_bars,
+    of_interest,
+)
 from calibration.identify.data import Poses
 from calibration.identify.nuisance import nuisance_parameters
 from calibration.identify.parameters import DAMPING_S, Setup, named
@@ -37,15 +44,23 @@ ENDS_S = 2.0
 # Time steps per frame while blocks are compared; the final error bars have the steps of an identification.
 _SEARCH_SUBSTEPS = 4
 
+# Repeats of every block after which only priors limit the error bars.
+_WITHOUT_END = 1e6
+
 
 @dataclass(frozen=True)
 class Design:
-    """A designed protocol, its text, the expected error bars, and those of the runs of `LIBRARY` together."""
+    """A designed protocol, its text, the expected error bars, and those of the runs of `LIBRARY` together.
+
+    limit: the error bars that no number of such blocks makes smaller. They come from what the rig file states of the
+    other parameters.
+    """
 
     protocol: Protocol
     text: str
     bars: ErrorBars
     library: ErrorBars
+    limit: ErrorBars
 
 
 def design(
@@ -68,14 +83,14 @@ def design(
     """
     _check_inputs(config, duration_s, criterion)
     errors = errors or MeasurementErrors()
-    chosen = tuple(free) or (*default_parameters(config), "shear_ratio", "damping_s")
+    chosen = tuple(free) or free_parameters(config)
     candidates = blocks(config)
     if not candidates:
         fault = f"limits that leave room for a block of {BLOCK_S:g} s: more rate_bar_per_s"
         raise BadInputError([Problem("design", 0, 0, "limits", f"{config.limits.rate_bar_per_s:g} bar/s", fault)])
     every = protocols.from_steps("every block", _framed(config, candidates)).expand(config.actuators)
     motion = expected_poses("blocks", every, config, errors)
-    unknowns = _unknowns(config, chosen, [motion])
+    unknowns = unknowns_of(config, chosen, [motion])
     problem = unknowns.problem([motion], _SEARCH_SUBSTEPS)
     first = [round((ENDS_S + k * BLOCK_S) / motion.period_s) for k in range(len(candidates) + 1)]
     information, prior = block_information(problem, [slice(a, b) for a, b in itertools.pairwise(first)])
@@ -90,8 +105,9 @@ def design(
         raise BadInputError(list(problems))
     bars = error_bars([expected_poses("design", trajectory, config, errors)], unknowns)
     known = [expected_poses(name, protocols.load(name).expand(config.actuators), config, errors) for name in LIBRARY]
-    library = error_bars(known, _unknowns(config, chosen, known))
-    return Design(protocol, _text(title, steps, config, bars, criterion, seed), bars, library)
+    library = error_bars(known, unknowns_of(config, chosen, known))
+    limit = bars_of(problem, unknowns, prior + _WITHOUT_END * information.sum(axis=0))
+    return Design(protocol, _text(title, steps, config, bars, criterion, seed), bars, library, limit)
 
 
 def _check_inputs(config: RigConfig, duration_s: float, criterion: str) -> None:
@@ -104,7 +120,13 @@ def _check_inputs(config: RigConfig, duration_s: float, criterion: str) -> None:
         raise BadInputError([Problem("--duration-s", 0, 0, "", f"{duration_s:g} s", expected)])
 
 
-def _unknowns(config: RigConfig, free: Sequence[str], planned: Sequence[Poses]) -> Unknowns:
+def free_parameters(config: RigConfig) -> tuple[str, ...]:
+    """The default free parameters of `rig identify` for motions, and the shear ratio."""
+    return (*default_parameters(config), "shear_ratio", "damping_s")
+
+
+def unknowns_of(config: RigConfig, free: Sequence[str], planned: Sequence[Poses]) -> Unknowns:
+    """What `rig identify` would estimate from planned experiments of a rig."""
     start = _damped(Setup(model_arm(config)))
     parameters = named(free, config.actuators)
     beside = nuisance_parameters(start, planned, parameters)

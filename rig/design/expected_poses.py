@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from calibration.identify.data import SETTLE_S, Poses
 from calibration.identify.simulated_experiments import MeasurementErrors, plan
-from protocols import SetPointTrajectory
+from protocols import BadInputError, Problem, SetPointTrajectory
 from rig.config.schema import RigConfig
 from runs.interpolation import interpolated
 
@@ -24,7 +24,14 @@ def expected_poses(name: str, trajectory: SetPointTrajectory, config: RigConfig,
     """The plateaus of a protocol if they cover a quarter of its frames, else its motion (as `poses_of` of an archive).
 
     Chambers follow the set-points with the time constant of the rig's regulator.
+
+    Raises:
+        BadInputError: the rig has no camera, so that no tip would be measured.
     """
+    if not config.cameras:
+        raise BadInputError(
+            [Problem(config.name, 0, 0, "cameras", "none", "a camera: a design is about measured tips")]
+        )
     rate_hz = next(iter(config.cameras.values())).rate_hz
     frames = int(trajectory.duration_s * rate_hz)
     plateaus = [s for s in trajectory.segments if s.still and s.stop_s - s.start_s > SETTLE_S]

@@ -9,7 +9,9 @@ from pathlib import Path
 from calibration.identify.data import Poses
 from calibration.identify.model_comparison import ModelComparison, candidates, compare_models, compared
 from calibration.identify.parameters import Prior, Setup
-from rig.identify.estimation import Progress, check_priors
+from rig.config.schema import RigConfig
+from rig.identify.estimation import Progress, check_priors, rig_uncertainties, sensor_priors
+from rig.identify.law_names import BASE, laws_named
 
 
 @dataclass(frozen=True)
@@ -39,21 +41,35 @@ def compare(
     scheduler: str | None = None,
     store: Path | None = None,
     progress: Progress = lambda done, total: None,
+    between: tuple[str, str] | None = None,
+    config: RigConfig | None = None,
 ) -> RunComparison:
-    """Compare the models on the data of several runs by cross-validation.
+    """Compare the models on the data of one or several runs by cross-validation.
 
     `free`: parameters that are free in every model beside its law; by default the pose of the base. scheduler, store:
-    as for the bootstrap.
+    as for the bootstrap. between: only these two laws. Then every uncertain number of the rig `config` is a nuisance
+    parameter, as in `from_poses`, and motions have a free damping.
 
     Raises:
         UnknownParameter: a name is unknown, or a prior belongs to a parameter that is free in no model.
-        BadInputError: a prior is implausible.
+        BadInputError: a prior is implausible, or a law is unknown.
+        NoDataError: a single run is too short.
     """
     parts = [compared(whole) for whole in data]
     moving = any(part.moving for part in parts)
-    models = candidates(start, free or ("base",), moving)
-    check_priors(priors, [name for one in models for name in one.free], start.arm.geometry.actuators)
-    found = compare_models(parts, models, priors, scheduler=scheduler, store=store, progress=progress)
+    stated = None
+    if between is None or config is None:
+        models = candidates(start, free or BASE, moving)
+        known = dict(priors)
+        estimated = [name for one in models for name in one.free]
+    else:
+        models = laws_named(between, start, "--between", free or BASE)
+        models = tuple(one.with_damping() for one in models) if moving else models
+        stated = rig_uncertainties(config, start)
+        known = sensor_priors(stated) | dict(priors)
+        estimated = list(stated)
+    check_priors(priors, estimated, start.arm.geometry.actuators)
+    found = compare_models(parts, models, known, None, scheduler, store, progress, stated)
     shortened = tuple(
         ComparedRun(whole.run_id, whole.moving, len(part), len(whole))
         for whole, part in zip(data, parts, strict=True)

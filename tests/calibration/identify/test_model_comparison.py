@@ -9,9 +9,17 @@ import numpy as np
 import pytest
 
 import model
-from calibration.identify import NoDataError, Poses, Setup
+from calibration.identify import NoDataError, Poses, Prior, Setup, identify
 from calibration.identify.memory_parameters import ALL_NAMES
-from calibration.identify.model_comparison import Candidate, candidates, compare_models, compared, sentence
+from calibration.identify.model_comparison import (
+    Candidate,
+    ComparisonRow,
+    candidates,
+    compare_models,
+    compared,
+    decision,
+    sentence,
+)
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 
 RAMP = np.linspace(0.15e5, 0.65e5, 6)[:, None]
@@ -66,6 +74,38 @@ def test_the_conclusion_warns_if_the_bic_prefers_another_model() -> None:
     assert "All runs together inhomogeneous+rpe, pointwise meets better (BIC lower by" in text
     nearly = replace(lucky, bic=pointwise.bic + 5)
     assert "meets better" not in sentence((pointwise, nearly), nearly)
+
+
+def test_a_single_run_is_compared_by_parts_that_are_left_out() -> None:
+    levels = np.array([[p, q, q] for p in (0.1, 0.35, 0.6) for q in (0.1, 0.3, 0.5, 0.65)])[::-1] * 1e5
+    truth = Setup(model.Arm.paper())
+    run = perform(plan("levels", levels, errors=ERRORS), truth, np.random.default_rng(1), ERRORS)
+    steps: list[tuple[int, int]] = []
+    found = compare_models([run], some()[1:], workers=1, progress=lambda *at: steps.append(at))
+    assert steps[-1] == (12, 12)
+    assert found.best.candidate.inhomogeneous
+    assert found.best.error_m < 2e-4
+    assert "predicts parts of the run left out best" in found.sentence
+    assert "Decision: inhomogeneous+rpe, pointwise; BIC lower by" in found.sentence
+
+
+def test_two_models_are_decided_by_the_lower_bic_or_not_at_all() -> None:
+    one = candidates(START)[0]
+    row = ComparisonRow(one, 1.0, 1e-3, 0.0, 100.0, 5, None)
+    other = replace(row, candidate=replace(one, name="other"), bic=100 + 2 * np.log(150.0))
+    assert decision((other, row)) == ("Decision: homogeneous; BIC lower by 10.0, odds of about 150 to 1 against other.")
+    assert decision((row, replace(other, bic=101.0))).startswith("The data do not decide between homogeneous and other")
+    assert "more than 1000 to 1" in decision((row, replace(other, bic=9e5)))
+
+
+def test_an_implausible_number_costs_as_much_as_its_prior_says() -> None:
+    run = data(model.Arm.paper())
+    free = identify(run, START, ("law", "rpe_per_bar", "base"))
+    held = identify(run, START, ("law", "rpe_per_bar", "base"), {"base_x_m": Prior(0.01, 0.001)})
+    gap = held["base_x_m"].used - 0.01
+    assert held.bic == pytest.approx(free.bic + (gap / 0.001) ** 2, rel=0.05)
+    assert held.penalised_log_likelihood < held.log_likelihood - 40
+    assert free.penalised_log_likelihood == free.log_likelihood
 
 
 def test_an_interrupted_comparison_resumes_from_its_stored_results(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ def test_every_block_keeps_the_limits_of_the_rig(change: object) -> None:
     ("words", "said"),
     [
         (["--criterion", "e"], "one of d, minimax"),
-        (["--duration-s", "3"], "8.5 to"),
+        (["--duration-s", "3"], "8 to"),
         (["--free", "shear"], "did you mean shear_ratio"),
     ],
 )

@@ -160,6 +160,16 @@ def test_a_comparison_ends_with_a_table_like_the_papers_and_a_sentence(
     assert {(row["inhomogeneous"], row["radial_effect"]) for row in found["rows"]} == {(0, 0), (0, 1), (1, 1)}
 
 
+def test_a_comparison_of_two_laws_ends_with_a_decision(
+    bench: dict[str, str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    rig("compare", bench["weights"], bench["one"], "--between", "homogeneous+rpe", "inhomogeneous+rpe", "--json")
+    found = json.loads(capsys.readouterr().out)
+    assert [row["model"] for row in found["rows"]] == ["homogeneous+rpe", "inhomogeneous+rpe, pointwise"]
+    assert "Decision: inhomogeneous+rpe, pointwise" in found["sentence"]
+
+
 def test_paper_gives_what_section_5_2_gives(bench: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     rig("paper", bench["weights"], bench["extension"], "--json")
     found = json.loads(capsys.readouterr().out)

@@ -1,0 +1,134 @@
+"""Whether the error bars that `rig design` expects are those that fits of simulated arms state and realise.
+
+Run: python -m benchmarks.design [--of motion|rest] [--rig mock] [--trials 20] [--seed 0] [--workers 2] [--store DIR]
+
+Each number of each arm is drawn from the rig's standard uncertainties. `motion` is the 60 s protocol of the design,
+`rest` the plateaus of four library protocols. A fit has the free parameters, nuisance parameters and priors of
+`rig identify`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import protocols
+from calibration.design.information import ErrorBars, error_bars
+from calibration.identify.data import Poses
+from calibration.identify.fit import identify
+from calibration.identify.parameters import Prior, Setup, named
+from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, perform_as_planned
+from calibration.parallel_map import parallel_map
+from rig.config.loader import load
+from rig.config.schema import RigConfig
+from rig.design.design import design, free_parameters, unknowns_of
+from rig.design.expected_poses import expected_poses
+from rig.identify.estimation import rig_uncertainties
+
+Array = NDArray[np.float64]
+
+STATIC = ("ramp-a", "ramp-b", "extension-pressure", "extension-weights")
+# Of the arms about the rig's value: an arm that is drawn from the stated 20 ms would often have no damping.
+DAMPING_STD_S = 0.002
+
+
+@dataclass(frozen=True)
+class BarsTrial:
+    """One arm: planned runs, initial setup, free parameters and priors of its fit, and the seed of truth and errors.
+
+    stated: value and uncertainty of every parameter.
+    """
+
+    planned: tuple[Poses, ...]
+    start: Setup
+    free: tuple[str, ...]
+    priors: dict[str, Prior]
+    stated: dict[str, Prior]
+    errors: MeasurementErrors
+    seed: int
+
+
+def run_trial(trial: BarsTrial) -> Array:
+    """Error, standard error, and the latter without the model error, of each free parameter, (3, n); NaN without."""
+    rng, start = np.random.default_rng(trial.seed), trial.start
+    drawn = dict(trial.stated)
+    drawn["damping_s"] = Prior(start.arm.material.damping_s, DAMPING_STD_S)
+    drawn["sensor_filter_s"] = Prior(start.sensor_filter_s, 1e-9)
+    truth = drawn_setup(start, drawn, rng)
+    data = [perform_as_planned(one, truth, rng, trial.errors) for one in trial.planned]
+    names = {one.name: one for one in named(trial.free, data[0].actuators)}
+    fit = identify(data, start, trial.free, trial.priors, stated=trial.stated)
+    bare = np.sqrt(np.diagonal(fit.fitted_covariance))
+    rows = []
+    for k, estimate in enumerate(fit.estimates):
+        if estimate.name not in names or estimate.run:
+            continue
+        if estimate.value is None or estimate.std is None:
+            rows.append((np.nan, np.nan, np.nan))
+        else:
+            true = names[estimate.name].read(truth)
+            rows.append((estimate.value - true, estimate.std, float(bare[k])))
+    return np.array(rows).T
+
+
+def planned_runs(kind: str, config: RigConfig, free: tuple[str, ...], errors: MeasurementErrors) -> list[Poses]:
+    """The designed protocol, or four static ones of the library."""
+    if kind == "motion":
+        found = [("design", design(config, free).protocol)]
+    else:
+        found = [(name, protocols.load(name)) for name in STATIC]
+    return [expected_poses(name, one.expand(config.actuators), config, errors) for name, one in found]
+
+
+def told(expected: ErrorBars, found: Array) -> None:
+    """Print, by parameter, the median of stated bars over the expected one, and the rms of errors over it."""
+    error, std, bare = found.swapaxes(0, 1)
+    print("parameter        expected   stated/expected  without model error  rms error/expected  arms")
+    for k, (name, bar) in enumerate(zip(expected.names, expected.std.tolist(), strict=True)):
+        known = np.isfinite(std[:, k])
+        if not known.any():
+            print(f"{name:14s} {bar:10.3g}   not identified in any arm")
+            continue
+        ratios = [float(np.median(values[known, k])) / bar for values in (std, bare)]
+        rms = float(np.sqrt(np.mean(error[known, k] ** 2))) / bar
+        print(f"{name:14s} {bar:10.3g}   {ratios[0]:15.2f}  {ratios[1]:19.2f}  {rms:18.2f}  {known.sum():4d}")
+    z = error / expected.std
+    z = z[np.isfinite(z)]
+    print(f"rms of all {len(z)} errors over the expected bars: {np.sqrt((z**2).mean()):.2f}")
+
+
+def main() -> None:
+    """Print the table."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--of", choices=("motion", "rest"), default="motion")
+    options.add_argument("--rig", default="mock")
+    options.add_argument("--trials", type=int, default=20)
+    options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--workers", type=int, default=2)
+    options.add_argument("--store", type=Path, help="keep finished trials there, to resume")
+    given = options.parse_args()
+    config, began = load(given.rig), time.perf_counter()
+    offset_pa = max(sensor.accuracy_bar for sensor in config.sensors) * 1e5 / 2
+    errors = replace(MeasurementErrors(), offset_pa=offset_pa)
+    free = free_parameters(config)
+    if given.of == "rest":
+        free = tuple(name for name in free if name not in ("damping_s", "shear_ratio"))
+    planned = planned_runs(given.of, config, free, errors)
+    unknowns = unknowns_of(config, free, planned)
+    stated = rig_uncertainties(config, unknowns.start)
+    start: Setup = replace(unknowns.start, sensor_filter_s=stated["sensor_filter_s"].mean)
+    unknowns = replace(unknowns, start=start)
+    task = BarsTrial(tuple(planned), start, free, dict(unknowns.priors), stated, errors, 0)
+    tasks = [replace(task, seed=given.seed * 1_000_003 + k) for k in range(given.trials)]
+    found = np.array(parallel_map(run_trial, tasks, given.workers, store=given.store))
+    told(error_bars(planned, unknowns), found)
+    print(f"{given.trials} arms in {time.perf_counter() - began:.0f} s")
+
+
+if __name__ == "__main__":
+    main()

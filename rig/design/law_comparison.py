@@ -1,0 +1,125 @@
+"""Designs a protocol that separates two laws: levels chosen by the distance of the laws' predictions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import yaml
+
+import protocols
+from calibration.design.discrimination import RivalLaw, Separation, closest, separation, t_optimal
+from calibration.design.information import Unknowns
+from calibration.identify.data import Poses
+from calibration.identify.model_comparison import Candidate
+from calibration.identify.nuisance import nuisance_parameters
+from calibration.identify.parameters import Setup, named
+from calibration.identify.simulated_experiments import MeasurementErrors
+from calibration.identify.tip_predictor import Predictor
+from protocols import BadInputError, Problem, Protocol
+from rig.config.arm_model import model_arm
+from rig.config.schema import RigConfig
+from rig.design.expected_poses import expected_poses
+from rig.design.levels import ends_s, in_order, level_s, levels, steps
+from rig.experiment.preflight import check
+from rig.identify.estimation import rig_uncertainties, sensor_priors
+from rig.identify.law_names import BASE, laws_named
+
+RIGHT = 0.95
+"""Expected share of right decisions that a design should reach."""
+
+# Levels from which a comparison has more numbers than unknowns that the data determine.
+_FEWEST = 6
+
+
+@dataclass(frozen=True)
+class LawDesign:
+    """A protocol that separates two laws, its text, and the expected separation with either law true.
+
+    laws: with the arm that the design assumes of each. planned: what an identification would read from the run.
+    """
+
+    protocol: Protocol
+    text: str
+    laws: tuple[RivalLaw, RivalLaw]
+    planned: Poses
+    separations: tuple[Separation, Separation]
+
+    @property
+    def sufficient(self) -> bool:
+        """Whether the expected share of right decisions is `RIGHT`, whichever law is true."""
+        return min(one.share for one in self.separations) >= RIGHT
+
+
+def design_comparison(
+    config: RigConfig,
+    laws: tuple[str, str],
+    duration_s: float = 60.0,
+    seed: int = 0,
+    errors: MeasurementErrors | None = None,
+) -> LawDesign:
+    """The protocol of at most `duration_s` whose plateaus separate two laws best; names as in `rig identify compare`.
+
+    T-optimal (Atkinson and Fedorov 1975). The true arm of each law is the one closest to the rig's stated arm; every
+    uncertain number of the rig is a nuisance parameter of both.
+
+    Raises:
+        BadInputError: an unknown law, one law twice, laws that no pressures separate, or a duration that is too short
+            or above the rig's limit.
+    """
+    start = Setup(model_arm(config))
+    candidates = laws_named(laws, start, "--compare")
+    count = int((duration_s - ends_s(config) + 1e-9) // level_s(config))
+    shortest, longest = ends_s(config) + _FEWEST * level_s(config), config.limits.duration_s
+    if count < _FEWEST or duration_s > longest:
+        expected = f"{shortest:.4g} to {longest:g} s (limits, duration_s of the rig)"
+        raise BadInputError([Problem("--duration-s", 0, 0, "", f"{duration_s:g} s", expected)])
+    errors = errors or MeasurementErrors()
+    grid = levels(config)
+    every = protocols.from_steps("every level", steps(config, grid)).expand(config.actuators)
+    planned = expected_poses("levels", every, config, errors)
+    stated_tips = Predictor(planned)(start)
+    first, second = (closest(_rival(config, one, planned), planned, stated_tips) for one in candidates)
+    try:
+        chosen = t_optimal((first, second), planned, count, seed)
+    except ValueError as fault:
+        expected = f"laws whose tips differ: {fault}"
+        raise BadInputError([Problem("--compare", 0, 0, "", " ".join(laws), expected)]) from fault
+    course = in_order([grid[k] for k in chosen], seed)
+    listed = steps(config, course)
+    title = f"Separate {first.name} from {second.name}"
+    protocol = protocols.from_steps(title, listed)
+    trajectory = protocol.expand(config.actuators)
+    if problems := check(config, trajectory, protocol):
+        raise BadInputError(list(problems))
+    expected_run = expected_poses("design", trajectory, config, errors)
+    found = (separation(first, second, expected_run), separation(second, first, expected_run))
+    return LawDesign(protocol, _text(title, listed, config, found, seed), (first, second), expected_run, found)
+
+
+def _rival(config: RigConfig, law: Candidate, planned: Poses) -> RivalLaw:
+    """A law as `rig identify compare --between` fits it, from the rig's stated values."""
+    free = named(law.free, config.actuators)
+    beside = nuisance_parameters(law.start, [planned], free)
+    stated = rig_uncertainties(config, law.start)
+    priors = sensor_priors(stated) | {p.name: stated[p.name] for p in beside}
+    own = tuple(name for name in law.free if name not in BASE)
+    return RivalLaw(law.name, Unknowns(law.start, free, beside, priors), own)
+
+
+def _text(
+    title: str, listed: Sequence[dict[str, object]], config: RigConfig, found: Sequence[Separation], seed: int
+) -> str:
+    """The protocol as YAML, with a comment that says what it is for."""
+    lines = [
+        f"# Written by rig design --compare for the rig {config.name}: T-optimal, seed {seed}.",
+        "# Decide with: rig identify compare RUN --between " + " ".join(f"'{one.truth}'" for one in found),
+        "# Expected share of right decisions, if the rig's stated values and uncertainties hold:",
+        *(f"#   {one.truth} is true: {100 * one.share:.1f} %" for one in found),
+        f"title: {yaml.safe_dump(title, width=1000).splitlines()[0]}",
+        "steps:",
+    ]
+    body = [
+        f"  - {yaml.safe_dump(s, default_flow_style=True, sort_keys=False, width=1000).strip()[1:-1]}" for s in listed
+    ]
+    return "\n".join([*lines, *body, ""])

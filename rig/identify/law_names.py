@@ -1,0 +1,37 @@
+"""The laws of a comparison, by the names of `rig identify compare` and shorter ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from calibration.identify.model_comparison import Candidate, candidates
+from calibration.identify.parameters import Setup
+from model.variants import POINTWISE
+from protocols import BadInputError, Problem
+from protocols.problems import closest
+
+BASE = ("base",)
+"""What is free in every law, beside its own parameters."""
+
+
+def laws_named(names: Sequence[str], start: Setup, option: str, free: Sequence[str] = BASE) -> tuple[Candidate, ...]:
+    """The laws by name, from a setup. A variant alone means its pointwise law; a rule or a push law needs no variant.
+
+    option: where the names come from, for the message.
+
+    Raises:
+        BadInputError: an unknown name, or one law twice.
+    """
+    every = {law.name: law for law in candidates(start, free)}
+    short = {name.rpartition(", ")[2]: name for name in every}
+    short |= {name.removesuffix(f", {POINTWISE}"): name for name in every}
+    found = []
+    for name in names:
+        full = name if name in every else short.get(name)
+        if full is None:
+            expected = "one of " + "; ".join(every)
+            raise BadInputError([Problem(option, 0, 0, "", name, expected, closest(name, {**every, **short}))])
+        found.append(every[full])
+    if len({law.name for law in found}) < len(found):
+        raise BadInputError([Problem(option, 0, 0, "", " ".join(names), "two different laws")])
+    return tuple(found)
