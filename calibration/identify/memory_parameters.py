@@ -39,6 +39,13 @@ ALL_NAMES = frozenset(
 )
 
 
+def memory_groups() -> dict[str, tuple[str, ...]]:
+    """Names that stand for one number of every element."""
+    moduli, times = zip(*(branch_names(k + 1) for k in range(MOST_BRANCHES)), strict=True)
+    weights, widths = zip(*(stop_names(k + 1) for k in range(MOST_STOPS)), strict=True)
+    return {"branch_moduli": moduli, "branch_times": times, "stop_weights": weights, "stop_widths": widths}
+
+
 @dataclass(frozen=True)
 class MemoryNumber:
     """One number of these: as a `Parameter`, of an arm alone. scale: it is a time or a width, not a share."""

@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 # A smaller difference of a criterion is no evidence (rule of thumb of Burnham and Anderson).
 _MIN_BIC_GAIN = 10.0
 _DAMPED_FROM_S = 0.01
+# Share of the held-out error by which a memory must lower it: a branch or stop of no effect wins half of all ties.
+_MEMORY_GAIN = 0.05
 DAMPING = "damping_s"
 # Where the fit of what an arm may remember begins: a creep and a friction that are usual for silicone and braids.
 TYPICAL_BRANCH, TYPICAL_STOP = MaxwellBranch(0.03, 5.0), StopElement(0.05, 2e3)
@@ -248,7 +250,7 @@ def compare_models(
         _row(candidate, found, np.concatenate(errors[k * len(folds) : (k + 1) * len(folds)], axis=1))
         for k, (candidate, found) in enumerate(zip(models, fitted, strict=True))
     )
-    best = min(rows, key=lambda row: row.error_m)
+    best = best_of(rows)
     text = sentence(rows, best, "runs" if len(data) > 1 else "parts of the run")
     return ModelComparison(rows, best, f"{text} {decision(rows)}" if len(rows) == 2 else text)
 
@@ -277,8 +279,19 @@ def _folds(data: Sequence[Poses]) -> list[Fold]:
 def _without(poses: Poses, entries: NDArray[np.bool_]) -> Poses:
     """Poses without some entries; a motion keeps the pressures there, because what follows depends on them."""
     if poses.moving:
-        return replace(poses, tip_m=np.where(entries[:, None], np.nan, poses.tip_m))
+        orientation = None if poses.orientation is None else poses.orientation.without(entries)
+        return replace(poses, tip_m=np.where(entries[:, None], np.nan, poses.tip_m), orientation=orientation)
     return poses.only(~entries)
+
+
+def best_of(rows: Sequence[ComparisonRow]) -> ComparisonRow:
+    """The row of the least held-out error; one that remembers must be better than all others by `_MEMORY_GAIN`."""
+    best = min(rows, key=lambda row: row.error_m)
+    forgetful = [row for row in rows if not row.candidate.start.arm.remembers]
+    if not forgetful or not best.candidate.start.arm.remembers:
+        return best
+    plain = min(forgetful, key=lambda row: row.error_m)
+    return plain if best.error_m > (1 - _MEMORY_GAIN) * plain.error_m else best
 
 
 def compared(poses: Poses) -> Poses:

@@ -38,6 +38,12 @@ class Orientations:
         """A subset of the entries."""
         return Orientations(self.rotation[chosen], self.covariance_rad2[chosen], self.cross_m_rad[chosen])
 
+    def without(self, entries: NDArray[np.bool_]) -> Orientations:
+        """The same without the measurements of some entries (K,)."""
+        return Orientations(
+            np.where(entries[:, None, None], np.nan, self.rotation), self.covariance_rad2, self.cross_m_rad
+        )
+
     def spread(self, rows: NDArray[np.intp], count: int) -> Orientations:
         """The entries at some rows of `count`; NaN in the others."""
         rotation, covariance, cross = (np.full((count, 3, 3), np.nan) for _ in range(3))

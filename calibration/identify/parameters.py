@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import model
-from calibration.identify.memory_parameters import MemoryNumber, memory_numbers
+from calibration.identify.memory_parameters import MemoryNumber, memory_groups, memory_numbers
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -250,6 +250,7 @@ def groups(actuators: int) -> dict[str, tuple[str, ...]]:
     """Names that stand for several parameters of an arm with N actuators."""
     return {
         **_GROUPS,
+        **memory_groups(),
         "sensor_offsets": tuple(f"sensor_{n + 1}_offset_pa" for n in range(actuators)),
         "sensor_gains": tuple(f"sensor_{n + 1}_gain" for n in range(actuators)),
         "actuator_angles": tuple(f"actuator_{n + 1}_turn_rad" for n in range(actuators)),

@@ -114,11 +114,11 @@ Free = Annotated[
         "--free",
         metavar="NAME,..",
         help="Parameters to estimate, separated by commas. Groups: law, base, base_translation, base_rotation, tool, "
-        "tool_rotation, gravity, actuator_angles, sensor_gains, sensor_offsets. Single ones: youngs_modulus_pa, "
-        "a1_per_n, a2_per_n2, rpe_per_bar, shear_ratio, density_kg_m3, damping_s, branch_1_modulus, branch_1_time_s, "
-        "stop_1_weight, stop_1_width_pa, push_growth_per_bar, cap_mass_kg, length_m, inner_radius_m, outer_radius_m, "
-        "circle_radius_m, sensor_lag_s, sensor_filter_s; base_x_m and so on, "
-        "base_rx_rad, tool_x_m, tool_rx_rad, gravity_rx_rad, "
+        "tool_rotation, gravity, actuator_angles, sensor_gains, sensor_offsets, branch_moduli, branch_times, "
+        "stop_weights, stop_widths. Single ones: youngs_modulus_pa, a1_per_n, a2_per_n2, rpe_per_bar, shear_ratio, "
+        "density_kg_m3, damping_s, branch_1_modulus, branch_1_time_s, stop_1_weight, stop_1_width_pa, "
+        "push_growth_per_bar, cap_mass_kg, length_m, inner_radius_m, outer_radius_m, circle_radius_m, sensor_lag_s, "
+        "sensor_filter_s; base_x_m and so on, base_rx_rad, tool_x_m, tool_rx_rad, gravity_rx_rad, "
         "actuator_1_turn_rad, sensor_1_gain, sensor_1_offset_pa.",
     ),
 ]

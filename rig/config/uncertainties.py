@@ -16,7 +16,7 @@ _Std = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 _Stated = _Std | SkipJsonSchema[None]
 _Angle = Annotated[float, Field(gt=0, le=180, allow_inf_nan=False, strict=True)] | SkipJsonSchema[None]
 
-_MM, _G, _MS, _PERCENT, _DEG = 1e-3, 1e-3, 1e-3, 1e-2, math.pi / 180
+_MM, _G, _MS, _PERCENT, _DEG, _PA_PER_BAR = 1e-3, 1e-3, 1e-3, 1e-2, math.pi / 180, 1e5
 
 
 class Uncertainties(Section):
@@ -38,6 +38,10 @@ class Uncertainties(Section):
     shear_ratio: _Stated = None
     density_kg_m3: _Stated = None
     damping_s: _Stated = None
+    branch_modulus: _Stated = Field(default=None, description="of every branch; default 0.02")
+    branch_time_s: _Stated = Field(default=None, description="of every branch; default 50 %")
+    stop_weight: _Stated = Field(default=None, description="of every stop element; default 0.02")
+    stop_width_bar: _Stated = Field(default=None, description="of every stop element; default 50 %")
     push_growth_per_bar: _Stated = Field(default=None, description="of the push pressures; default 0.1")
     cap_mass_g: _Stated = Field(default=None, description="0.5 for a cap that was weighed")
     gravity_direction_deg: _Angle = None
@@ -71,6 +75,10 @@ _PARAMETERS: dict[str, tuple[str, float]] = {
     "shear_ratio": ("shear_ratio", 1.0),
     "density_kg_m3": ("density_kg_m3", 1.0),
     "damping_s": ("damping_s", 1.0),
+    "branch_modulus": ("branch_moduli", 1.0),
+    "branch_time_s": ("branch_times", 1.0),
+    "stop_weight": ("stop_weights", 1.0),
+    "stop_width_bar": ("stop_widths", _PA_PER_BAR),
     "push_growth_per_bar": ("push_growth_per_bar", 1.0),
     "cap_mass_g": ("cap_mass_kg", _G),
     "gravity_direction_deg": ("gravity", _DEG),

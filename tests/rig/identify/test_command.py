@@ -155,7 +155,7 @@ def test_a_comparison_ends_with_a_table_like_the_papers_and_a_sentence(
     monkeypatch.setattr("os.cpu_count", lambda: 1)
     rig("compare", bench["weights"], bench["one"], bench["two"], "--free", "base_z_m", "--json")
     found = json.loads(capsys.readouterr().out)
-    assert found["best"].startswith("inhomogeneous+rpe, ")
+    assert found["best"] == "inhomogeneous+rpe, pointwise"
     assert "predicts runs left out best" in found["sentence"]
     assert {(row["inhomogeneous"], row["radial_effect"]) for row in found["rows"]} == {(0, 0), (0, 1), (1, 1)}
 
