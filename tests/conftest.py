@@ -1,6 +1,7 @@
 """Shared by every test."""
 
 import os
+import signal
 from collections.abc import Iterator
 
 # As `rig` does; before NumPy is imported.
@@ -15,6 +16,9 @@ from tests.support.repeated_work import avoid_repeated_work
 
 register_profiles()
 settings.load_profile("softrig")
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # A shell ignores Ctrl-C for what it starts in the background, and the tests' commands would inherit that.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(trylast=True)

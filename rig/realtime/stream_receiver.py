@@ -57,6 +57,7 @@ class StreamReceiver:
         self._row = blank((), streamed_dtype(plan.config.actuators))
         self._clients: dict[int, _Client] = {}
         self._interval: StreamInterval | None = None
+        self._reported: StreamInterval | None = None
         self._owner = 0
         self._said_s = 0.0
         self._refusing = 0
@@ -64,9 +65,10 @@ class StreamReceiver:
     def update(self, place: str) -> None:
         """Report that a step waits for set-points at the socket `place`; called in every cycle of the supervisor."""
         interval = self._plan.trajectory.stream_at(self._memory.protocol_s) if self._memory.start_ns else None
-        if interval is self._interval:
+        self._enter(interval)
+        if interval is self._reported:
             return
-        self._interval, self._owner = interval, 0
+        self._reported = interval
         if interval is not None:
             message = f"waiting at most {interval.connect_s:g} s for set-points of {_actuators(interval)} at {place}"
             self._event(Level.INFO, SOURCE, message)
@@ -77,6 +79,8 @@ class StreamReceiver:
             return {"done": False, "message": "the run has not begun", **self.state()}
         client = self._clients.setdefault(connection, _Client(sender))
         interval = self._open_interval()
+        if interval is not None:
+            self._enter(interval)
         row = self._row
         row["connection"], row["t_ns"], row["status"] = connection, time.monotonic_ns(), StreamStatus.FOLLOWED
         try:
@@ -128,6 +132,11 @@ class StreamReceiver:
             "tip_age_s": None if tip is None else (time.monotonic_ns() - int(frames[0]["t_ns"])) * 1e-9,
             "stream": waiting,
         }
+
+    def _enter(self, interval: StreamInterval | None) -> None:
+        """Begin a step, which has no sender yet; a set-point may come before `update` notices the step."""
+        if interval is not self._interval:
+            self._interval, self._owner = interval, 0
 
     def _open_interval(self) -> StreamInterval | None:
         """The step that waits for set-points now; None before, after and in a pause."""

@@ -101,7 +101,7 @@ class TrialRun:
         self.rig_file.write_text(_limited(edit(rig_text(self.device, bench)), limits or {}))
         self.protocol.write_text(protocol)
         self._safe_v = np.array(safe_voltages(rig.config.loader.load(self.rig_file)))
-        self._said: list[bytes] = []
+        self._chunks: list[bytes] = []
         self._listening = threading.Event()
         self._listening.set()
         command = [sys.executable, "-P", "-m", "rig", "run", str(self.protocol), "--rig", str(self.rig_file)]
@@ -123,9 +123,9 @@ class TrialRun:
         self.members: dict[str, int] = {}
 
     @property
-    def printed_link(self) -> str:
+    def output(self) -> str:
         """Everything printed so far."""
-        return b"".join(self._said).decode(errors="replace").replace("\r", "")
+        return b"".join(self._chunks).decode(errors="replace").replace("\r", "")
 
     def turn_away(self) -> None:
         """Stop reading what the run prints."""
@@ -155,7 +155,7 @@ class TrialRun:
                 return
             if not data:
                 return
-            self._said.append(data)
+            self._chunks.append(data)
 
     def wait_until_moving(self) -> Registers:
         """Return the card's registers once the run drives a valve, with every member of the run known."""
