@@ -156,6 +156,16 @@ def _shaped(room: Floats, edge: int, count: int, shape: Floats, knot: float) -> 
 
 
 @fast_kernel
+def _one_sided(room: Floats, edge: int, count: int) -> None:
+    """Turn steps from -1 to 1 into steps from 0 to the root of 2: the product of both spans 2, as that of a saddle."""
+    part = math.sqrt(0.5)
+    for k in range(count):
+        room[edge + _VALUE + k] = (1.0 + room[edge + _VALUE + k]) * part
+        room[edge + _STEEP + k] *= part
+        room[edge + _PLAIN + k] *= part
+
+
+@fast_kernel
 def _linear_start(room: Floats, count: int) -> tuple[float, float]:
     """Mean and half the step, which follow linearly from the edges of the start."""
     s = s_v = s_e = s_ve = s_ee = 0.0
@@ -239,12 +249,16 @@ def fit(
     knot: float,
     usual: Floats,
     firmness: float,
+    quadrant: bool,
 ) -> CornerFit:
     """Fit grey = mean + half step * edge_1 * edge_2 in a window round each corner by Gauss-Newton.
 
     Unknowns: the corner (2), mean, half the step, and the blur across either edge (motion blurs one more than the
     other), of which `usual` (2,) and its `firmness` are known. `shape` (2, knots + 1), every `knot` px, is what the
     edges of either direction are beside a step blurred by a bell. `radius` is at most LARGEST_RADIUS_PX.
+
+    Of a `quadrant` only what lies beyond both edges has the other colour, as at the corner of a dark rectangle: the
+    edges then step from 0 to 1. Its mean is the level outside.
     """
     n = seeds.shape[0]
     corners = np.full((n, 2), np.nan)
@@ -269,6 +283,9 @@ def fit(
             _edges(room, _EDGE_2, count, cx, cy, normals[c, 1], blur_2)
             _shaped(room, _EDGE_1, count, shape[0], knot)
             _shaped(room, _EDGE_2, count, shape[1], knot)
+            if quadrant:
+                _one_sided(room, _EDGE_1, count)
+                _one_sided(room, _EDGE_2, count)
             if step == 0:
                 mean, half_step = _linear_start(room, count)
             squares, weights = _slopes(room, count, normals[c], mean, half_step, blur_1, blur_2)

@@ -13,12 +13,12 @@ from pydantic.json_schema import SkipJsonSchema
 from protocols.validation import faults
 from rig.config import consistency
 from rig.config.arm_sections import ArmConfig
+from rig.config.board_sections import AnyBoard
 from rig.config.card_sections import AnyCard
 from rig.config.input_sections import AuxiliaryInput, EmergencyStop
 from rig.config.metadata import Metadata
 from rig.config.sections import (
     AnyCamera,
-    BoardConfig,
     Control,
     Limits,
     ModelConfig,
@@ -60,7 +60,7 @@ class RigConfig(Section):
     cameras: Named[AnyCamera] = Field(
         default_factory=dict, description="none: the tip is not measured, a run has pressures and the model only"
     )
-    board: BoardConfig | SkipJsonSchema[None] = None
+    board: AnyBoard | SkipJsonSchema[None] = None
     arm: ArmConfig
     uncertainties: Uncertainties = Field(default_factory=Uncertainties)
     model: ModelConfig = ModelConfig()

@@ -20,8 +20,8 @@ Floats = NDArray[np.float64]
 class TipMeasurement:
     """The tip (3,) [m] in the rod-base frame with covariance (3, 3); NaN and no corners unless `seen` is MEASURED.
 
-    `corners_px` are those in the picture of the first camera that has one. `cameras` is what each of the rig's cameras
-    saw: the tip was measured from those that are MEASURED.
+    `corners_px` are those in the picture of the first camera that has one, NaN where one is hidden. `cameras` is what
+    each of the rig's cameras saw: the tip was measured from those that are MEASURED.
     """
 
     seen: DetectionStatus
