@@ -59,7 +59,7 @@ class CharucoBoard(MarkerBoard):
         edge = self.marker_m / self.square_m
         ids = self.first_marker + np.arange(len(rows))
         top_left = np.stack([columns, rows], axis=1) + (1 - edge) / 2
-        return Markers(ids, top_left, edge, cells_of(self.dictionary, ids))
+        return Markers(ids, np.asarray(top_left, dtype=np.float64), edge, cells_of(self.dictionary, ids))
 
     @property
     def ground(self) -> BoardPrint:

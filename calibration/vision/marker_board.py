@@ -42,7 +42,7 @@ class Markers:
     @property
     def cell(self) -> float:
         """Edge of one cell in units."""
-        return self.edge / self.cells.shape[1]
+        return float(self.edge / self.cells.shape[1])
 
 
 @lru_cache(maxsize=8)
@@ -123,8 +123,8 @@ class MarkerBoard(Board):
         """Which markers (m,) show all their cells, given where `check_points_m` are seen."""
         height, width = image.shape
         spots_px = check_points_px.reshape(*self._expected.shape, 5, 2)
-        inside = ((spots_px >= 0) & (spots_px <= (width - 1, height - 1))).all(axis=(1, 2, 3))
-        seen = np.zeros(len(inside), dtype=bool)
+        inside = np.asarray(((spots_px >= 0) & (spots_px <= (width - 1, height - 1))).all(axis=(1, 2, 3)))
+        seen: NDArray[np.bool_] = np.zeros(len(self.markers.ids), dtype=np.bool_)
         if not inside.any():
             return seen
         flat = spots_px[inside].astype(np.float32).reshape(-1, 1, 2)

@@ -57,7 +57,7 @@ class TagGrid(MarkerBoard):
         rows, columns = (index.ravel() for index in np.indices((self.tags_y, self.tags_x)))
         ids = self.first_marker + np.arange(len(rows))
         top_left = np.stack([columns, rows], axis=1) * (1 + self.white)
-        return Markers(ids, top_left, 1.0, cells_of(self.dictionary, ids))
+        return Markers(ids, np.asarray(top_left, dtype=np.float64), 1.0, cells_of(self.dictionary, ids))
 
     @property
     def ground(self) -> BoardPrint:

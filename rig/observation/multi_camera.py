@@ -154,7 +154,7 @@ class MultiCameraTipEstimator:
             return None
         if corners.seen is not None:
             # A corner that was hidden before has no speed yet.
-            has_speed = np.isfinite(now.change[corners.seen]).all(axis=1)
+            has_speed = np.asarray(np.isfinite(now.change[corners.seen]).all(axis=1))
             if has_speed.sum() < _LEAST_CORNERS:
                 return None
             corners = corners.keeping(has_speed)

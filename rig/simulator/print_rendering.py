@@ -230,11 +230,11 @@ def _shade(
             _surface(table, at_v + 1, at_u, behind),
             _surface(table, at_v + 1, at_u + 1, behind),
         )
-        return quarters(off_u, off_v, one, 0, samples, surface)
+        return float(quarters(off_u, off_v, one, 0, samples, surface))
     if on_u:
         before, beyond = _surface(table, row, at_u, behind), _surface(table, row, at_u + 1, behind)
-        return before + (beyond - before) * share_beyond(off_u, ux, uy, ut)
+        return float(before + (beyond - before) * share_beyond(off_u, ux, uy, ut))
     if on_v:
         before, beyond = _surface(table, at_v, column, behind), _surface(table, at_v + 1, column, behind)
-        return before + (beyond - before) * share_beyond(off_v, vx, vy, vt)
-    return _surface(table, row, column, behind)
+        return float(before + (beyond - before) * share_beyond(off_v, vx, vy, vt))
+    return float(_surface(table, row, column, behind))

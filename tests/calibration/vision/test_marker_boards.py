@@ -1,4 +1,4 @@
-"""Boards with markers are printed as OpenCV prints them, and give a pose with an honest covariance when partly hidden."""
+"""Boards with markers are printed as OpenCV prints them, and give an honest covariance when partly hidden."""
 
 from __future__ import annotations
 
