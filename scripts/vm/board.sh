@@ -6,6 +6,7 @@
 # SOFTRIG_BOARD_TRIALS is the number of trials of each fault in tests/board/test_safe_state.py (1).
 # Without more it is a PCI-1711 under the driver of Debian's kernel. SOFTRIG_LINUX_COMEDI names a folder with comedi.ko
 # and adv_pci1710.ko of Linux-Comedi, built for the kernel in $SOFTRIG_VM_CACHE/release: then it is a PCI-1716.
+# The guest's clock counts instructions, 1 ns each: a busy host makes the test longer, not the guest slower.
 # The exit status is pytest's; 3 where the guest never came to run it.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
@@ -61,7 +62,7 @@ until [ -e "$sockets/bench" ]; do
     sleep 0.1
 done
 timeout "${SOFTRIG_VM_LIMIT_S:-1200}" "$program" -L /usr/share/qemu -L /usr/share/seabios \
-    -accel tcg,thread=single -cpu Nehalem -M q35 -smp 2 -m "${SOFTRIG_VM_MEMORY_MIB:-2048}" \
+    -accel tcg,thread=single -icount shift=0,sleep=on -cpu Nehalem -M q35 -smp 1 -m "${SOFTRIG_VM_MEMORY_MIB:-2048}" \
     -nodefaults -no-reboot -display none -chardev "socket,id=bench,path=$sockets/bench" \
     -device "$board,id=board,bench=bench" -serial "file:$cache/board-console" \
     -chardev "socket,id=monitor,path=$sockets/monitor,server=on,wait=off" -mon chardev=monitor,mode=control \

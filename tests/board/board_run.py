@@ -23,13 +23,7 @@ from tests.hardware.forked_run import members, wait_until
 
 OUT_V = 0.01
 LONG_S, SHORT_S = 600.0, 120.0
-SECTIONS_OF_A_CAMERA = re.compile(r"^(cameras|board|control|limits):.*?(?=^\S|\Z)", re.MULTILINE | re.DOTALL)
-SLOW = """
-limits: {pressure_bar: 0.7, rate_bar_per_s: 1.0, rate_margin_bar_per_s: 1000, tracking_bar: 0.05, tracking_s: 10,
-  frozen_s: 30, stale_s: 5, no_tip_s: 30, hung_s: 5}
-control: {rate_hz: 20, bandwidth_hz: 1, integral_s: 1, volume_ml: 60}
-"""
-"""An emulated processor is too slow for 200 Hz."""
+SECTIONS_OF_A_CAMERA = re.compile(r"^(cameras|board):.*?(?=^\S|\Z)", re.MULTILINE | re.DOTALL)
 RAMP = """
 title: A ramp that lasts longer than any fault
 steps:
@@ -40,7 +34,7 @@ steps:
 def emulated_rig(folder: Path) -> str:
     """The rig `pci1716` without its camera, on the emulated board, as a file in `folder`."""
     stated = (Path(forked_run.__file__).parents[2] / "rig/rigs/pci1716.yaml").read_text()
-    text = SECTIONS_OF_A_CAMERA.sub("", stated).replace("driver: comedi,", "driver: comedi, emulated: true,") + SLOW
+    text = SECTIONS_OF_A_CAMERA.sub("", stated).replace("driver: comedi,", "driver: comedi, emulated: true,")
     path = folder / "emulated.yaml"
     path.write_text(text)
     return str(path)

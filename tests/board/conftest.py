@@ -11,6 +11,7 @@ import pytest
 
 from rig.hardware.cards.base import CardSetup, Channel
 from rig.hardware.cards.comedi import ComediCard
+from rig.hardware.cards.comedi_survey import survey
 from tests.board.monitor import Monitor
 from tests.hardware import forked_run
 
@@ -72,6 +73,12 @@ def open_board() -> Iterator[OpenBoard]:
     yield open_
     for card in cards:
         card.close()
+
+
+def samples_by_its_own_clock() -> bool:
+    """True where this build of the driver takes commands."""
+    (found,) = survey()
+    return found.inputs is not None and found.inputs.fastest_hz is not None
 
 
 def reload_driver() -> None:

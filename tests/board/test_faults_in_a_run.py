@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.board.board_run import SHORT_S, BoardRun
+from tests.board.conftest import samples_by_its_own_clock
 from tests.board.monitor import Monitor
 from tests.hardware.forked_run import wait_until
+
+DRIVER = Path("/sys/bus/pci/drivers/adv_pci1710")
+UNBOUND_RESETS = {"pci1716": True, "pci1711": False}[os.environ.get("SOFTRIG_BOARD", "pci1716")]
+"""Linux-Comedi resets the board when it lets it go; the kernel's driver leaves the outputs."""
 
 
 @pytest.fixture
@@ -19,6 +27,27 @@ def run(bench: Monitor, board: Monitor, kernels: None, tmp_path: Path) -> Iterat
     started.end()
 
 
+@pytest.fixture
+def unbind() -> Iterator[Callable[[], None]]:
+    """Take the board from its driver; it is given back after the test."""
+    (address,) = (link.name for link in DRIVER.glob("0000:*"))
+
+    def let_go() -> None:
+        (DRIVER / "unbind").write_text(address)
+
+    yield let_go
+    with suppress(OSError):
+        (DRIVER / "bind").write_text(address)
+
+
+def ended(run: BoardRun) -> str:
+    """What a run said that a fault has ended, with its archive left."""
+    said = run.said()
+    assert run.process.returncode == 1
+    assert len(run.archive().pressure.protocol_s) > 0
+    return said
+
+
 def test_a_run_drives_the_valves_again_after_a_reset_of_the_board(run: BoardRun, bench: Monitor) -> None:
     before_ns = bench.get("outputs-changed-ns")
     bench.set("reset", value=True)
@@ -26,3 +55,29 @@ def test_a_run_drives_the_valves_again_after_a_reset_of_the_board(run: BoardRun,
         lambda: not run.safe() and bench.get("outputs-changed-ns") > before_ns, SHORT_S, "a valve is driven again"
     )
     assert run.process.poll() is None
+
+
+def test_a_run_without_interrupts_ends_in_the_safe_state(run: BoardRun, bench: Monitor) -> None:
+    if not samples_by_its_own_clock():
+        pytest.skip("this build of the driver refuses every command: the run needs no interrupt")
+    bench.set("irq-lost", value=True)
+    assert "no pressure sample" in ended(run)
+    assert run.safe()
+
+
+def test_a_run_whose_board_answers_all_ones_ends_and_leaves_the_outputs(run: BoardRun, bench: Monitor) -> None:
+    """No write arrives. The read-back comes from the memory of the driver, so the end of the run cannot show it."""
+    stood = bench.outputs_v
+    bench.set("hung", value=True)
+    ended(run)
+    np.testing.assert_allclose(bench.outputs_v, stood, atol=1.0)
+    assert not run.safe()
+
+
+def test_a_run_whose_driver_lets_the_board_go_ends_and_says_what_could_not_be_written(
+    run: BoardRun, bench: Monitor, unbind: Callable[[], None]
+) -> None:
+    unbind()
+    assert "the safe state could not be written, shut the air off by hand" in ended(run)
+    if UNBOUND_RESETS:
+        assert bench.outputs_v == [0.0, 0.0]
