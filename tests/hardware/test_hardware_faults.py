@@ -1,4 +1,4 @@
-"""Who else has the kernel's card: another writer, a lock on its outputs, a process that stands still; and its clock."""
+"""Who else has the kernel's card: another writer, a lock on its outputs, a stopped process; and its clock."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ class CardBusyError(CardError):
 
     def __init__(self, what: str, holders: tuple[int, ...]) -> None:
         by = f" by process {', '.join(map(str, holders))}" if holders else ""
-        super().__init__(f"{what} lets in one process at a time and is open already{by}", "end that process")
+        super().__init__(f"{what} admits one process at a time and is open already{by}", "end that process")
         self.holders = holders
 
 

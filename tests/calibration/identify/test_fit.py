@@ -168,7 +168,7 @@ def test_fixed_parameters_widen_the_error_bars_of_the_others() -> None:
 
 
 def test_a_parameter_far_from_its_start_is_not_fixed_there() -> None:
-    # In spans of a start without any cap, a tenth of a kilogramme is told too badly to count.
+    # In spans of a start without any cap, a tenth of a kilogramme is determined too poorly to count.
     truth = true_setup()
     truth = replace(truth, arm=replace(truth.arm, cap_mass_kg=0.15))
     bare = replace(START, arm=replace(START.arm, cap_mass_kg=0.0))

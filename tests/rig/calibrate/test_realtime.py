@@ -89,7 +89,7 @@ def test_ctrl_c_ends_a_sweep_with_the_valves_vented_and_no_file(tmp_path: Path) 
 
 @pytest.mark.parametrize("one_opener", [False, True])
 def test_a_sweep_that_hangs_as_soon_as_it_opens_a_valve_is_made_safe(tmp_path: Path, one_opener: bool) -> None:
-    """Where the card lets in one process at a time, by ending the command that has it."""
+    """Where the card admits one process at a time, by ending the command that has it."""
     with sweeping(tmp_path, one_opener=one_opener) as (process, loaded):
         process.send_signal(signal.SIGSTOP)
         _become_safe(loaded)
