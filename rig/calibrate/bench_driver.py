@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.control import interlocks
 from rig.control import step as control
 from rig.control.control_loop import ValveOutputs
-from rig.control.interlocks import Sample, Trip
+from rig.control.interlocks import evaluation
+from rig.control.interlocks.base import Sample, Trip
 from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.hardware.bench import Bench
 from rig.valves.flow import FlowRegulator
@@ -102,7 +102,7 @@ class BenchDriver:
                 for i, pressure in enumerate(sample.pressure_pa.tolist())
             ]
             dt_s = self._period_s if before is None else (sample.scan_t_ns - before) * 1e-9
-            states, trip = interlocks.evaluate(
+            states, trip = evaluation.evaluate(
                 self._prepared.limits, states, sample, demands, dt_s, new=sample.scan_t_ns != before
             )
             before = sample.scan_t_ns

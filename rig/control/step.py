@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.control import interlocks, regulator, sensor_state
-from rig.control.interlocks import Sample, Trip
+from rig.control import regulator, sensor_state
+from rig.control.interlocks import evaluation
+from rig.control.interlocks.base import Sample, Trip
 from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.valves.base import Regulator, RegulatorState
 
@@ -36,7 +37,7 @@ class ControlSettings:
     valves: tuple[Regulator, ...]
     valve_of: tuple[int, ...]
     """Index of the valve of each actuator."""
-    limits: interlocks.InterlockSettings
+    limits: evaluation.InterlockSettings
     tracking_s: float
 
 
@@ -74,7 +75,7 @@ def prepare(config: RigConfig) -> ControlSettings:
         closed_v=tuple(valve.closed_v for valve in config.valves),
         valves=tuple(valve.regulator(config.limits, config.control) for valve in config.valves),
         valve_of=tuple(valve_of[a + 1] for a in range(config.actuators)),
-        limits=interlocks.settings(config),
+        limits=evaluation.settings(config),
         tracking_s=config.limits.tracking_s,
     )
 
@@ -126,7 +127,7 @@ def _step(
         valve = state.valves[valve_index]
         reference = pressure[i] if math.isnan(valve.reference_pa) else valve.reference_pa
         demands.append(RegulatorDemand(setpoint[i], reference, valve.demand_pa_s, valve.integral_pa_s))
-    watches, trip = interlocks.evaluate(
+    watches, trip = evaluation.evaluate(
         limits, state.watches, sample, demands, max(dt, passed), new=new, counted_s=counted
     )
     if trip is not None or not new:

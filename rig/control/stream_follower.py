@@ -11,7 +11,7 @@ from protocols import SetPointTrajectory
 from protocols.trajectory import StreamInterval
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
-from rig.control.interlocks import StreamSilence
+from rig.control.interlocks.base import StreamSilence
 from runs.columns import StreamStatus
 
 Array = NDArray[np.float64]

@@ -11,7 +11,9 @@ import protocols
 from protocols import BadInputError, Problem
 from rig.config import loader
 from rig.config.schema import RigConfig
-from rig.control import interlocks, sensor_state
+from rig.control import sensor_state
+from rig.control.interlocks import evaluation
+from rig.control.interlocks.actuator_interlocks import UnderPressure
 from rig.control.sensor_state import RegulatorDemand
 from rig.experiment.preflight import check
 from rig.hardware.safe_state import VentVerification, safe_voltages
@@ -61,8 +63,8 @@ def test_a_vacuum_supply_that_is_too_weak_ends_the_run() -> None:
 @pytest.mark.parametrize(("lowest_bar", "pressure_bar"), [(0.0, -0.06), (-0.6, -0.66)])
 def test_a_pressure_below_the_lowest_one_with_its_margin_trips(lowest_bar: float, pressure_bar: float) -> None:
     config = vacuum_rig(lowest_bar=lowest_bar)
-    settings = interlocks.settings(config)
-    (under,) = (i for i in settings.actuators[0] if isinstance(i, interlocks.UnderPressure))
+    settings = evaluation.settings(config)
+    (under,) = (i for i in settings.actuators[0] if isinstance(i, UnderPressure))
     demand = RegulatorDemand(lowest_bar * 1e5, lowest_bar * 1e5, 0.0, 0.0)
     state = sensor_state.SensorState(pressure_pa=pressure_bar * 1e5)
     trip = under.trip(0, state, demand)

@@ -1,0 +1,162 @@
+"""Interlocks of one actuator: its pressure, the rate of the pressure, and a sensor that does not answer the valve."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+from rig.config.schema import RigConfig
+from rig.config.sections import PA_PER_BAR, Sensor
+from rig.control.interlocks.base import ActuatorInterlock, Trip
+from rig.control.sensor_state import RegulatorDemand, SensorState
+
+EVIDENCE = 2.0
+"""A constant reading counts as frozen once the valve should have moved it by this multiple of the accuracy."""
+
+
+@dataclass(frozen=True)
+class OverPressure(ActuatorInterlock):
+    """The pressure is above the limit with its margin, or not a number."""
+
+    actuator: int
+    limit_pa: float
+
+    @classmethod
+    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
+        """The limit of the rig file."""
+        limits = config.limits
+        return cls(sensor.actuator, (limits.pressure_bar + limits.pressure_margin_bar) * PA_PER_BAR)
+
+    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
+        """Compare the pressure."""
+        if w.pressure_pa <= self.limit_pa:
+            return None
+        return _trip_bar(t_ns, "over-pressure", f"actuator {self.actuator} is at", w.pressure_pa, self.limit_pa)
+
+
+@dataclass(frozen=True)
+class UnderPressure(ActuatorInterlock):
+    """The pressure is below the lowest one with its margin."""
+
+    actuator: int
+    limit_pa: float
+
+    @classmethod
+    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
+        """The limit of the rig file."""
+        limits = config.limits
+        return cls(sensor.actuator, (limits.lowest_pressure_bar - limits.pressure_margin_bar) * PA_PER_BAR)
+
+    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
+        """Compare the pressure."""
+        if w.pressure_pa >= self.limit_pa:
+            return None
+        return _trip_bar(t_ns, "under-pressure", f"actuator {self.actuator} is at", w.pressure_pa, self.limit_pa)
+
+
+@dataclass(frozen=True)
+class PressureRate(ActuatorInterlock):
+    """The filtered rate of the pressure is above the limit with its margin."""
+
+    actuator: int
+    limit_pa_s: float
+
+    @classmethod
+    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
+        """The limit of the rig file."""
+        limits = config.limits
+        return cls(sensor.actuator, (limits.rate_bar_per_s + limits.rate_margin_bar_per_s) * PA_PER_BAR)
+
+    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
+        """Compare the rate."""
+        if not abs(w.rate_pa_s) > self.limit_pa_s:
+            return None
+        what = f"actuator {self.actuator} changes by"
+        return _trip_bar(t_ns, "pressure rate", what, w.rate_pa_s, self.limit_pa_s, "bar/s")
+
+
+@dataclass(frozen=True)
+class FrozenReading(ActuatorInterlock):
+    """The reading has not moved by one count for `frozen_s` although the valve should have changed the pressure."""
+
+    actuator: int
+    frozen_s: float
+    accuracy_pa: float
+
+    @classmethod
+    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
+        """The limit of the rig file."""
+        return cls(sensor.actuator, config.limits.frozen_s, sensor.accuracy_bar * PA_PER_BAR)
+
+    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
+        """Compare the time without a change, and the change that should have come."""
+        expected = abs(w.expected_pa)
+        if not (w.anchor_s >= self.frozen_s and expected > EVIDENCE * self.accuracy_pa):
+            return None
+        name = f"sensor {self.actuator}"
+        message = (
+            f"{name} has not moved by one count for {w.anchor_s:.3f} s (limit {self.frozen_s:.3f} s) while its "
+            f"valve asked for {expected / PA_PER_BAR:.3f} bar: the sensor is frozen, or there is no air"
+        )
+        return Trip(t_ns, name, message, w.anchor_s, self.frozen_s, "s")
+
+
+@dataclass(frozen=True)
+class UnresponsiveSensor(ActuatorInterlock):
+    """The reading moves by noise only while the reference leads it away.
+
+    `response_s` is how long the pressure may take to follow a moving reference: zero if the sensor controls a
+    flow-metering valve, which would otherwise continue to fill.
+    """
+
+    actuator: int
+    tracking_pa: float
+    response_s: float
+
+    @classmethod
+    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
+        """The limits of the rig file, by the valve's type."""
+        valve = next(valve for valve in config.valves if sensor.actuator in valve.actuators)
+        response_s = 0.0 if valve.closed_v is not None else config.limits.frozen_s
+        return cls(sensor.actuator, config.limits.tracking_bar * PA_PER_BAR, response_s)
+
+    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
+        """Compare the way of the reference since the reading last moved."""
+        reference_change = demand.reference_pa - w.left_reference_pa
+        if not (abs(reference_change) > self.tracking_pa and w.left_s > self.response_s):
+            return None
+        name = f"sensor {self.actuator}"
+        message = (
+            f"{name} stays at {w.pressure_pa / PA_PER_BAR:.3f} bar: frozen, or no air, while its reference moved by"
+        )
+        return _trip_bar(t_ns, name, message, reference_change, self.tracking_pa)
+
+
+@dataclass(frozen=True)
+class Tracking(ActuatorInterlock):
+    """The pressure is off its standing set-point, or strays from its moving one, for `tracking_s`."""
+
+    actuator: int
+    tracking_pa: float
+    tracking_s: float
+
+    @classmethod
+    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
+        """The limits of the rig file."""
+        return cls(sensor.actuator, config.limits.tracking_bar * PA_PER_BAR, config.limits.tracking_s)
+
+    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
+        """Compare the errors and how long they last."""
+        name, error = f"actuator {self.actuator}", w.pressure_pa - demand.setpoint_pa
+        if w.still_s >= self.tracking_s and abs(error) > self.tracking_pa:
+            return _trip_bar(t_ns, "tracking", f"{name} is off its standing set-point by", error, self.tracking_pa)
+        if w.off_reference_s >= self.tracking_s:
+            error = w.pressure_pa - demand.reference_pa
+            message = f"{name} has strayed from its moving set-point for {w.off_reference_s:.2f} s, now by"
+            return _trip_bar(t_ns, "tracking", message, error, self.tracking_pa)
+        return None
+
+
+def _trip_bar(t_ns: int, source: str, what: str, value: float, limit: float, unit: str = "bar") -> Trip:
+    value, limit = value / PA_PER_BAR, limit / PA_PER_BAR
+    return Trip(t_ns, source, f"{what} {value:.3f} {unit} (limit {limit:.3f} {unit})", value, limit, unit)

@@ -1,0 +1,92 @@
+"""Interfaces of the interlocks, their input and the trip that they return.
+
+Pressures are gauge and in Pa; messages use bar.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config.schema import RigConfig
+from rig.config.sections import Sensor
+from rig.control.sensor_state import RegulatorDemand, SensorState
+
+
+class StreamSilence(NamedTuple):
+    """For how long another program that sends the set-points has sent none.
+
+    `first`: it has sent none since the step in this `line` of the protocol began. `sequence`: number of the last one.
+    """
+
+    silent_s: float
+    limit_s: float
+    first: bool
+    line: int
+    sequence: int
+
+
+class Sample(NamedTuple):
+    """Input of one control cycle.
+
+    `t_ns` is the time of the cycle, `scan_t_ns` that of the newest scan (0 before the first); `volts` (N,) and
+    `pressure_pa` (N,) come from the scans since the last cycle, or repeat the last values if there were none.
+    `stops_closed` (E,): whether the contact of each emergency stop is closed now.
+    `stalled_ns`: duration of a stall of this program just now, else 0. `time_stopped`: the bench is a simulation whose
+    time stopped during the stall. `stream`: the silence of another program that sends the set-points.
+    """
+
+    t_ns: int
+    scan_t_ns: int
+    volts: NDArray[np.float64]
+    pressure_pa: NDArray[np.float64]
+    stalled_ns: int = 0
+    time_stopped: bool = False
+    stops_closed: tuple[bool, ...] = ()
+    stream: StreamSilence | None = None
+
+
+@dataclass(frozen=True)
+class Trip:
+    """The reason to stop a run. `value` and `limit` are in `unit`; the message contains all three.
+
+    With `vent` the run ends with every chamber vented, also those that the safe state holds.
+    """
+
+    t_ns: int
+    source: str
+    message: str
+    value: float
+    limit: float
+    unit: str
+    vent: bool = False
+
+
+class SampleInterlock(ABC):
+    """A condition of one sample, checked before all conditions of the actuators."""
+
+    @classmethod
+    @abstractmethod
+    def of(cls, config: RigConfig) -> Self:
+        """The interlock with the limits of a rig."""
+
+    @abstractmethod
+    def trip(self, sample: Sample, *, new: bool) -> Trip | None:
+        """The trip by a sample, None if the condition is not met; `new` is false if its scan was checked before."""
+
+
+class ActuatorInterlock(ABC):
+    """A condition of one actuator, checked for every new scan."""
+
+    @classmethod
+    @abstractmethod
+    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
+        """The interlock with the limits of a rig, for the actuator of a sensor."""
+
+    @abstractmethod
+    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
+        """The trip by the state after a scan, None if the condition is not met."""
