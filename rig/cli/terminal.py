@@ -312,7 +312,7 @@ def _tip(observation: NDArray[np.void]) -> str:
 
 
 def _unseen(observation: NDArray[np.void]) -> str:
-    return DetectionStatus(int(observation["seen"])).name.lower().replace("_", " ")
+    return DetectionStatus(int(observation["seen"])).words
 
 
 def _estimates(adapted: Sequence[Quantity], row: NDArray[np.void]) -> tuple[RenderableType, RenderableType]:

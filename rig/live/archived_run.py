@@ -19,7 +19,18 @@ from rig.config.loader import recorded
 from rig.config.schema import RigConfig
 from rig.config.sections import PA_PER_BAR
 from rig.live.messages import Message
-from rig.live.packets import ViewOverlay, ViewUpdate, auxiliary, estimates, lateness_cycles
+from rig.live.packets import ViewOverlay, ViewUpdate, lateness_cycles
+from rig.live.view_state import (
+    EstimateView,
+    PressureView,
+    ProtocolView,
+    RunDescription,
+    TimingView,
+    TipView,
+    ViewState,
+    estimates,
+    inputs,
+)
 from rig.observation.overlay import arm_lines
 from rig.realtime.shared_state import LINE_POINTS
 from runs.records import DetectionStatus
@@ -29,6 +40,8 @@ HISTORY_ROWS = 1500
 PACKET_S = 1 / 30
 MM_PER_M = 1e3
 KG_PER_G = 1e-3
+UNKNOWN_LENGTH_MM = 170.0
+"""Length of the arm that the page draws where the archived rig cannot be read."""
 Floats = NDArray[np.float64]
 
 
@@ -59,24 +72,22 @@ class ArchivedRun:
         if len(tip.time_s):
             self.overlay(0, 0 if len(run.frames.index) else -1)  # compile the kernels before the first request
 
-    def about(self) -> dict[str, Any]:
+    def about(self) -> RunDescription:
         """Return the constant properties of the run."""
-        header = self.run.header
-        return {
-            "title": self.run.path.stem,
-            "live": False,
-            "simulated": header.simulated,
-            "variant": header.model_variant,
-            "actuators": header.actuators,
-            "camera": None,
-            "measured": bool(header.cameras),
-            "duration": self.duration_s,
-            "limit": self._config.limits.pressure_bar
-            if self._config
-            else float(np.nanmax(self.pressure_rows[:, 1:], initial=0.0)),
-            "length": self._config.arm.geometry.length_mm if self._config else 170.0,
-            "end": self.end_s,
-        }
+        header, config = self.run.header, self._config
+        highest_bar = float(np.nanmax(self.pressure_rows[:, 1:], initial=0.0))
+        return RunDescription(
+            title=self.run.path.stem,
+            live=False,
+            simulated=header.simulated,
+            variant=header.model_variant,
+            actuators=header.actuators,
+            measured=bool(header.cameras),
+            duration_s=self.duration_s,
+            limit_bar=config.limits.pressure_bar if config else highest_bar,
+            length_mm=config.arm.geometry.length_mm if config else UNKNOWN_LENGTH_MM,
+            end_s=self.end_s,
+        )
 
     def viewer(self) -> ArchivedRunViewer:
         """Return a view for one more browser."""
@@ -142,56 +153,59 @@ class ArchivedRun:
         except model.NotConverged:
             return None
 
-    def now(self, t_s: float, frame: int, playing: bool) -> dict[str, Any]:
-        """Return the numbers at a time."""
-        run, pressure = self.run, self.run.pressure
-        cycle = int(np.searchsorted(pressure.time_s, t_s, side="right")) - 1
-        now: dict[str, Any] = {
-            "state": "playing" if playing else "stopped",
-            "t": t_s,
-            "ended": "",
-            "prompt": None,
-            "protocol": 0.0,
-            "left": self.duration_s,
-            "missed": int(run.timing.overruns[: cycle + 1].sum()),
-            "dropped": int(run.tip.dropped[: frame + 1].sum()) if run.header.cameras else None,
-        }
-        if cycle >= 0:
-            protocol_s = float(pressure.protocol_s[cycle])
-            recent = run.timing.lateness_us[max(0, cycle + 1 - lateness_cycles(run.header.control_hz)) : cycle + 1]
-            now |= {
-                "protocol": protocol_s,
-                "left": self.duration_s - protocol_s,
-                "setpoint": pressure.setpoint_bar[cycle],
-                "measured": pressure.measured_bar[cycle],
-                "late": float(run.timing.lateness_us[cycle]),
-                "lateMax": float(recent.max()),
-                **self._segment(protocol_s),
-            }
-            if run.auxiliary is not None:
-                now["inputs"] = auxiliary(run.header.auxiliary, run.auxiliary.value[cycle])
-        if frame >= 0:
-            tip = run.tip
-            now |= {
-                "frame": int(tip.frame[frame]),
-                "seen": DetectionStatus(int(tip.seen[frame])).name.lower().replace("_", " "),
-                "modelOk": bool(tip.model_ok[frame]),
-                "error": float(tip.error_mm[frame]),
-                "mean": float(self.mean[frame]),
-                "reprojection": float(tip.reprojection_px[frame]),
-            }
-            if (found := run.adaptation) is not None:
-                # An interrupted run may lack the estimates of its last frame.
-                row = int(np.searchsorted(found.time_s, tip.time_s[frame], side="right")) - 1
-                if row >= 0:
-                    now["estimates"] = estimates(run.header.adapted, found.value[row], found.uncertainty[row])
-        return now
+    def now(self, t_s: float, frame: int, playing: bool) -> ViewState:
+        """Return the state at a time, with row `frame` of the tip; -1 before the first frame."""
+        run = self.run
+        cycle = int(np.searchsorted(run.pressure.time_s, t_s, side="right")) - 1
+        auxiliary = run.auxiliary if cycle >= 0 else None
+        return ViewState(
+            state="playing" if playing else "stopped",
+            time_s=t_s,
+            protocol=self._protocol(float(run.pressure.protocol_s[cycle]) if cycle >= 0 else 0.0),
+            timing=self._timing(cycle, frame),
+            pressure=PressureView(run.pressure.setpoint_bar[cycle], run.pressure.measured_bar[cycle])
+            if cycle >= 0
+            else None,
+            tip=self._tip(frame) if frame >= 0 else None,
+            inputs=inputs(run.header.auxiliary, auxiliary.value[cycle]) if auxiliary is not None else (),
+            estimates=self._estimates(frame) if frame >= 0 else (),
+        )
 
-    def _segment(self, protocol_s: float) -> dict[str, Any]:
+    def _protocol(self, protocol_s: float) -> ProtocolView:
+        left_s = self.duration_s - protocol_s
         for interval in self.run.header.intervals:
             if interval.start_s <= protocol_s < interval.stop_s:
-                return {"segment": interval.label or interval.kind, "segmentLeft": interval.stop_s - protocol_s}
-        return {"segment": "", "segmentLeft": 0.0}
+                label = interval.label or interval.kind
+                return ProtocolView(protocol_s, left_s, label, interval.stop_s - protocol_s)
+        return ProtocolView(protocol_s, left_s)
+
+    def _timing(self, cycle: int, frame: int) -> TimingView:
+        run = self.run
+        missed = int(run.timing.overruns[: cycle + 1].sum())
+        dropped = int(run.tip.dropped[: frame + 1].sum()) if run.header.cameras else None
+        if cycle < 0:
+            return TimingView(missed, dropped)
+        recent = run.timing.lateness_us[max(0, cycle + 1 - lateness_cycles(run.header.control_hz)) : cycle + 1]
+        return TimingView(missed, dropped, float(recent[-1]), float(recent.max()))
+
+    def _tip(self, frame: int) -> TipView:
+        tip = self.run.tip
+        return TipView(
+            frame=int(tip.frame[frame]),
+            seen=DetectionStatus(int(tip.seen[frame])).words,
+            model_ok=bool(tip.model_ok[frame]),
+            error_mm=float(tip.error_mm[frame]),
+            mean_error_mm=float(self.mean[frame]),
+            reprojection_px=float(tip.reprojection_px[frame]),
+        )
+
+    def _estimates(self, frame: int) -> tuple[EstimateView, ...]:
+        found = self.run.adaptation
+        if found is None:
+            return ()
+        # An interrupted run may lack the estimates of its last frame.
+        row = int(np.searchsorted(found.time_s, self.run.tip.time_s[frame], side="right")) - 1
+        return estimates(self.run.header.adapted, found.value[row], found.uncertainty[row]) if row >= 0 else ()
 
 
 class ArchivedRunViewer:

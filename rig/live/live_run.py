@@ -17,12 +17,21 @@ from rig.live.packets import (
     RunningMean,
     ViewOverlay,
     ViewUpdate,
-    auxiliary,
     bar,
-    estimates,
     jpeg,
     lateness_cycles,
     track_row,
+)
+from rig.live.view_state import (
+    EstimateView,
+    PressureView,
+    ProtocolView,
+    RunDescription,
+    TimingView,
+    TipView,
+    ViewState,
+    estimates,
+    inputs,
 )
 from rig.realtime.shared_state import Stage
 from runs.records import DetectionStatus, Event
@@ -66,22 +75,20 @@ class LiveRun:
         """True once the run has ended."""
         return bool(self.ended)
 
-    def about(self) -> dict[str, Any]:
+    def about(self) -> RunDescription:
         """Return the constant properties of the run."""
         plan = self.session.plan
-        camera = next(iter(plan.config.cameras.values()), None)
-        return {
-            "title": f"{Path(plan.trajectory.source).stem} on {plan.config.name}",
-            "live": True,
-            "simulated": plan.config.simulated,
-            "variant": plan.variant,
-            "actuators": plan.config.actuators,
-            "camera": None if camera is None else [camera.width_px, camera.height_px],
-            "measured": camera is not None,
-            "duration": plan.trajectory.duration_s,
-            "limit": plan.config.limits.pressure_bar,
-            "length": plan.config.arm.geometry.length_mm,
-        }
+        return RunDescription(
+            title=f"{Path(plan.trajectory.source).stem} on {plan.config.name}",
+            live=True,
+            simulated=plan.config.simulated,
+            variant=plan.variant,
+            actuators=plan.config.actuators,
+            measured=bool(plan.config.cameras),
+            duration_s=plan.trajectory.duration_s,
+            limit_bar=plan.config.limits.pressure_bar,
+            length_mm=plan.config.arm.geometry.length_mm,
+        )
 
     def viewer(self) -> LiveRunViewer:
         """Return a view for one more browser."""
@@ -206,59 +213,55 @@ class LiveRunViewer:
         """Unregister the browser."""
         self._source.viewers -= 1
 
-    def _now(self) -> dict[str, Any]:
+    def _now(self) -> ViewState:
         source = self._source
         memory, plan = source.session.memory, source.session.plan
-        protocol_s = memory.protocol_s
+        protocol_s, waiting, sample = memory.protocol_s, memory.waiting_prompt, source.sample
         segment = plan.trajectory.segment_at(protocol_s)
-        waiting = memory.waiting_prompt
-        now: dict[str, Any] = {
-            "state": self._state(waiting),
-            "protocol": protocol_s,
-            "left": plan.trajectory.duration_s - protocol_s,
-            "segment": segment.label or segment.kind,
-            "segmentLeft": max(0.0, segment.stop_s - protocol_s),
-            "prompt": plan.trajectory.prompts[waiting].message if waiting >= 0 else None,
-            "ended": source.ended,
-            "missed": source.missed,
-            "dropped": source.dropped if plan.config.cameras else None,
-            "lateMax": source.lateness_max_us,
-        }
-        if source.sample is not None:
-            now |= {
-                "t": source.seconds(int(source.sample["t_ns"])),
-                "setpoint": bar(source.sample["setpoint_pa"]),
-                "measured": bar(source.sample["measured_pa"]),
-                "late": float(source.sample["lateness_ns"]) * 1e-3,
-            }
-            if plan.auxiliary:
-                now["inputs"] = auxiliary(plan.auxiliary, source.sample["aux"])
-        if source.adaptation is not None:
-            row = source.adaptation
-            std = np.sqrt(np.diagonal(row["covariance"]))
-            now["estimates"] = estimates(plan.adapted, row["value"], std)
-        if source.observations:
-            now |= self._tip()
-        return now
+        return ViewState(
+            state=self._state(waiting),
+            time_s=0.0 if sample is None else source.seconds(int(sample["t_ns"])),
+            protocol=ProtocolView(
+                time_s=protocol_s,
+                left_s=plan.trajectory.duration_s - protocol_s,
+                segment=segment.label or segment.kind,
+                segment_left_s=max(0.0, segment.stop_s - protocol_s),
+            ),
+            timing=TimingView(
+                missed=source.missed,
+                dropped=source.dropped if plan.config.cameras else None,
+                lateness_us=None if sample is None else float(sample["lateness_ns"]) * 1e-3,
+                lateness_max_us=source.lateness_max_us,
+            ),
+            pressure=None if sample is None else PressureView.of_pascal(sample["setpoint_pa"], sample["measured_pa"]),
+            tip=self._tip() if source.observations else None,
+            inputs=inputs(plan.auxiliary, sample["aux"]) if sample is not None and plan.auxiliary else (),
+            estimates=self._estimates(),
+            prompt=plan.trajectory.prompts[waiting].message if waiting >= 0 else None,
+            ended=source.ended,
+        )
 
-    def _tip(self) -> dict[str, Any]:
+    def _estimates(self) -> tuple[EstimateView, ...]:
+        row = self._source.adaptation
+        if row is None:
+            return ()
+        return estimates(self._source.session.plan.adapted, row["value"], np.sqrt(np.diagonal(row["covariance"])))
+
+    def _tip(self) -> TipView:
         source = self._source
         newest = next(reversed(source.observations))
         frame = newest if source.view is None else int(source.view[0]["frame"])
         row, mean = source.observations.get(frame, source.observations[newest])
-        return {
-            "frame": int(row["frame"]),
-            "seen": DetectionStatus(int(row["seen"])).name.lower().replace("_", " "),
-            "tip": MM * row["measured_m"],
-            "std": MM * np.sqrt(np.diagonal(row["covariance_m2"])),
-            "model": MM * row["model_m"],
-            "modelOk": bool(row["model_ok"]),
-            "error": MM * float(np.linalg.norm(row["measured_m"] - row["model_m"])),
-            "mean": mean,
-            "reprojection": float(row["reprojection_px"]),
-            "age": (time.monotonic_ns() - int(row["t_ns"])) * 1e-6,
-            "sent": time.time() * 1e3,
-        }
+        return TipView(
+            frame=int(row["frame"]),
+            seen=DetectionStatus(int(row["seen"])).words,
+            model_ok=bool(row["model_ok"]),
+            error_mm=MM * float(np.linalg.norm(row["measured_m"] - row["model_m"])),
+            mean_error_mm=mean,
+            reprojection_px=float(row["reprojection_px"]),
+            age_ms=(time.monotonic_ns() - int(row["t_ns"])) * 1e-6,
+            sent_ms=time.time() * 1e3,
+        )
 
     def _state(self, waiting: int) -> str:
         memory = self._source.session.memory

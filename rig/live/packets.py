@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import cv2
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.sections import PA_PER_BAR
-from runs.records import AuxiliaryChannel, Quantity
+from rig.live.view_state import ViewState
 
 Floats = NDArray[np.float64]
 MM = 1e3
@@ -85,7 +84,7 @@ class ViewOverlay:
 class ViewUpdate:
     """New data for a page; see docs/reference/live-stream.md. NaN becomes null."""
 
-    now: dict[str, Any]
+    now: ViewState
     pressure: Floats = field(default_factory=lambda: np.empty((0, 0)))
     """Rows: time [s], N set-points, N measured [bar]."""
     track: Floats = field(default_factory=lambda: np.empty((0, 0)))
@@ -99,7 +98,7 @@ class ViewUpdate:
     def encoded(self) -> bytes:
         """Return the packet: length of the JSON, the JSON, the JPEG."""
         body: dict[str, Any] = {
-            "now": {name: plain(value) for name, value in self.now.items()},
+            "now": plain(asdict(self.now)),
             "pressure": rounded(self.pressure, 4),
             "track": rounded(self.track, 3),
             "events": self.events,
@@ -117,7 +116,9 @@ class ViewUpdate:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value for JSON: arrays to lists of four decimals, NaN to null."""
+    """Convert a value for JSON: arrays to lists of four decimals, NaN to null; a field without a value is left out."""
+    if isinstance(value, dict):
+        return {name: plain(one) for name, one in value.items() if one is not None}
     if isinstance(value, np.ndarray):
         return rounded(value, 4)
     if isinstance(value, float):
@@ -140,19 +141,6 @@ def rounded(values: NDArray[Any], digits: int) -> list[Any]:
 def track_row(t_s: float, measured_mm: Floats, std_mm: Floats, model_mm: Floats, error: float, mean: float) -> Floats:
     """Return one row of `ViewUpdate.track`."""
     return np.concatenate([[t_s], measured_mm, std_mm, model_mm, [error, mean]])
-
-
-def estimates(adapted: Sequence[Quantity], value: Floats, std: Floats) -> list[list[Any]]:
-    """Return the rows of `now.estimates` as text: name, unit, estimate, standard deviation, initial value."""
-    return [
-        [q.name, q.unit, f"{x:.5g}", f"{s:.2g}", f"{q.value[0]:.5g}"]
-        for q, x, s in zip(adapted, value, std, strict=True)
-    ]
-
-
-def auxiliary(inputs: Sequence[AuxiliaryChannel], values: Floats) -> list[list[str]]:
-    """Return the rows of `now.inputs` as text: name, value, unit."""
-    return [[one.name, f"{value:.4g}", one.unit] for one, value in zip(inputs, values, strict=True)]
 
 
 def bar(pascal: Floats) -> Floats:

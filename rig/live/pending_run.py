@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any
 
 from rig.execution.plan import StartError
 from rig.live.client_session import ClientSession, connect
 from rig.live.live_run import LiveRun
 from rig.live.run_source import Viewer
+from rig.live.view_state import RunDescription
 
 CONNECT_EVERY_S = 0.1
 
@@ -29,7 +29,7 @@ class PendingRun:
         """True once the run has ended."""
         return self._live_run is not None and self._live_run.finished
 
-    def about(self) -> dict[str, Any] | None:
+    def about(self) -> RunDescription | None:
         """Return the constant properties; None before the run starts."""
         return None if self._live_run is None else self._live_run.about()
 

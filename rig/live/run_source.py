@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 from rig.live.messages import Message
+from rig.live.view_state import RunDescription
 
 
 class Viewer(Protocol):
@@ -29,8 +30,8 @@ class RunSource(Protocol):
     def finished(self) -> bool:
         """True once no more data will come."""
 
-    def about(self) -> dict[str, Any] | None:
-        """Return the constant properties: title, actuators, duration, limits; None before the run starts."""
+    def about(self) -> RunDescription | None:
+        """Return the constant properties; None before the run starts."""
 
     def viewer(self) -> Viewer:
         """Return a view for one more browser."""

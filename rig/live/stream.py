@@ -10,13 +10,16 @@ from __future__ import annotations
 import asyncio
 import json
 from contextlib import suppress
+from dataclasses import asdict
 from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rig.live.authentication import SESSION, LoginSession
 from rig.live.messages import Message, MessageError, parse
+from rig.live.packets import plain
 from rig.live.run_source import RunSource, Viewer
+from rig.live.view_state import RunDescription
 
 POLL_S = 0.008
 WAIT_S = 0.1
@@ -46,13 +49,13 @@ async def stream(socket: WebSocket, source: RunSource) -> None:
         _guests -= guest
 
 
-async def _serve(socket: WebSocket, source: RunSource, session: LoginSession, about: dict[str, Any]) -> None:
+async def _serve(socket: WebSocket, source: RunSource, session: LoginSession, about: RunDescription) -> None:
     viewer = source.viewer()
     ready = asyncio.Event()
     lock = asyncio.Lock()
     sending = asyncio.create_task(_send(socket, viewer, ready, lock))
     try:
-        greeting = {**about, "who": session.who, "operator": session.operator}
+        greeting = {**plain(asdict(about)), "who": session.who, "operator": session.operator}
         async with lock:
             await socket.send_text(json.dumps({"about": greeting}))
         await _listen(socket, viewer, session, ready, lock, source.live)

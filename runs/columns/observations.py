@@ -37,6 +37,11 @@ class DetectionStatus(IntEnum):
     DISAGREE = 5
     NO_CAMERA = 6
 
+    @property
+    def words(self) -> str:
+        """The result in words."""
+        return self.name.lower().replace("_", " ")
+
 
 def _error_mm(rows: NDArray[np.void]) -> Values:
     return np.asarray(np.linalg.norm(rows["measured_m"] * MM_PER_M - rows["model_m"] * MM_PER_M, axis=1))

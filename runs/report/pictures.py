@@ -201,7 +201,7 @@ def _losses(run: Run) -> Iterator[tuple[int, str]]:
         within = np.flatnonzero((run.frames.index >= first) & (run.frames.index <= last))
         if len(within) and found < MOST_LOSSES:
             found += 1
-            why = DetectionStatus(int(seen[begins[i]])).name.lower().replace("_", " ")
+            why = DetectionStatus(int(seen[begins[i]])).words
             yield int(within[0]), f"nothing measured ({why})"
 
 

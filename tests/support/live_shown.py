@@ -19,6 +19,15 @@ from rig.live.messages import Message
 from rig.live.packets import ViewOverlay, ViewUpdate, jpeg
 from rig.live.page_configuration import PageConfiguration
 from rig.live.server import application
+from rig.live.view_state import (
+    EstimateView,
+    PressureView,
+    ProtocolView,
+    RunDescription,
+    TimingView,
+    TipView,
+    ViewState,
+)
 
 NAMES = (
     "law",
@@ -59,50 +68,40 @@ class Shown:
         seconds = np.arange(0.0, 60.0, 0.5)
         pressures = 0.6123 + 0.05 * np.sin(seconds[:, None] + np.arange(2 * actuators))
         track = np.column_stack([seconds, *(100 * np.sin(seconds + i) for i in range(11))])
-        now: dict[str, Any] = {
-            "state": "waiting" if prompt else "running",
-            "t": 59.5,
-            "protocol": 3723.4,
-            "left": 5999.6,
-            "segment": "sine of actuators 1 to 6 about 0.35 bar, amplitude 0.30 bar, 0.5 Hz",
-            "segmentLeft": 1234.5,
-            "prompt": prompt or None,
-            "ended": "",
-            "missed": 123,
-            "dropped": 4567,
-            "lateMax": 12345.6,
-            "late": 1234.5,
-            "setpoint": np.linspace(0.6123, 0.7, actuators),
-            "measured": np.linspace(0.6234, 0.7123, actuators),
-            "frame": 12345,
-            "seen": "too few corners",
-            "error": 123.456,
-            "mean": 12.345,
-            "modelOk": False,
-            "reprojection": 12.345,
-            "age": 123.4,
-        }
-        if adapt:
-            now["estimates"] = [[name, "1/bar", "-0.0012345", "0.00012", "-0.0012346"] for name in NAMES]
+        row = ("1/bar", "-0.0012345", "0.00012", "-0.0012346")
+        now = ViewState(
+            state="waiting" if prompt else "running",
+            time_s=59.5,
+            protocol=ProtocolView(
+                time_s=3723.4,
+                left_s=5999.6,
+                segment="sine of actuators 1 to 6 about 0.35 bar, amplitude 0.30 bar, 0.5 Hz",
+                segment_left_s=1234.5,
+            ),
+            timing=TimingView(missed=123, dropped=4567, lateness_us=1234.5, lateness_max_us=12345.6),
+            pressure=PressureView(np.linspace(0.6123, 0.7, actuators), np.linspace(0.6234, 0.7123, actuators)),
+            tip=TipView(12345, "too few corners", False, 123.456, 12.345, 12.345, age_ms=123.4),
+            estimates=tuple(EstimateView(name, *row) for name in NAMES) if adapt else (),
+            prompt=prompt or None,
+        )
         lines = np.linspace((0, 0, 0), (120, 30, 180), 20)[None] + np.zeros((actuators + 1, 1, 1))
         drawing = ViewOverlay(np.full((20, 2), 50.0), np.array([90.0, 90.0]), np.array([95.0, 95.0]), lines)
         picture = jpeg(np.full((480, 640), 160, np.uint8))
         self.packet = ViewUpdate(now, pressures_of(seconds, pressures), track, list(EVENTS), drawing, picture).encoded()
 
-    def about(self) -> dict[str, Any]:
+    def about(self) -> RunDescription:
         """Description of a run with that many actuators."""
-        return {
-            "title": "extension-weights on a-rig-with-a-long-name",
-            "live": True,
-            "simulated": True,
-            "variant": "coupled",
-            "actuators": self.actuators,
-            "camera": [640, 480],
-            "measured": True,
-            "duration": 9723.0,
-            "limit": 0.7,
-            "length": 170.0,
-        }
+        return RunDescription(
+            title="extension-weights on a-rig-with-a-long-name",
+            live=True,
+            simulated=True,
+            variant="coupled",
+            actuators=self.actuators,
+            measured=True,
+            duration_s=9723.0,
+            limit_bar=0.7,
+            length_mm=170.0,
+        )
 
     def viewer(self) -> Moment:
         """One more browser."""

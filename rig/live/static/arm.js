@@ -49,7 +49,7 @@ export class ArmView {
     canvas.height = height * ratio;
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, width, height);
-    const length = about.length;
+    const length = about.length_mm;
     this.scale = Math.min(height / (1.6 * length), width / (1.3 * length));
     this.cx = width / 2;
     this.cy = 0.12 * height;
@@ -80,7 +80,7 @@ export class ArmView {
 
   tubes(ink) {
     const [axis, ...actuators] = this.lines;
-    const limit = this.about.limit;
+    const limit = this.about.limit_bar;
     const segments = [];
     const collect = (points, colour, width) => {
       for (let i = 1; i < points.length; i++) {
@@ -129,7 +129,7 @@ export class ArmView {
     context.fillStyle = ink.getPropertyValue("--muted");
     context.font = "13px system-ui, sans-serif";
     context.fillText("0", 8, top + 22);
-    context.fillText(`${this.about.limit} bar`, wide - 30, top + 22);
+    context.fillText(`${this.about.limit_bar} bar`, wide - 30, top + 22);
   }
 
   path(points) {

@@ -53,7 +53,7 @@ function begin(what) {
   charts.begin(about);
   arm.begin(about);
   at("event-list").replaceChildren();
-  if (at("place")) at("place").max = about.end;
+  if (at("place")) at("place").max = about.end_s;
   ask({ more: 1 });
 }
 
@@ -66,12 +66,12 @@ async function show(data) {
     at("event-list").replaceChildren();
   }
   numbers();
-  charts.add(packet.pressure, packet.track, now.t ?? 0);
+  charts.add(packet.pressure, packet.track, now.time_s);
   events(packet.events);
-  if (packet.drawing) arm.show(packet.drawing.lines, now.measured);
+  if (packet.drawing) arm.show(packet.drawing.lines, now.pressure?.measured_bar);
   if (data.byteLength > 4 + length) {
     await picture.show(new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" }), packet.drawing);
-    if (now.sent) seen.latency.push(now.age + Date.now() - now.sent);
+    if (now.tip?.sent_ms) seen.latency.push(now.tip.age_ms + Date.now() - now.tip.sent_ms);
     if (seen.latency.length > 3000) seen.latency.shift();
   }
   seen.packets += 1;
@@ -79,30 +79,31 @@ async function show(data) {
 
 function numbers() {
   state(now.state);
-  at("segment").textContent = now.segment ? `${now.segment}${now.segmentLeft > 0 ? `, ${clock(now.segmentLeft)} left` : ""}` : "";
-  at("progress-bar").style.width = `${(100 * now.protocol) / about.duration}%`;
-  at("clock").textContent = `${clock(now.protocol)} of ${clock(about.duration)}`;
-  at("error").textContent = fixed(now.error, 2);
-  at("error").dataset.frame = now.frame ?? "";
-  at("error-more").textContent = `mean ${fixed(now.mean, 2)} mm${now.seen && now.seen !== "measured" ? `; tip: ${now.seen}` : ""}${now.modelOk === false ? "; model not solved" : ""}`;
+  const { protocol, timing, pressure } = now, tip = now.tip ?? {};
+  at("segment").textContent = `${protocol.segment}${protocol.segment_left_s > 0 ? `, ${clock(protocol.segment_left_s)} left` : ""}`;
+  at("progress-bar").style.width = `${(100 * protocol.time_s) / about.duration_s}%`;
+  at("clock").textContent = `${clock(protocol.time_s)} of ${clock(about.duration_s)}`;
+  at("error").textContent = fixed(tip.error_mm, 2);
+  at("error").dataset.frame = tip.frame ?? "";
+  at("error-more").textContent = `mean ${fixed(tip.mean_error_mm, 2)} mm${tip.seen && tip.seen !== "measured" ? `; tip: ${tip.seen}` : ""}${tip.model_ok === false ? "; model not solved" : ""}`;
   if (!about.measured) at("error-more").textContent = "the rig has no camera: the tip is not measured";
-  if (now.setpoint) {
-    const led = now.setpoint.reduce((best, p, i) => (p > now.setpoint[best] ? i : best), 0);
-    at("pressure").textContent = fixed(now.measured[led], 3);
+  if (pressure) {
+    const led = pressure.setpoint_bar.reduce((best, p, i) => (p > pressure.setpoint_bar[best] ? i : best), 0);
+    at("pressure").textContent = fixed(pressure.measured_bar[led], 3);
     at("pressure-title").textContent = about.actuators > 1 ? `pressure, actuator ${led + 1}` : "pressure";
-    at("pressure-more").textContent = `set-points ${now.setpoint.map((p) => fixed(p, 3)).join("  ")}`;
+    at("pressure-more").textContent = `set-points ${pressure.setpoint_bar.map((p) => fixed(p, 3)).join("  ")}`;
   }
-  at("left").textContent = clock(now.left);
+  at("left").textContent = clock(protocol.left_s);
   at("left-more").textContent = { paused: "paused: the protocol stands still", waiting: "waits for the operator" }[now.state] ?? "minutes and seconds of protocol";
   const rows = [
-    ["control late by", `${fixed(now.late, 0)} us`, false],
-    ["worst of 1 s", `${fixed(now.lateMax, 0)} us`, now.lateMax > 2500],
-    ["deadlines missed", now.missed, now.missed > 0],
+    ["control late by", `${fixed(timing.lateness_us, 0)} us`, false],
+    ["worst of 1 s", `${fixed(timing.lateness_max_us, 0)} us`, timing.lateness_max_us > 2500],
+    ["deadlines missed", timing.missed, timing.missed > 0],
     ...(about.measured
-      ? [["frames dropped", now.dropped, now.dropped > 0], ["reprojection", `${fixed(now.reprojection, 3)} px`, false]]
+      ? [["frames dropped", timing.dropped, timing.dropped > 0], ["reprojection", `${fixed(tip.reprojection_px, 3)} px`, false]]
       : []),
-    ...(now.inputs ?? []).map(([name, value, unit]) => [name, `${value} ${unit}`, false]),
-    ...(now.age === undefined || !about.measured ? [] : [["picture's age", `${fixed(seen.latency.at(-1) ?? now.age, 0)} ms`, false]]),
+    ...now.inputs.map(([name, value, unit]) => [name, `${value} ${unit}`, false]),
+    ...(tip.age_ms === undefined || !about.measured ? [] : [["picture's age", `${fixed(seen.latency.at(-1) ?? tip.age_ms, 0)} ms`, false]]),
   ];
   at("health").replaceChildren(
     ...rows.flatMap(([name, value, late]) => [
@@ -128,17 +129,17 @@ function numbers() {
     window.socket?.disconnect(); // NiceGUI's own connection would go on knocking at a page that is gone
   }
   if (at("place")) {
-    if (!placing) at("place").value = now.t;
-    at("place-text").textContent = `${fixed(now.t, 1)} of ${fixed(about.end, 1)} s`;
+    if (!placing) at("place").value = now.time_s;
+    at("place-text").textContent = `${fixed(now.time_s, 1)} of ${fixed(about.end_s, 1)} s`;
     at("play").querySelector(".q-btn__content").textContent = now.state === "playing" ? "Pause" : "Play";
   }
 }
 
 function estimates(rows) {
-  at("panel-estimates").hidden = !rows;
+  at("panel-estimates").hidden = !rows.length;
   const head = ["parameter", "unit", "estimate", "+-", "began with"];
   at("estimate-rows").replaceChildren(
-    ...[head, ...(rows ?? [])].map((cells, i) => {
+    ...[head, ...rows].map((cells, i) => {
       const line = document.createElement("tr");
       line.append(...cells.map((text) => Object.assign(document.createElement(i ? "td" : "th"), { textContent: text })));
       return line;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -40,15 +41,17 @@ def test_the_arm_is_drawn_with_the_weight_that_hung_on_it(tmp_path: Path) -> Non
 def test_an_import_without_rig_and_set_points_is_described_in_plain_json(tmp_path: Path) -> None:
     made = imported_in(tmp_path, "0,0.1,1,2,3\n1,0.2,1,2,3\n", SMALL)
     played = ArchivedRun(made.archive)
-    about = json.dumps(played.about(), allow_nan=False)
-    assert json.loads(about)["limit"] == 0.2
+    about = json.dumps(asdict(played.about()), allow_nan=False)
+    assert json.loads(about)["limit_bar"] == 0.2
     assert played.viewer().packet() is not None
-    assert np.isnan(played.now(1.0, 1, playing=False)["mean"])  # of no error there is no mean, not one of 0 mm
+    tip = played.now(1.0, 1, playing=False).tip
+    assert tip is not None
+    assert np.isnan(tip.mean_error_mm)  # of no error there is no mean, not one of 0 mm
 
 
 def test_a_run_cut_off_between_a_frame_and_its_estimate_is_played_to_its_end(tmp_path: Path) -> None:
     played = ArchivedRun(finalise(made_up.write_cut_off_while_adapting(tmp_path / "adapting.mcap")))
     last = len(played.run.tip.frame) - 1
     shown = played.now(played.end_s, last, playing=False)
-    assert shown["estimates"] == [["shear_ratio", "", "0.4", "0.1", "0.4"]]
-    assert "estimates" not in played.now(0.0, -1, playing=False)
+    assert shown.estimates == (("shear_ratio", "", "0.4", "0.1", "0.4"),)
+    assert played.now(0.0, -1, playing=False).estimates == ()

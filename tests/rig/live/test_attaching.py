@@ -50,11 +50,11 @@ def test_a_page_can_attach_and_leave_during_an_adapting_run(tmp_path: Path) -> N
         with attached(run, tmp_path / "first.log") as stream:
             first = stream.until("running")
             later = stream.packet()[0]["now"]
-        assert later["frame"] > first["frame"]
+        assert later["tip"]["frame"] > first["tip"]["frame"]
         assert run.process.poll() is None, "the run ended with the page"
         with attached(run, tmp_path / "second.log") as stream:
             last = stream.until("running")
-            assert last["frame"] > later["frame"]
+            assert last["tip"]["frame"] > later["tip"]["frame"]
             stream.act("stop")
             run.wait_until_safe(10.0)
             assert run.end() == 130, run.output

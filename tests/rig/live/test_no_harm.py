@@ -52,7 +52,7 @@ def test_only_a_session_gets_data_and_only_an_operators_acts(tmp_path: Path) -> 
         acting.socket.send('{"do": ["vent"]}')
         assert "refused" in str(acting.socket.recv(PATIENCE_S))
         assert acting.act("pause")["done"]
-        assert looking.until("paused")["prompt"] is None
+        assert "prompt" not in looking.until("paused")
         assert acting.act("stop")["done"]
         run.wait_until_safe(10.0)
         assert run.end() == 130, run.output

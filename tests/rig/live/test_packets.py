@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.live.packets import History, RunningMean, ViewUpdate, jpeg, rounded
+from rig.live.view_state import InputView, PressureView, ProtocolView, TimingView, TipView, ViewState
 
 
 @given(rows=st.integers(0, 900), capacity=st.integers(2, 64))
@@ -53,11 +54,35 @@ def test_any_number_becomes_strict_json(values: list[float]) -> None:
 
 def test_a_packet_holds_its_numbers_and_then_its_picture() -> None:
     picture = jpeg(np.zeros((8, 8), np.uint8))
-    packet = ViewUpdate(
-        {"state": "running", "error": float("nan"), "measured": np.array([0.1])}, picture=picture
-    ).encoded()
+    state = ViewState(
+        state="running",
+        time_s=1.5,
+        protocol=ProtocolView(1.25, 2.0, "ramp", 0.5),
+        timing=TimingView(missed=0, dropped=None),
+        pressure=PressureView(np.array([0.2]), np.array([0.1])),
+        tip=TipView(7, "no board", True, float("nan"), 0.25, float("nan")),
+        inputs=(InputView("force", "0.5", "N"),),
+    )
+    packet = ViewUpdate(state, picture=picture).encoded()
     (length,) = struct.unpack_from("<I", packet)
     body = json.loads(packet[4 : 4 + length])
-    assert body["now"] == {"state": "running", "error": None, "measured": [0.1]}
+    assert body["now"] == {
+        "state": "running",
+        "time_s": 1.5,
+        "protocol": {"time_s": 1.25, "left_s": 2.0, "segment": "ramp", "segment_left_s": 0.5},
+        "timing": {"missed": 0},
+        "pressure": {"setpoint_bar": [0.2], "measured_bar": [0.1]},
+        "tip": {
+            "frame": 7,
+            "seen": "no board",
+            "model_ok": True,
+            "error_mm": None,
+            "mean_error_mm": 0.25,
+            "reprojection_px": None,
+        },
+        "inputs": [["force", "0.5", "N"]],
+        "estimates": [],
+        "ended": "",
+    }
     assert packet[4 + length :] == picture
     assert picture.startswith(b"\xff\xd8")

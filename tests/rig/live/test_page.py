@@ -42,9 +42,9 @@ steps:
 NOTE = """(() => {
   window.noted = [];
   new MutationObserver(() => {
-    const n = window.softrig.now;
-    if (n.error === null || n.error === undefined) return;
-    window.noted.push([n.frame, document.getElementById("error").textContent,
+    const tip = window.softrig.now.tip;
+    if (!tip || tip.error_mm === null) return;
+    window.noted.push([tip.frame, document.getElementById("error").textContent,
                        document.getElementById("error").dataset.frame]);
   }).observe(document.getElementById("error"), { childList: true, characterData: true, subtree: true });
   return true;
@@ -72,7 +72,7 @@ def test_a_run_is_watched_to_its_end_and_the_numbers_are_the_archives(browser: B
         tab.until("window.softrig.latency.length > 3")
         tab.until("document.getElementById('state').textContent === 'ended'")
         noted = tab.value("window.noted")
-        mean = tab.value("window.softrig.now.mean")
+        mean = tab.value("window.softrig.now.tip.mean_error_mm")
         banner = tab.value("document.getElementById('banner').textContent")
         assert run.end() == 0, run.output
     assert tab.troubles == []
@@ -90,20 +90,20 @@ def test_a_run_is_watched_to_its_end_and_the_numbers_are_the_archives(browser: B
 def test_pause_resume_skip_and_stop_from_the_page(browser: Browser, tmp_path: Path) -> None:
     with rig_run(tmp_path, HANDLED, *LIVE) as run:
         tab = watch(browser, run)
-        tab.until("window.softrig.now.protocol > 1.5")
+        tab.until("window.softrig.now.protocol.time_s > 1.5")
         tab.click("#pause")
         tab.until("window.softrig.now.state === 'paused'")
         tab.until("document.getElementById('pause').textContent.includes('Resume')")
         held = tab.value("window.softrig.now")
-        tab.until(f"window.softrig.now.t > {held['t'] + 0.5}")
+        tab.until(f"window.softrig.now.time_s > {held['time_s'] + 0.5}")
         later = tab.value("window.softrig.now")
         assert later["protocol"] == held["protocol"]
-        assert later["frame"] > held["frame"]  # vision and model keep running
+        assert later["tip"]["frame"] > held["tip"]["frame"]  # vision and model keep running
         tab.click("#pause")
         tab.until("window.softrig.now.state === 'running'")
         tab.click("#skip")
-        tab.until("window.softrig.now.protocol >= 101")
-        tab.until("window.softrig.now.measured[0] < 0.295")
+        tab.until("window.softrig.now.protocol.time_s >= 101")
+        tab.until("window.softrig.now.pressure.measured_bar[0] < 0.295")
         tab.click("#stop")
         run.wait_until_safe(10.0)
         tab.until("document.getElementById('state').textContent === 'ended'")
@@ -181,19 +181,19 @@ def test_an_archive_is_played_with_slider_and_speed(browser: Browser, archive: R
             "(() => { const e = document.getElementById('place'); e.value = 4.5;"
             " e.dispatchEvent(new Event('input')); e.dispatchEvent(new Event('change')); })()"
         )
-        tab.until("Math.abs(window.softrig.now.t - 4.5) < 0.02")
+        tab.until("Math.abs(window.softrig.now.time_s - 4.5) < 0.02")
         now = tab.value("window.softrig.now")
         row = int(np.searchsorted(archive.tip.time_s, 4.5, side="right")) - 1
-        assert now["frame"] == archive.tip.frame[row]
-        assert now["error"] == pytest.approx(archive.tip.error_mm[row], abs=1e-4)
-        cycle = int(np.searchsorted(archive.pressure.time_s, now["t"], side="right")) - 1
-        assert now["measured"] == pytest.approx(archive.pressure.measured_bar[cycle].tolist(), abs=1e-4)
+        assert now["tip"]["frame"] == archive.tip.frame[row]
+        assert now["tip"]["error_mm"] == pytest.approx(archive.tip.error_mm[row], abs=1e-4)
+        cycle = int(np.searchsorted(archive.pressure.time_s, now["time_s"], side="right")) - 1
+        assert now["pressure"]["measured_bar"] == pytest.approx(archive.pressure.measured_bar[cycle].tolist(), abs=1e-4)
         tab.value(
             "(() => { const e = document.getElementById('speed'); e.value = '20';"
             " e.dispatchEvent(new Event('change')); })()"
         )
         tab.click("#play")
-        tab.until("window.softrig.now.t > 5.9 && window.softrig.now.state === 'stopped'", 15)
+        tab.until("window.softrig.now.time_s > 5.9 && window.softrig.now.state === 'stopped'", 15)
         assert tab.troubles == []
 
 

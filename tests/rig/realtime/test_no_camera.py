@@ -44,7 +44,7 @@ def test_a_page_shows_a_run_without_a_camera_and_a_killed_observer_ends_the_run(
         assert np.isfinite(np.array(lines[-1], float)).all()
         assert not any(picture for _, picture in packets)
         now = packets[-1][0]["now"]
-        assert (now["seen"], now["error"], now["dropped"]) == ("no camera", None, None)
+        assert (now["tip"]["seen"], now["tip"]["error_mm"], "dropped" in now["timing"]) == ("no camera", None, False)
         os.kill(run.pid_of("rig.realtime.observer_process"), signal.SIGKILL)
         run.wait_until_safe(10.0)
         assert run.end() == 1, run.output

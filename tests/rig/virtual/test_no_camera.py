@@ -84,8 +84,8 @@ def test_a_run_without_a_camera_is_exported(run: Run, form: str, tmp_path: Path)
 
 def test_the_page_plays_the_archive_of_a_run_without_a_camera(run: Run) -> None:
     played = ArchivedRun(run.path)
-    assert played.about()["measured"] is False
-    assert played.now(1.0, 20, playing=False)["dropped"] is None
+    assert played.about().measured is False
+    assert played.now(1.0, 20, playing=False).timing.dropped is None
     drawn = played.overlay(20, -1)
     assert drawn is not None
     assert np.isfinite(drawn.lines_mm).all()
