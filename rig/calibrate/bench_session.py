@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +19,9 @@ from rig.config.schema import RigConfig
 from rig.control.control_loop import ValveOutputs
 from rig.execution.plan import RunPlan, StartError
 from rig.hardware.bench import Bench, open_bench
+from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
+from rig.hardware.vent_verification import VentVerification, real_time
 from rig.realtime.child_process import ChildJob, ended_within, spawn
 from rig.realtime.control_process import GuardedOutputs, NullOutputs
 from rig.realtime.process_monitor import ProcessMonitor
@@ -127,11 +130,23 @@ def real(config: RigConfig, rig_file: Path, purpose: str) -> Iterator[tuple[Valv
         finally:
             try:
                 bench.make_safe(vent=memory.vents)
+                since_ns = time.monotonic_ns()
+                memory.publish_stage("control", Stage.DONE)
+                _verify_venting(config, bench, vent=memory.vents, since_ns=since_ns)
             finally:
                 memory.publish_stage("control", Stage.DONE)
                 bench.close()
                 gc.enable()
                 disable_realtime_scheduling()
+
+
+def _verify_venting(config: RigConfig, bench: Bench, *, vent: bool, since_ns: int) -> None:
+    """Watch the chambers vent; raise CardError where the pressures do not confirm it, after what was being raised."""
+    verification = VentVerification(config, bench, vent=vent, since_ns=since_ns)
+    outcome = verification.outcome(real_time(lambda: None))
+    if not outcome.confirmed:
+        pending = sys.exception()
+        raise CardError(f"{pending or ''}; {outcome.sentence}".removeprefix("; ")) from pending
 
 
 @contextmanager

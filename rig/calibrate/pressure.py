@@ -142,7 +142,7 @@ def _measure(request: PressureCalibrationRequest, config: RigConfig, operator: B
 
 def _raise_if_stopped(stop: StopRequest) -> None:
     if stop.reason:
-        raise StoppedError(f"stopped {stop.reason}; the valves are in their safe state")
+        raise StoppedError(f"stopped {stop.reason}; the valves go to their safe state")
 
 
 def _drive(

@@ -9,7 +9,7 @@ from rig.config.loader import load, named_rig
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import described, locked_devices, running_rigs
-from rig.hardware.vent import is_absent
+from rig.hardware.vent import Vented, is_absent
 from rig.hardware.vent import vent as vent_rig
 
 NOTHING = "nothing to vent: --rig, SOFTRIG_RIG or softrig.yaml here names no rig, and no experiment of this user runs"
@@ -29,8 +29,7 @@ def vent(option: str | None) -> None:
             simulated = f"the simulated rig {config.name}, chosen by {chosen.source}, has never run"
             typer.echo(f"nothing to vent: {simulated}", err=True)
             raise typer.Exit(BAD_INPUT)
-        unverified = vent_rig(config)
-        typer.echo(f"{_vented(config, unverified)}; rig chosen by {chosen.source}")
+        typer.echo(f"{_vented(config, vent_rig(config))}; rig chosen by {chosen.source}")
         return
     running = running_rigs()
     if not running:
@@ -41,19 +40,21 @@ def vent(option: str | None) -> None:
     failures = []
     for held in running:
         try:
-            unverified = vent_rig(held.config)
+            vented = vent_rig(held.config)
         except CardError as error:
             failures.append(f"rig {held.config.name}: {error}")
         else:
-            typer.echo(f"{_vented(held.config, unverified)}; it was held by process {held.pid}, {held.purpose}")
+            typer.echo(f"{_vented(held.config, vented)}; it was held by process {held.pid}, {held.purpose}")
     if failures:
         raise CardError("; ".join(failures))
 
 
-def _vented(config: RigConfig, unverified: tuple[str, ...]) -> str:
-    if unverified:
-        cards = f"card {', '.join(unverified)} has no read-back"
-        return f"every output of rig {config.name} was commanded to vent; {cards}: look at the gauge"
+def _vented(config: RigConfig, vented: Vented) -> str:
+    confirmation = f"; {vented.confirmation}" if vented.confirmation else ""
+    if vented.unverified:
+        gauge = confirmation or ": look at the gauge"
+        cards = f"card {', '.join(vented.unverified)} has no read-back"
+        return f"every output of rig {config.name} was commanded to vent; {cards}{gauge}"
     mock = all(card.simulated for card in config.cards.values())
     simulated = " (simulated: no hardware was touched)" if mock else ""
-    return f"every chamber of rig {config.name} is open to the exhaust{simulated}"
+    return f"every chamber of rig {config.name} is open to the exhaust{simulated}{confirmation}"

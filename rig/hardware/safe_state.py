@@ -1,4 +1,4 @@
-"""Making the valves safe: the voltages of the safe state, writing and repeating, and the check that chambers vent.
+"""Making the valves safe: the voltages of the safe state, writing and repeating.
 
 Control, the watchdog, the supervisor, the observer, virtual time and `rig vent` all use this module.
 """
@@ -6,16 +6,14 @@ Control, the watchdog, the supervisor, the observer, virtual time and `rig vent`
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR
 from rig.hardware.cards.base import Card, CardBusyError, CardError
 from rig.hardware.cards.registry import open_card
 from rig.hardware.cards.setup import card_setup
@@ -28,10 +26,6 @@ READBACK_TOLERANCE = 1 / 2000
 """Of the output's range: two counts of a 12-bit card."""
 RETRY_S = 0.002
 """Pause between attempts to write the safe state."""
-VENTING_S = 1.0
-"""Default time limit; a chamber vents in a few tenths of a second."""
-VENTED_PA = 0.1 * PA_PER_BAR
-"""A chamber is vented when its pressure is within this of that at the exhaust of its valve."""
 
 
 def safe_voltages(config: RigConfig, *, vent: bool = False) -> tuple[float, ...]:
@@ -235,85 +229,6 @@ class WatchdogOutputs:
         """Release the cards; the outputs keep their voltages."""
         if self._outputs is not None:
             self._outputs.close()
-
-
-class PressureScans(Protocol):
-    """Gauge pressures (n, N) [Pa] at the times (n,) [ns], oldest first."""
-
-    @property
-    def t_ns(self) -> NDArray[np.int64]:
-        """Times."""
-
-    @property
-    def pressure_pa(self) -> NDArray[np.float64]:
-        """Pressures."""
-
-
-class PressureSource(Protocol):
-    """Source of pressures: an open bench."""
-
-    def read(self) -> PressureScans:
-        """Scans since the last call."""
-
-
-class VentVerification:
-    """Checks the pressures of the chambers whose safe state is vented; with `vent`, of all chambers."""
-
-    def __init__(
-        self, config: RigConfig, bench: PressureSource, *, vent: bool = False, patience_s: float = VENTING_S
-    ) -> None:
-        """`patience_s` is how long the caller waits; it is part of the message."""
-        self._patience_s = patience_s
-        self._bench = bench
-        venting = {
-            a - 1: valve.vented_pa
-            for valve in config.valves
-            if vent or valve.safe_state == "vent"
-            for a in valve.actuators
-        }
-        self._venting: NDArray[np.int64] = np.array(sorted(venting), np.int64)
-        self._vented_pa: NDArray[np.float64] = np.array([venting[a] for a in sorted(venting)])
-        self._pressure_pa: NDArray[np.float64] | None = None
-
-    def done(self) -> bool:
-        """Read the newest scans; True once every chamber is empty.
-
-        Raises:
-            CardError: the card cannot be read.
-        """
-        scans = self._bench.read()
-        if len(scans.t_ns):
-            self._pressure_pa = scans.pressure_pa[-1, self._venting]
-        return self._pressure_pa is not None and bool(self._vented(self._pressure_pa).all())
-
-    def verdict(self) -> str:
-        """Message about chambers that are not empty; empty if all are empty or there is no scan."""
-        if self._pressure_pa is None:
-            return ""
-        full = [
-            f"actuator {a + 1} at {p / PA_PER_BAR:.2f} bar"
-            for a, p, vented in zip(
-                self._venting.tolist(), self._pressure_pa.tolist(), self._vented(self._pressure_pa), strict=True
-            )
-            if not vented
-        ]
-        if not full:
-            return ""
-        return (
-            f"{', '.join(full)} {self._patience_s:g} s after the valves were commanded to vent: a valve is stuck or "
-            "its ports are the wrong way round, or a sensor is broken; shut the air off by hand"
-        )
-
-    def _vented(self, pressure_pa: NDArray[np.float64]) -> NDArray[np.bool_]:
-        return np.abs(pressure_pa - self._vented_pa) < VENTED_PA
-
-    def outcome(self, checks: Iterable[object]) -> str:
-        """Check once per item of `checks`, which lets time pass, until every chamber is empty; return the verdict."""
-        with suppress(CardError):
-            for _ in checks:
-                if self.done():
-                    return ""
-        return self.verdict()
 
 
 def _retry(card: Card, volts: NDArray[np.float64]) -> str:

@@ -6,11 +6,13 @@ import contextlib
 import os
 import signal
 import time
+from dataclasses import dataclass
 
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.lock import described, held_by_unseen, holders
 from rig.hardware.safe_state import SafeOutputs, cards_with_valves, open_outputs, safe_voltages
+from rig.hardware.vent_verification import LONGEST_VENTING_S, verify_venting
 from rig.simulator.registers import Registers
 
 REPEATED_S = 0.25
@@ -31,10 +33,16 @@ def is_absent(config: RigConfig) -> bool:
     return all(absent) and not holders(config)
 
 
-def vent(config: RigConfig) -> tuple[str, ...]:
-    """Write the vented state to every card repeatedly, for longer than a control period.
+@dataclass(frozen=True)
+class Vented:
+    """A vented rig: the cards without read-back, and how the pressures confirm it; empty for a simulated card."""
 
-    Return the names of the cards without read-back, on which nothing verifies it.
+    unverified: tuple[str, ...]
+    confirmation: str = ""
+
+
+def vent(config: RigConfig) -> Vented:
+    """Write the vented state to every card repeatedly, for longer than a control period; watch the chambers empty.
 
     A running experiment detects the external write and ends; a write of its current cycle is overwritten. A run that
     has not begun, has stalled, or whose valves are vented already, gets SIGTERM. A run with a card that allows one
@@ -42,8 +50,9 @@ def vent(config: RigConfig) -> tuple[str, ...]:
     holds valves, the end of the run is awaited.
 
     Raises:
-        CardError: a card cannot be opened or written, an output does not keep its voltage, or a process that holds the
-            rig continues and cannot be signalled; the other cards are vented nevertheless.
+        CardError: a card cannot be opened or written, an output does not keep its voltage, the pressures do not
+            confirm it, or a process that holds the rig continues and cannot be signalled; the other cards are vented
+            nevertheless.
     """
     running = bool(holders(config))
     unsignalled: set[int] = set()
@@ -58,7 +67,21 @@ def vent(config: RigConfig) -> tuple[str, ...]:
         failures.append(f"a process that this one cannot see, as in a container, holds the rig: {_STOP_IT}")
     if failures:
         raise CardError("; ".join(failures))
-    return unverified
+    return Vented(unverified, _confirmation(config))
+
+
+def _confirmation(config: RigConfig) -> str:
+    """How the pressures confirm that the chambers are empty; raises CardError where they do not."""
+    if all(card.is_mock for card in config.cards.values()):
+        return ""  # the pressures of a simulated card exist during a run only, which confirms them itself
+    # A run that ends reads its inputs until its chambers are empty, and so reports them, too.
+    until = time.monotonic() + LONGEST_VENTING_S
+    while holders(config) and time.monotonic() < until:
+        time.sleep(LOOK_S)
+    outcome = verify_venting(config, vent=True)
+    if not outcome.confirmed:
+        raise CardError(outcome.sentence)
+    return outcome.sentence
 
 
 def _wait_for_end(config: RigConfig, pids: set[int]) -> set[int]:

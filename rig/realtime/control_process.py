@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import signal
+import sys
 import time
-from collections.abc import Iterator
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from rig.control.control_loop import ControlLoop
 from rig.hardware.bench import Bench, open_bench
 from rig.hardware.cards.base import CardError
-from rig.hardware.safe_state import VentVerification
+from rig.hardware.vent_verification import VentVerification, real_time
 from rig.realtime import sampling_clocks
 from rig.realtime.child_process import ChildJob, await_turn, leave, receive, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
@@ -30,7 +31,6 @@ from rig.tip_control.plan_record import StampedPlan
 
 LEAD_IN_NS = 5_000_000
 WARM_UP_S = 0.05
-VENTING_CHECK_S = 0.005
 FIRST_SCAN_S = 0.2
 CLOCKS_PUBLISHED_S = 1.0
 
@@ -72,6 +72,8 @@ def main() -> int:
             fault = f"{fault}; then {error}".removeprefix("; then ")
         else:
             if trouble := _verify_venting(job, memory, bench):
+                if supervisor.exited:
+                    print(trouble, file=sys.stderr, flush=True)
                 fault = f"{fault}; then {trouble}".removeprefix("; then ")
     memory.publish_stage("control", Stage.FAILED if fault else Stage.DONE, fault)
     bench.close()
@@ -82,18 +84,17 @@ def main() -> int:
 
 
 def _verify_venting(job: ChildJob, memory: SharedState, bench: Bench) -> str:
-    """Check that the chambers vent; return what does not vent, else empty."""
+    """Watch the chambers vent, publish what confirms the safe state; return what does not confirm it, else empty."""
     patience_s = timing_limits(job.plan.config, memory.granted).vented_s
-    venting = VentVerification(job.plan.config, bench, vent=memory.vents, patience_s=patience_s)
-
-    def checks() -> Iterator[None]:
-        until = time.monotonic() + patience_s
-        while time.monotonic() < until and not memory.watchdog_trip_ns:
-            memory.heartbeat("control", time.monotonic_ns())
-            yield
-            time.sleep(VENTING_CHECK_S)
-
-    return venting.outcome(checks())
+    venting = VentVerification(
+        job.plan.config, bench, vent=memory.vents, patience_s=patience_s, since_ns=memory.safe_ns
+    )
+    clock = real_time(lambda: memory.heartbeat("control", time.monotonic_ns()))
+    # The watchdog ends this process at once after its trip; the supervisor then verifies.
+    outcome = venting.outcome(takewhile(lambda _: not memory.watchdog_trip_ns, clock))
+    if outcome.confirmed:
+        memory.confirmation = outcome.sentence
+    return "" if outcome.confirmed or memory.watchdog_trip_ns else outcome.sentence
 
 
 class NullOutputs:

@@ -12,6 +12,7 @@ from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.registry import card_type
 from rig.hardware.safe_state import failure_of, make_safe
+from rig.hardware.vent_verification import report_unconfirmed, verify_venting
 from rig.realtime.child_process import ChildJob, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.shared_state import SharedState, Stage, Stop
@@ -53,7 +54,8 @@ class FailsafeThread:
         while not is_safe(self._memory):
             if self._is_last():
                 self._memory.request_stop(Stop.SILENT)
-                force_safe_state(self._config, self._memory)
+                if not force_safe_state(self._config, self._memory):
+                    report_unconfirmed(verify_venting(self._config, vent=self._memory.vents))
                 return
             time.sleep(LOOK_S)
 

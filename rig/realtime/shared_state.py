@@ -97,6 +97,7 @@ _BOARD = np.dtype(
         ("lost_scans", "<i8"),
         ("setpoint_source", "<i8"),
         ("unverified_cards", "<i8"),
+        ("confirmation", f"S{MESSAGE_BYTES}"),
         ("scan_period_ns", "<f8", (CLOCKS,)),
         ("scan_drift_ppm", "<f8", (CLOCKS,)),
     ],
@@ -275,6 +276,15 @@ class SharedState:
         memory = cls(os.memfd_create("softrig", 0), layout)
         memory.waiting_prompt = -1
         return memory
+
+    @property
+    def confirmation(self) -> str:
+        """How control's pressures confirm the safe state; empty before they do."""
+        return bytes(self.board["confirmation"][0]).decode(errors="replace")
+
+    @confirmation.setter
+    def confirmation(self, sentence: str) -> None:
+        self.board["confirmation"][0] = sentence.encode()[:MESSAGE_BYTES]
 
     def request_stop(self, reason: Stop) -> None:
         """Request that every process ends with the valves safe. The first stop reason is kept; VENT overrides it."""

@@ -1,4 +1,4 @@
-"""The end of a run: waits for the safe state, verifies it, and writes it if no other process can."""
+"""The end of a run: waits for the safe state, verifies it, writes it if no other process can, and has it confirmed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import time
 
 from rig.config.schema import RigConfig
 from rig.hardware.safe_state import UNSAFE, unsafe_output
+from rig.hardware.vent_verification import VentOutcome, verify_venting
 from rig.realtime.failsafe import force_safe_state
 from rig.realtime.process_group import ProcessGroup
 from rig.realtime.shared_state import SharedState, Stage, Stop
@@ -38,7 +39,7 @@ class Shutdown:
         memory = self._memory
         memory.request_stop(Stop.SAFE)
         deadline = time.monotonic() + timing.ending_s
-        while time.monotonic() < deadline and not self._written_message:
+        while (time.monotonic() < deadline or self._verifying(timing)) and not self._written_message:
             memory.heartbeat("supervisor", time.monotonic_ns())
             if memory.stage("control") in (Stage.DONE, Stage.FAILED) or memory.watchdog_trip_ns:
                 return
@@ -76,10 +77,29 @@ class Shutdown:
         message = self._memory.message("watchdog")
         return message if UNSAFE in message else f"{UNSAFE}: neither control nor the watchdog has reported that it was"
 
+    def confirm(self, timing: TimingLimits) -> VentOutcome:
+        """Whether the pressures confirm the safe state: by the readings of control, else by this process's own."""
+        memory = self._memory
+        if memory.confirmation and not (memory.watchdog_trip_ns or self._written_message):
+            return VentOutcome(True, memory.confirmation)
+        # A card that admits one process at a time, or one command, is free once these have exited.
+        for name in ("control", "watchdog"):
+            self._processes.await_exit(name, timing.ending_s)
+        return verify_venting(
+            self._config,
+            vent=memory.vents,
+            patience_s=timing.vented_s,
+            alive=lambda: memory.heartbeat("supervisor", time.monotonic_ns()),
+        )
+
     def force(self) -> str:
         """Write the safe state; return why it could not be written, empty on success."""
         failure = force_safe_state(self._config, self._memory)
         return failure if not failure or UNSAFE in failure else f"{UNSAFE}: {failure}"
+
+    def _verifying(self, timing: TimingLimits) -> bool:
+        """True while control watches the chambers vent, which may take long on a slow bench."""
+        return bool(self._memory.safe_ns) and not self._processes.silent("control", timing.failsafe_silent_ns)
 
     def _written(self) -> bool:
         """True if a process has written the safe state and nothing was written after it."""

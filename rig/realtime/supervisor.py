@@ -9,6 +9,7 @@ from rig.execution.plan import OpenRecord, OperatorInterface, Outcome, RunPlan, 
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.registry import card_type
 from rig.hardware.safe_state import UNSAFE, armed_sentence
+from rig.hardware.vent_verification import UNCONFIRMED
 from rig.realtime import sampling_clocks
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.operator_session import OperatorSession
@@ -230,9 +231,14 @@ class Supervisor:
             status = Status.ABORTED
             message = message if UNSAFE in message else f"{message}; {failure}".removeprefix("; ")
             self._event(Level.FAULT, "watchdog", failure)
-        else:
+        elif UNCONFIRMED not in message:
             writer = "supervisor" if written else "control" if memory.safe_ns else "watchdog"
-            self._event(Level.INFO, writer, "the valves are in their safe state")
+            vented = self.shutdown.confirm(self.timing)
+            if vented.confirmed:
+                self._event(Level.INFO, writer, f"the valves are in their safe state; {vented.sentence}")
+            else:
+                status, message = Status.ABORTED, f"{message}; {vented.sentence}".removeprefix("; ")
+                self._event(Level.FAULT, "supervisor", vented.sentence)
         counters = {
             **self.record.counters(),
             "stolen_cpu_ms": stolen,

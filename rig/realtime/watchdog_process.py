@@ -15,6 +15,7 @@ from collections.abc import Callable
 
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import WatchdogOutputs, failure_of
+from rig.hardware.vent_verification import LONGEST_VENTING_S, report_unconfirmed, verify_venting
 from rig.realtime.child_process import await_turn, leave, receive, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
@@ -34,7 +35,8 @@ def main() -> int:
     """Monitor control until it has exited; write the safe state if control has not."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     job, memory = receive()
-    if not await_turn(memory, supervisor_monitor(job), lambda: not memory.simulator_starting):
+    supervisor = supervisor_monitor(job)
+    if not await_turn(memory, supervisor, lambda: not memory.simulator_starting):
         memory.publish_stage("watchdog", Stage.DONE)
         return 0
     try:
@@ -69,6 +71,8 @@ def main() -> int:
         print(f"{message}: the process that held the card was ended to make the valves safe", file=sys.stderr)
     outputs.close()
     disable_realtime_scheduling()
+    if reason and not trouble and supervisor.exited:
+        report_unconfirmed(verify_venting(job.plan.config, vent=memory.vents))
     return 1 if trouble else 0
 
 
@@ -122,7 +126,9 @@ def _watch(
         ):
             supervisor_gone_ns = now
             memory.request_stop(Stop.SILENT)
-        grace_ns = timing.grace_ns + (round(timing.vented_s * 1e9) if memory.safe_ns else 0)
+        # Once the outputs are safe, control watches the chambers vent; a slow bench takes long.
+        vented_s = max(timing.vented_s, LONGEST_VENTING_S) if memory.safe_ns else 0.0
+        grace_ns = timing.grace_ns + round(vented_s * 1e9)
         if supervisor_gone_ns and now - supervisor_gone_ns > grace_ns:
             return "the supervisor died or hung, and control did not stop"
 

@@ -6,6 +6,7 @@ Plant and control run here; a frame pipeline renders and measures the pictures b
 from __future__ import annotations
 
 import gc
+import itertools
 import time
 import traceback
 from collections import deque
@@ -23,7 +24,8 @@ from rig.hardware.bench import Bench
 from rig.hardware.cameras.base import CameraError
 from rig.hardware.cameras.mock import Exposure, MockCamera
 from rig.hardware.cards.base import CardError
-from rig.hardware.safe_state import VENTING_S, VentVerification, armed_sentence, failure_of
+from rig.hardware.safe_state import armed_sentence, failure_of
+from rig.hardware.vent_verification import VentOutcome, VentVerification
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
 from rig.realtime.health_monitor import HealthMonitor
@@ -149,26 +151,27 @@ class _VirtualRun:
         finally:
             unsafe = failure_of(partial(self._bench.make_safe, vent=self._vents))
         self._flush(in_flight=0)
-        unsafe = unsafe or self._vented(now)
+        vented = self._vented(now)
+        unsafe = unsafe or ("" if vented.confirmed else vented.sentence)
         if unsafe:
             self._event(now, Level.FAULT, "control", unsafe)
             ending = Status.ABORTED, f"{ending[1]}; then {unsafe}".removeprefix("; then ")
         else:
-            self._event(now, Level.INFO, "control", "the valves are in their safe state")
+            self._event(now, Level.INFO, "control", f"the valves are in their safe state; {vented.sentence}")
         counters = {"missed_deadlines": 0, "dropped_frames": 0, "lost_scans": self._lost_scans}
         if not self._cameras:
             del counters["dropped_frames"]
         return Outcome(*ending, now, counters)
 
-    def _vented(self, now: int) -> str:
-        """Check that the chambers vent; return what does not vent, else empty."""
+    def _vented(self, now: int) -> VentOutcome:
+        """Watch the chambers vent from the time of the safe state."""
 
-        def checks() -> Iterator[None]:
-            for waited in range(0, round(VENTING_S * 1e9), self._loop.period_ns):
-                self._plant.advance(now + waited)
-                yield
+        def clock() -> Iterator[float]:
+            for t_ns in itertools.count(now, self._loop.period_ns):
+                self._plant.advance(t_ns)
+                yield t_ns * 1e-9
 
-        return VentVerification(self._plan.config, self._bench, vent=self._vents).outcome(checks())
+        return VentVerification(self._plan.config, self._bench, vent=self._vents, since_ns=now).outcome(clock())
 
     def _cycle(self, cycle: int, now: int) -> tuple[Status, str] | None:
         """Run one cycle and its frames; return how the run ends, None while it continues."""

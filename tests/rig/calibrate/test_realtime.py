@@ -83,7 +83,7 @@ def test_ctrl_c_ends_a_sweep_with_the_valves_vented_and_no_file(tmp_path: Path) 
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE_S) == 130
         assert not _outputs(loaded, 0.01)
-    assert "the valves are in their safe state" in (tmp_path / "log").read_text()
+    assert "the valves go to their safe state" in (tmp_path / "log").read_text()
     assert not (tmp_path / "p.yaml").exists()
 
 

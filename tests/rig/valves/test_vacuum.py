@@ -16,7 +16,8 @@ from rig.control.interlocks import evaluation
 from rig.control.interlocks.actuator_interlocks import UnderPressure
 from rig.control.sensor_state import RegulatorDemand
 from rig.experiment.preflight import check
-from rig.hardware.safe_state import VentVerification, safe_voltages
+from rig.hardware.safe_state import safe_voltages
+from rig.hardware.vent_verification import VentVerification
 from tests.support.plant_bench import play, staircase
 
 VALVE = "  - {{type: pressure, actuators: {}, card: daq, channel: {}, span_bar: [-1, 1]{}}}\n"
@@ -95,11 +96,10 @@ def test_a_chamber_under_vacuum_is_not_vented(pressure_bar: float, vented: bool)
         def read(self) -> Scans:
             return self
 
-    verification = VentVerification(vacuum_rig(), Scans())
-    assert verification.done() is vented
-    assert (verification.verdict() == "") is vented
+    outcome = VentVerification(vacuum_rig(), Scans()).outcome(iter(np.arange(0.0, 100.0, 0.01)))
+    assert outcome.confirmed is vented
     if not vented:
-        assert f"actuator 1 at {pressure_bar:.2f} bar" in verification.verdict()
+        assert f"actuator 1 at {pressure_bar:.2f} bar" in outcome.sentence
 
 
 @pytest.mark.parametrize(
