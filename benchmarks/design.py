@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 import protocols
 from calibration.design.information import ErrorBars, error_bars
-from calibration.identify.data import Poses
 from calibration.identify.fit import identify
-from calibration.identify.parameters import Prior, Setup, named
+from calibration.identify.parameters import Prior, named
+from calibration.identify.poses import Poses
+from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, perform_as_planned
 from calibration.parallel_map import parallel_map
 from rig.config.loader import load

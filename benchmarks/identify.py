@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 import model
 import runs
 from calibration.identify import figures
-from calibration.identify.data import Poses
 from calibration.identify.fit import identify
 from calibration.identify.nuisance import stated_values
-from calibration.identify.parameters import Prior, Setup, named
+from calibration.identify.parameters import Prior, named
+from calibration.identify.poses import Poses
+from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import (
     LAG_PRIOR,
     Coverage,

@@ -18,9 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 
-from calibration.identify.data import Poses
-from calibration.identify.model_comparison import Candidate, ComparisonFit, fit_all
-from calibration.identify.parameters import Prior, Setup
+from calibration.identify.candidates import Candidate
+from calibration.identify.model_comparison import ComparisonFit, fit_all
+from calibration.identify.parameters import Prior
+from calibration.identify.poses import Poses
+from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, perform_as_planned
 from calibration.parallel_map import parallel_map
 from rig.config.arm_model import model_arm

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify import Setup, identify
-from calibration.identify.data import Poses
+from calibration.identify.poses import Poses
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan_slow
 from model import Arm
 from model.actuation import Proportional, StopElement

@@ -19,12 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
-from calibration.identify.data import SETTLE_S, Poses
+from calibration.identify.data import SETTLE_S
 from calibration.identify.fit import identify
 from calibration.identify.held_out_prediction import predict
 from calibration.identify.nuisance import stated_values
-from calibration.identify.parameters import Prior, Setup, named
+from calibration.identify.parameters import Prior, named
+from calibration.identify.poses import Poses
 from calibration.identify.pressure_history import pressure_history
+from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, perform, plan
 from calibration.parallel_map import parallel_map
 from rig.simulator.arm_effects.base import ArmEffectSection

@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 from model import Arm, Loads, batch
 from model.dynamics import Dynamics
 from model.paper.rod import PaperRod
-from model.sensitivities import Variation, tip_gradient
 from model.sensitivities import statics as answers
+from model.sensitivities import tip_gradient
 from model.statics import statics
+from model.variation import Variation
 
 Array = NDArray[np.float64]
 BAR = 1e5

@@ -19,17 +19,17 @@ from model.batch import ROWS_PER_THREAD, spread
 from model.dynamics import Dynamics
 from model.errors import NotConverged, Unstable
 from model.hysteresis import effective_pa
-from model.kernel_arguments import KernelArguments
 from model.kernels import layout
-from model.kernels.arguments import LaneArguments, TipAnswers
+from model.kernels.arguments import TipAnswers
 from model.kernels.dynamic_sensitivities import dynamic_sensitivities
-from model.kernels.lanes import FIRST, Lanes, apply_tip_load, passes
+from model.kernels.lanes import Lanes, apply_tip_load
 from model.kernels.shooting import TOLERANCE_AT_REST, TOLERANCE_IN_MOTION, workspace_for
 from model.kernels.static_sensitivities import static_sensitivities
+from model.lane_stack import LaneStack, lane_rows, lane_tip_loads
 from model.loads import Loads
 from model.pressures import pressures
 from model.statics import steps_along
-from model.viscoelasticity import branch_factors
+from model.variation import TipWrench, Variation
 
 Array = NDArray[np.float64]
 
@@ -37,42 +37,6 @@ STEP = 1e-7
 PRESSURE_STEP_PA = 0.01
 # Reference magnitude for the step of a parameter that is zero.
 USUAL = {"youngs_modulus_pa": 1e5, "rpe_per_bar": 0.05, "a1_per_n": 1e-2, "a2_per_n2": 1e-4, "shear_ratio": 0.4}
-
-
-@dataclass(frozen=True)
-class TipWrench:
-    """Dead forces (K, 3) [N] and moments (K, 3) [N m] in the base frame; the force at point_m (3,) of the tip frame.
-
-    Raises ValueError for what is not finite or of another shape.
-    """
-
-    force_n: Array
-    moment_n_m: Array
-    point_m: Array
-
-    def __post_init__(self) -> None:
-        for name in ("force_n", "moment_n_m", "point_m"):
-            given = np.array(getattr(self, name), dtype=np.float64)
-            if not np.isfinite(given).all():
-                raise ValueError(f"what pulls must be finite, got {name} {given.tolist()}")
-            object.__setattr__(self, name, given)
-        shapes = self.force_n.shape, self.moment_n_m.shape, self.point_m.shape
-        if shapes != ((len(self.force_n), 3), (len(self.force_n), 3), (3,)):
-            raise ValueError(f"what pulls must have forces and moments (K, 3) at a point (3,), got shapes {shapes}")
-
-
-@dataclass(frozen=True)
-class Variation:
-    """One neighbour of an arm: the same but for a change of size `step`, in whatever unit.
-
-    arm: with the change in it, or as it was. pressure_pa (K, N), pull: with the change in them; None where as they
-    were. The step should be about 1e-7 of what would be a large change.
-    """
-
-    step: float
-    arm: Arm
-    pressure_pa: Array | None = None
-    pull: TipWrench | None = None
 
 
 @dataclass(frozen=True)
@@ -105,7 +69,7 @@ def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, n
     pressure, nodes = pressures(arm, pressure_pa), steps_along(arm, nodes)
     names = _parameters(arm)
     if arm.by_pressure:
-        stack = _Stack.of(arm, _varied(arm, pressure), nodes, pressure[None])
+        stack = LaneStack.of(arm, _varied(arm, pressure), nodes, pressure[None])
     else:
         stack = _kept.stack(arm, nodes)
     tip_loads = np.zeros((1, len(stack.lanes.works), 12, layout.LANES))
@@ -140,9 +104,9 @@ def statics(
     """
     rows, nodes = _rows(arm, pressure_pa), steps_along(arm, nodes)
     _check_changes(arm, changes, rows)
-    tip_loads = _tip_loads(arm, changes, len(rows), weight_kg, pull)
-    stack = _Stack.of(arm, changes, nodes, rows)
-    lane_rows = _lane_rows(rows, [change.pressure_pa for change in changes])
+    tip_loads = lane_tip_loads(arm, changes, len(rows), weight_kg, pull)
+    stack = LaneStack.of(arm, changes, nodes, rows)
+    by_lane = lane_rows(rows, [change.pressure_pa for change in changes])
     parts: dict[int, Gradients] = {}
 
     def part(span: range) -> None:
@@ -150,7 +114,7 @@ def statics(
             at = slice(span.start, span.stop)
             room = Lanes.of(len(changes), nodes, 1)
             parts[span.start] = _solve(
-                stack.own(at), lane_rows[at], tip_loads if len(tip_loads) == 1 else tip_loads[at], nodes, room
+                stack.own(at), by_lane[at], tip_loads if len(tip_loads) == 1 else tip_loads[at], nodes, room
             )
 
     spread(part, len(rows), workers, ROWS_PER_THREAD)
@@ -182,14 +146,14 @@ def motion(
     rows = effective_pa(arm.actuation.stops, rows)
     if every < 1:
         raise ValueError(f"answers are asked for every so many steps, at least 1, got {every}")
-    tip_loads = _tip_loads(arm, changes, len(rows), weight_kg, pull)
+    tip_loads = lane_tip_loads(arm, changes, len(rows), weight_kg, pull)
     count, neighbours = 1 + (len(rows) - 1) // every, len(changes)
     place, turned = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
     by, good = np.full((count, neighbours, 6), np.nan), np.zeros(count, dtype=np.bool_)
     unstable = np.zeros(count, dtype=np.bool_)
     dynamics = Dynamics(arm, dt_s, nodes=nodes)
     n = dynamics.nodes
-    still = _Stack.of(arm, changes, n, rows[:1])
+    still = LaneStack.of(arm, changes, n, rows[:1])
     here = np.empty(layout.HANGS)
     apply_tip_load(still.first.cap, tip_loads[0], here)
     try:
@@ -197,14 +161,14 @@ def motion(
     except NotConverged as fault:
         unstable[0] = isinstance(fault, Unstable)
         return _gradients(place, turned, good, by, unstable)
-    swinging = _Stack.of(arm, changes, n, rows, dynamics.c0, dt_s)
+    swinging = LaneStack.of(arm, changes, n, rows, dynamics.c0, dt_s)
     arm_in_motion = dynamics.arm_with_cap._replace(
         stiffness=swinging.first.stiffness, rest=swinging.first.rest, per_pressure=swinging.first.per_pressure
     )
     works, branches = len(swinging.lanes.works), len(arm.material.branches)
     dynamic_sensitivities(
         swinging.first.walls, arm_in_motion, dynamics.state, still.lanes, still.first.scale, swinging.lanes,
-        _lane_rows(rows, [change.pressure_pa for change in changes]), tip_loads, swinging.steps, every,
+        lane_rows(rows, [change.pressure_pa for change in changes]), tip_loads, swinging.steps, every,
         layout.aligned(works, n + 1, (36 if branches else 24) * layout.LANES),
         layout.aligned(works, branches, n + 1, 12 * layout.LANES), dynamics.room,
         Lanes.of(neighbours, n, dynamics.segments), TOLERANCE_IN_MOTION,
@@ -237,13 +201,6 @@ def _rows(arm: Arm, pressure_pa: ArrayLike) -> Array:
     if rows.ndim != 2 or rows.shape[1] != actuators or not len(rows):
         raise ValueError(f"pressure_pa must be rows of {actuators} numbers, got shape {rows.shape}")
     return rows
-
-
-def _weights(weight_kg: ArrayLike | None, count: int) -> Array:
-    weight = np.zeros(count) if weight_kg is None else np.array(weight_kg, dtype=np.float64)
-    if weight.shape != (count,) or not np.isfinite(weight).all():
-        raise ValueError(f"weight_kg must hold {count} finite numbers")
-    return weight
 
 
 def _check_changes(arm: Arm, changes: Sequence[Variation], rows: Array) -> None:
@@ -279,105 +236,7 @@ def _varied(arm: Arm, pressure: Array) -> list[Variation]:
 def _shifts(fields: int, actuators: int) -> Array:
     """What the pressures of these lanes differ by, (1, W, N, 8) [Pa]."""
     still = np.zeros((1, actuators))
-    return _lane_rows(still, [still] * fields + list(PRESSURE_STEP_PA * np.eye(actuators)[:, None]))
-
-
-def _lane_rows(rows: Array, changed: Sequence[Array | None]) -> Array:
-    """Pressures (K, W, N, 8) by lane from those of the arm (K, N) and of its neighbours."""
-    works = passes(len(changed))
-    out = np.empty((works * layout.LANES, *rows.shape))
-    out[:] = rows
-    for lane, own in enumerate(changed, start=FIRST):
-        if own is not None:
-            out[lane] = own
-    split = out.reshape(works, layout.LANES, *rows.shape)
-    return np.ascontiguousarray(split.transpose(2, 0, 3, 1))
-
-
-def _lanes(order: NDArray[np.intp], values: Sequence[ArrayLike]) -> Array:
-    """One value each of the arm and its neighbours, (W, .., 8) by lane."""
-    each = np.array(values, dtype=np.float64)[order].reshape(-1, layout.LANES, *np.shape(values[0]))
-    return np.ascontiguousarray(np.moveaxis(each, 1, -1))
-
-
-def _tip_loads(
-    arm: Arm, changes: Sequence[Variation], count: int, weight_kg: ArrayLike | None, pull: TipWrench | None
-) -> Array:
-    """What hangs on the lanes' tips beyond the cap, (count, W, 12, 8) for `apply_pressure`; or one empty row."""
-    weight = _weights(weight_kg, count)
-    if pull is None and any(change.pull is not None for change in changes):
-        raise ValueError("what pulls may only change where something pulls")
-    for some in (pull, *(change.pull for change in changes)):
-        if some is not None and len(some.force_n) != count:
-            raise ValueError(f"what pulls has {len(some.force_n)} rows, the pressures {count}")
-    lanes = passes(len(changes)) * layout.LANES
-    tip_loads = np.zeros((lanes, count if pull is not None or weight.any() else 1, 12))
-    own = [(arm, pull)] * lanes
-    own[FIRST : FIRST + len(changes)] = [(change.arm, change.pull or pull) for change in changes]
-    for lane, (one, pulls) in zip(tip_loads, own, strict=True):
-        if weight.any():
-            lane[:, :3] = weight[:, None] * np.asarray(one.gravity_m_s2)
-        if pulls is not None:
-            lane[:, :3] += pulls.force_n
-            lane[:, 3:6], lane[:, 6:9], lane[:, 9:] = pulls.moment_n_m, pulls.force_n, pulls.point_m
-    return np.ascontiguousarray(tip_loads.reshape(-1, layout.LANES, *tip_loads.shape[1:]).transpose(2, 0, 3, 1))
-
-
-@dataclass(frozen=True)
-class _Stack:
-    """The arm and its neighbours as the kernels take them; one section for each row of pressures, or one for all."""
-
-    first: KernelArguments
-    lanes: LaneArguments
-    load: Array
-    loaded: bool
-    work: Array
-    steps: Array
-
-    @classmethod
-    def of(
-        cls, arm: Arm, changes: Sequence[Variation], nodes: int, rows: Array, c0: float = 0.0, dt_s: float = 0.0
-    ) -> _Stack:
-        """Of rows of pressures (K, N), the first ones or all; they matter only to rules that freeze the moduli."""
-        arms, some = [arm, *(change.arm for change in changes)], len(rows)
-        pressure = [rows, *(rows if change.pressure_pa is None else change.pressure_pa[:some] for change in changes)]
-        each = [KernelArguments.of(one, own, c0, dt_s) for one, own in zip(arms, pressure, strict=True)]
-        first = each[0]
-        order = np.zeros(passes(len(changes)) * layout.LANES, dtype=np.intp)
-        order[FIRST : FIRST + len(changes)] = np.arange(1, len(arms))
-        works = layout.aligned(len(order) // layout.LANES, len(first.prepared) // layout.LANES, layout.LANES)
-        works[:] = _lanes(order, [p.prepared[:: layout.LANES] for p in each])
-        weight = [one.line_density_kg_m * one.rod_weight * np.asarray(one.gravity_m_s2) for one in arms]
-        heavier = [own - weight[0] for own in weight]
-        works[:, layout.STRIDE] = _lanes(order, [p.length_m / nodes for p in each])
-        works[:, layout.WEIGHT : layout.WEIGHT + 3] = _lanes(order, heavier)
-        works[:, layout.CENTRE : layout.CENTRE + 2] = _lanes(order, [p.centre_m for p in each])
-        ends = _lanes(order, [p.cap for p in each])
-        load, loaded = first.load(arm, None, nodes)
-        sections = [p.stiffness for p in each], [p.rest for p in each], [p.per_pressure for p in each]
-        stiffness, rest, per_pressure = (np.ascontiguousarray(_lanes(order, part).swapaxes(0, 1)) for part in sections)
-        lanes = LaneArguments(
-            works.reshape(len(works), -1), stiffness, rest, per_pressure, _lanes(order, [p.free_per_pa for p in each]),
-            ends, loaded or bool(np.any(heavier)), any(one.cap_inertia and one.inertia for one in arms),
-            _lanes(order, [branch_factors(one.material, c0, dt_s) for one in arms]),
-        )  # fmt: skip
-        steps = np.array([change.step for change in changes], dtype=np.float64)
-        return cls(first, lanes, load, loaded, first.work(), steps)
-
-    def own(self, rows: slice) -> _Stack:
-        """The part for some rows, with work arrays of its own."""
-        lanes, first = self.lanes, self.first
-        works = layout.aligned(*lanes.works.shape)
-        works[:] = lanes.works
-        at = slice(None) if len(lanes.stiffness) == 1 else rows
-        at_rest = slice(None) if len(lanes.rest) == 1 else rows
-        own = lanes._replace(
-            works=works, stiffness=lanes.stiffness[at], rest=lanes.rest[at_rest], per_pressure=lanes.per_pressure[at]
-        )
-        first = replace(
-            first, stiffness=first.stiffness[at], rest=first.rest[at_rest], per_pressure=first.per_pressure[at]
-        )
-        return replace(self, first=first, lanes=own, work=first.work())
+    return lane_rows(still, [still] * fields + list(PRESSURE_STEP_PA * np.eye(actuators)[:, None]))
 
 
 class _Kept(threading.local):
@@ -388,9 +247,9 @@ class _Kept(threading.local):
         self.lanes = lru_cache(maxsize=8)(_lanes_at_rest)
 
 
-def _stack_of_material(arm: Arm, nodes: int) -> _Stack:
+def _stack_of_material(arm: Arm, nodes: int) -> LaneStack:
     nothing = np.zeros(arm.geometry.actuators)
-    return _Stack.of(arm, _varied(arm, nothing), nodes, nothing[None])
+    return LaneStack.of(arm, _varied(arm, nothing), nodes, nothing[None])
 
 
 def _lanes_at_rest(neighbours: int, nodes: int) -> Lanes:
@@ -400,7 +259,7 @@ def _lanes_at_rest(neighbours: int, nodes: int) -> Lanes:
 _kept = _Kept()
 
 
-def _solve(stack: _Stack, rows: Array, tip_loads: Array, nodes: int, room: Lanes) -> Gradients:
+def _solve(stack: LaneStack, rows: Array, tip_loads: Array, nodes: int, room: Lanes) -> Gradients:
     """For pressures (K, W, N, 8); the stack's work arrays are written to."""
     count, first, neighbours = len(rows), stack.first, len(stack.steps)
     place, turned, by = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, neighbours, 6))

@@ -18,8 +18,8 @@ from scipy.stats import binom, chi2, norm
 
 from calibration.design.exchange import choose, minimax
 from calibration.design.information import Unknowns
-from calibration.identify.data import Poses
 from calibration.identify.least_squares import LeastSquaresProblem
+from calibration.identify.poses import Poses
 from calibration.identify.tip_predictor import Predictor
 
 Array = NDArray[np.float64]

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calibration.identify.data import Poses
 from calibration.identify.least_squares import LeastSquaresProblem
-from calibration.identify.parameters import Prior, Setup, named
+from calibration.identify.parameters import Prior, named
+from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
+from calibration.identify.setup import Setup
 from calibration.identify.unknown import with_own_values
 from calibration.parallel_map import Progress, parallel_map
 

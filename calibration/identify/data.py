@@ -1,4 +1,4 @@
-"""Input of an identification from an archive: static plateaus and motions."""
+"""Poses of an archive: its static plateaus or its motion."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from calibration.identify.errors import NoDataError
 from calibration.identify.orientation import (
     M_PER_MM,
     MIN_FRAMES,
-    Orientations,
     averaged_share,
     mean_orientations,
     orientations,
 )
+from calibration.identify.poses import PA_PER_BAR, Poses
 from calibration.identify.pressure_course import PressureCourse, course_rows, mean_around
-from calibration.identify.pressure_history import PressureHistory, pressure_history
+from calibration.identify.pressure_history import pressure_history
 from calibration.identify.pressure_smoothing import curve, noise_std, smoothed
 from runs.interpolation import interpolated
 from runs.records import DetectionStatus
@@ -27,12 +27,9 @@ from runs.run import Run
 
 Array = NDArray[np.float64]
 
-PA_PER_BAR = 1e5
 KG_PER_G = 1e-3
 
 SETTLE_S = 1.5
-# Fewest entries of a quasi-static motion for which the correlation of neighbours can be estimated.
-MIN_IN_SEQUENCE = 32
 # A frame is used if it lies at most this many camera periods outside the pressure record.
 _PRESSURE_MARGIN_FRAMES = 1.5
 # Samples around a clipped one that count as clipped.
@@ -41,114 +38,6 @@ _CLIP_WINDOW = 21
 _CLIP_STD = 1.0
 # A sensor that is clipped in a larger share of a motion has a constant error there, which its offset describes.
 _MOSTLY = 0.9
-
-
-@dataclass(frozen=True)
-class Poses:
-    """Tips and loads of one run: static (K plateaus) or in motion (K frames, `period_s` apart).
-
-    pressure_pa (K, N) as measured; `pressure_std_pa` (K, N) is the standard deviation of the random error, without the
-    sensor offsets. weight_kg (K,) is the tip load on the cap. wrench (K, 6): measured force [N] and moment [N m] at the
-    measured point, in the frame of the tips. tip_m (K, 3) in the rod-base frame with covariance_m2 (K, 3, 3); both NaN
-    in frames without a tip. frames (K,): camera frames per entry. time_s (K,) counts from the start of the run; for a
-    plateau it is the end. period_s is zero for static poses. history: of the pressures. live_m (K, 3):
-    tips of the model that ran beside the experiment, NaN where there was none; None if there was no such model.
-    course: of static poses, for models that remember; None where it is unknown, and each pose has long been held.
-    orientation: of the tips; None if no entry has one.
-    """
-
-    run_id: str
-    source: str
-    period_s: float
-    pressure_pa: Array
-    pressure_std_pa: Array
-    weight_kg: Array
-    wrench: Array
-    tip_m: Array
-    covariance_m2: Array
-    frames: NDArray[np.int64]
-    time_s: Array
-    history: PressureHistory
-    live_m: Array | None = None
-    course: PressureCourse | None = None
-    orientation: Orientations | None = None
-
-    def __len__(self) -> int:
-        return len(self.weight_kg)
-
-    @property
-    def moving(self) -> bool:
-        """True for a motion: the entries are a time series."""
-        return self.period_s > 0
-
-    @property
-    def in_sequence(self) -> bool:
-        """True if the entries are consecutive frames, whose errors correlate."""
-        return self.moving or (len(self) >= MIN_IN_SEQUENCE and bool((self.frames == 1).all()))
-
-    @property
-    def has_tip(self) -> NDArray[np.bool_]:
-        """Which entries have a measured tip (K,)."""
-        found: NDArray[np.bool_] = np.asarray(np.isfinite(self.tip_m).all(axis=1))
-        return found
-
-    @property
-    def has_orientation(self) -> NDArray[np.bool_]:
-        """Which entries have a measured tip with an orientation (K,)."""
-        if self.orientation is None:
-            return np.zeros(len(self), np.bool_)
-        known: NDArray[np.bool_] = np.asarray(np.isfinite(self.orientation.rotation).all(axis=(1, 2)))
-        return known & self.has_tip
-
-    @property
-    def numbers(self) -> int:
-        """Numbers of each entry that a fit compares: the tip, and its rotation if some entry has one."""
-        return 3 if self.orientation is None else 6
-
-    @property
-    def measured(self) -> NDArray[np.bool_]:
-        """Which of these numbers (K, D) were measured."""
-        columns = [self.has_tip] if self.orientation is None else [self.has_tip, self.has_orientation]
-        return np.repeat(np.stack(columns, axis=1), 3, axis=1)
-
-    @property
-    def pose_covariance(self) -> Array:
-        """Covariances (K, D, D) of these numbers; that of a rotation that was not measured is the unit matrix."""
-        if self.orientation is None:
-            return self.covariance_m2
-        known = self.has_orientation[:, None, None]
-        cross = np.where(known, self.orientation.cross_m_rad, 0.0)
-        turning = np.where(known, self.orientation.covariance_rad2, np.eye(3))
-        return np.concatenate(
-            [
-                np.concatenate([self.covariance_m2, cross], axis=2),
-                np.concatenate([np.swapaxes(cross, 1, 2), turning], axis=2),
-            ],
-            axis=1,
-        )
-
-    @property
-    def actuators(self) -> int:
-        """Number of actuators N."""
-        return int(self.pressure_pa.shape[1])
-
-    def only(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Poses:
-        """A subset of the entries; of a motion it must be contiguous."""
-        return replace(
-            self,
-            pressure_pa=self.pressure_pa[chosen],
-            pressure_std_pa=self.pressure_std_pa[chosen],
-            weight_kg=self.weight_kg[chosen],
-            wrench=self.wrench[chosen],
-            tip_m=self.tip_m[chosen],
-            covariance_m2=self.covariance_m2[chosen],
-            frames=self.frames[chosen],
-            time_s=self.time_s[chosen],
-            history=self.history.only(chosen),
-            live_m=None if self.live_m is None else self.live_m[chosen],
-            course=None if self.course is None else self.course.only(chosen),
-            orientation=None if self.orientation is None else self.orientation.only(chosen),
-        )
 
 
 def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
@@ -289,26 +178,6 @@ def poses_of(run: Run) -> Poses:
     except NoDataError:
         return in_motion(run)
     return rest if rest.frames.sum() > 0.25 * len(run.tip.time_s) else in_motion(run)
-
-
-def split_at(poses: Poses, until_s: float) -> tuple[Poses, Poses]:
-    """Split a run at a time [s] into the poses before it and those from then on.
-
-    Both parts of a motion keep all pressures, because the later motion depends on the earlier one; each has only the
-    tips of its own time.
-
-    Raises:
-        NoDataError: one of the parts has no tip.
-    """
-    before = poses.time_s < until_s
-    parts = []
-    for inside, which in ((before, "before"), (~before, "after")):
-        part = replace(poses, tip_m=np.where(inside[:, None], poses.tip_m, np.nan))
-        part = part if poses.moving else part.only(inside)
-        if not part.has_tip.any():
-            raise NoDataError(f"{poses.run_id} shows no tip {which} {until_s:g} s")
-        parts.append(part)
-    return parts[0], replace(parts[1], run_id=f"{poses.run_id} from {until_s:g} s")
 
 
 def _usable(run: Run) -> NDArray[np.bool_]:

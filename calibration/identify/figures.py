@@ -15,9 +15,10 @@ import model
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.likelihood import whitened
 from calibration.identify.notation import Scale
-from calibration.identify.parameters import Setup, known
+from calibration.identify.parameters import known
 from calibration.identify.profile_likelihood import RISE_95, LikelihoodProfile
 from calibration.identify.results import NORMAL_95, Fit
+from calibration.identify.setup import Setup
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
 
 Array = NDArray[np.float64]

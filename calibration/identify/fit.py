@@ -8,16 +8,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.data import Poses
 from calibration.identify.errors import NoDataError
 from calibration.identify.information import covariance as covariance_of
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.likelihood import drifting, outlying, whitened
 from calibration.identify.model_error_posterior import model_error_posterior
 from calibration.identify.nuisance import nuisance_parameters
-from calibration.identify.parameters import Prior, Setup, named
+from calibration.identify.parameters import Prior, named
+from calibration.identify.poses import Poses
 from calibration.identify.results import NORMAL_95, Estimate, Fit, RunFit, Verdict, with_means_of_runs
 from calibration.identify.search import Progress, initial_point, point_of, search
+from calibration.identify.setup import Setup
 from calibration.identify.unknown import Unknown, with_own_values
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.identify.data import PA_PER_BAR, Poses
+from calibration.identify.poses import PA_PER_BAR, Poses
 
 # A run leaves the range if it exceeds it by more than this share, and by this amount.
 _SHARE, _PRESSURE_PA, _LOAD_N = 0.05, 2e3, 0.05

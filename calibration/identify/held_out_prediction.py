@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from calibration.identify.data import Poses
 from calibration.identify.fit_range import outside
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.model_error import error_columns
+from calibration.identify.poses import Poses
 from calibration.identify.results import NORMAL_95, Fit, rms
 from calibration.identify.tip_predictor import Predictor
 from calibration.identify.unknown import Unknown

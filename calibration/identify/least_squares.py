@@ -1,4 +1,4 @@
-"""Robust nonlinear least squares of an identification: Gauss-Newton with reweighting, unknowns scaled by their span."""
+"""Robust nonlinear least squares of an identification: iterative reweighting, unknowns scaled by their span."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.data import Poses
+from calibration.identify.gauss_newton import gauss_newton
 from calibration.identify.information import determined_covariance, sandwich
 from calibration.identify.likelihood import (
     Discrepancy,
@@ -21,7 +21,9 @@ from calibration.identify.likelihood import (
     score_covariance,
     whitened,
 )
-from calibration.identify.parameters import Parameter, Prior, Setup
+from calibration.identify.parameters import Parameter, Prior
+from calibration.identify.poses import Poses
+from calibration.identify.setup import Setup
 from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
 from calibration.identify.unknown import Unknown
 
@@ -33,17 +35,7 @@ _STEP = 1e-7
 _RIDGE_SPANS = 5.0
 _ROUNDS = 5
 _SAME_COVARIANCE = 0.05
-_MAX_STEP = 1.0
 _SAME_SLOPE = 3e-3
-# Levenberg damping, in sums of squares per squared span: the first value, and the value below which it is zero.
-_FIRST_DAMPING, _LAST_DAMPING = 1.0, 1e-3
-# Growth of the damping after a step that was refused.
-_MORE_DAMPING = 4.0
-# A step longer than so many spans is corrected for the curvature of its path, probed at this share of the step.
-# It is refused if the correction is a larger share of it than the last number.
-_STRAIGHT, _PROBE, _MAX_BEND = 3e-3, 0.1, 0.4
-# Predicted decrease of the sum of squares at convergence: a step of a hundredth of an error bar.
-_CONVERGED = 1e-4
 
 
 @dataclass(frozen=True)
@@ -307,59 +299,22 @@ class LeastSquaresProblem:
     def gauss_newton(
         self, z: Array, only: list[int], weights: tuple[Weights, ...], evaluations: int
     ) -> tuple[Array, bool]:
-        """Gauss-Newton with bounds (active set), Levenberg damping and geodesic acceleration.
+        """The minimum over the unknowns `only` at given weights, from z (n,), and whether the search converged."""
 
-        Return z (n,) and whether it converged.
+        def whole(x: Array) -> Array:
+            out = z.copy()
+            out[only] = x
+            return out
 
-        Levenberg damping, uniform in spans, shortens steps along poorly determined directions, where the problem is
-        least linear, and hardly affects the others. Marquardt damping, scaled by the curvature, would slow down all
-        correlated unknowns.
-        """
-        lower, upper = (np.array([getattr(self.unknowns[i], side) for i in only]) for side in ("lower", "upper"))
-        z[only] = np.clip(z[only], lower, upper)
-        residual = self._rows(z, only, weights)
-        damping = 0.0
-        slope: Array | None = None
-        for _ in range(evaluations):
-            if slope is None:
-                slope = self._slope_rows(z, only, weights)
-            descent = -slope.T @ residual
-            at_bound = ((z[only] <= lower) & (descent < 0)) | ((z[only] >= upper) & (descent > 0))
-            inside = np.flatnonzero(~at_bound)
-            curvature = (slope.T @ slope)[np.ix_(inside, inside)] + damping * np.eye(len(inside))
-            step = np.zeros(len(only))
-            step[inside] = np.linalg.solve(curvature, descent[inside])
-            predicted_decrease = float(step @ descent)
-            step *= min(1.0, _MAX_STEP / max(np.abs(step).max(initial=0.0), 1e-300))
-            bend = np.zeros(len(only))
-            if np.abs(step).max(initial=0.0) > _STRAIGHT:
-                second = self._second_derivative(z, only, weights, residual, slope @ step, step)
-                bend[inside] = -0.5 * np.linalg.solve(curvature, slope[:, inside].T @ second)
-            trial = z.copy()
-            trial[only] = np.clip(z[only] + step + bend, lower, upper)
-            there = self._rows(trial, only, weights)
-            straight = np.abs(bend).max(initial=0.0) <= _MAX_BEND * np.abs(step).max(initial=0.0)
-            if straight and float(there @ there) <= float(residual @ residual):
-                z, residual, slope = trial, there, None
-                self.progress(self.rms_m(z))
-                damping = damping / 10 if damping > _LAST_DAMPING else 0.0
-            else:
-                damping = max(_MORE_DAMPING * damping, _FIRST_DAMPING)
-            if predicted_decrease < _CONVERGED:
-                return z, True
-        return z, False
-
-    def _second_derivative(
-        self, z: Array, only: list[int], weights: tuple[Weights, ...], residual: Array, first: Array, step: Array
-    ) -> Array:
-        """Second derivative of the residuals along a step whose first-order effect is `first`.
-
-        With it a step follows a curved valley (geodesic acceleration, Transtrum and Sethna 2012).
-        """
-        probe = z.copy()
-        probe[only] += _PROBE * step
-        out: Array = 2 / _PROBE * ((self._rows(probe, only, weights) - residual) / _PROBE - first)
-        return out
+        x, converged = gauss_newton(
+            lambda x: self._rows(whole(x), only, weights),
+            lambda x: self._slope_rows(whole(x), only, weights),
+            z[only],
+            bounds=tuple(np.array([getattr(self.unknowns[i], side) for i in only]) for side in ("lower", "upper")),
+            evaluations=evaluations,
+            progress=lambda x: self.progress(self.rms_m(whole(x))),
+        )
+        return whole(x), converged
 
     def _rows(self, z: Array, only: list[int], weights: tuple[Weights, ...]) -> Array:
         """The residual vector: tips, priors, ridge."""

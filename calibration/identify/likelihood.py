@@ -13,7 +13,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import brentq
 from scipy.special import chdtr, chdtri
 
-from calibration.identify.data import Poses
+from calibration.identify.poses import Poses
 
 Array = NDArray[np.float64]
 

@@ -3,39 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.data import Poses
+from calibration.identify.candidates import DAMPING, Candidate
 from calibration.identify.errors import NoDataError
 from calibration.identify.fit import identify
 from calibration.identify.least_squares import LeastSquaresProblem
-from calibration.identify.memory_parameters import memory_names
 from calibration.identify.nuisance import nuisance_parameters
-from calibration.identify.parameters import PUSH_GROWTH, Prior, Setup, named
+from calibration.identify.parameters import Prior, named
+from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
 from calibration.identify.tip_predictor import SUBSTEPS, Predictor
 from calibration.parallel_map import Progress, parallel_map
-from model.actuation import ACTUATION_LAWS, Proportional, StopElement
-from model.arm import Arm
-from model.material import MaxwellBranch
-from model.variants import MODULUS_RULES, POINTWISE, VARIANTS
 
 Array = NDArray[np.float64]
 
 # A smaller difference of a criterion is no evidence (rule of thumb of Burnham and Anderson).
 _MIN_BIC_GAIN = 10.0
-_DAMPED_FROM_S = 0.01
 # Share of the held-out error by which a memory must lower it: a branch or stop of no effect wins half of all ties.
 _MEMORY_GAIN = 0.05
-DAMPING = "damping_s"
-# Where the fit of what an arm may remember begins: a creep and a friction that are usual for silicone and braids.
-TYPICAL_BRANCH, TYPICAL_STOP = MaxwellBranch(0.03, 5.0), StopElement(0.05, 2e3)
 # Leave-one-out for up to this many runs, else this many folds.
 _FOLDS = 10
 # Parts of equal length that a single run is divided into, each left out once; and the fewest tips of such a run.
@@ -46,39 +37,6 @@ _MIN_DECISIVE = 2.0
 _MAX_FRAMES, _MAX_POSES = 2000, 300
 # Numbers in the result of `fit_all` before the values.
 _FACTS = 4
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """One model in the comparison: its starting setup and its free parameters."""
-
-    name: str
-    start: Setup
-    free: tuple[str, ...]
-
-    def without_damping(self) -> Candidate:
-        """The same with damping held at zero, free or not."""
-        return replace(self, start=_with_damping(self.start, 0.0), free=tuple(n for n in self.free if n != DAMPING))
-
-    def with_damping(self) -> Candidate:
-        """The same with free damping, which starts above zero."""
-        start = self.start if self.start.arm.material.damping_s else _with_damping(self.start, _DAMPED_FROM_S)
-        return replace(self, start=start, free=(*(n for n in self.free if n != DAMPING), DAMPING))
-
-    @property
-    def damping(self) -> bool:
-        """Whether the model has material damping."""
-        return self.start.arm.material.damping_s > 0
-
-    @property
-    def inhomogeneous(self) -> bool:
-        """First column of Table 3."""
-        return self.start.arm.law.pointwise or self.start.arm.law.frozen
-
-    @property
-    def radial(self) -> bool:
-        """Second column of Table 3."""
-        return self.start.arm.radial_effect
 
 
 @dataclass(frozen=True)
@@ -105,60 +63,6 @@ class ModelComparison:
     rows: tuple[ComparisonRow, ...]
     best: ComparisonRow
     sentence: str
-
-
-def candidates(setup: Setup, free: Iterable[str] = (), moving: bool = False) -> tuple[Candidate, ...]:
-    """Every variant of the model, the inhomogeneous one by each rule for E_i, and linear walls with a growing push.
-
-    Then the variant that the setup has, with what it may remember: a Maxwell branch of the walls, a stop element of the
-    actuators, and both.
-
-    With moving runs each has two variants: without damping and with fitted damping. Damping has no effect on static
-    runs.
-    """
-    extra = tuple(free)
-
-    def candidate(name: str, free: Iterable[str], **changes: Any) -> Candidate:
-        elastic = replace(setup.arm.material, branches=())
-        plain = {"actuation": Proportional(), "modulus_rule": POINTWISE, "material": elastic}
-        arm = replace(setup.arm, **{**plain, **changes})
-        return Candidate(name, replace(setup, arm=arm), (*arm.law.parameters, *extra, *free))
-
-    out = []
-    for variant in VARIANTS.values():
-        radial = ("rpe_per_bar",) if variant.radial_effect else ()
-        if variant.rules:
-            out += [
-                candidate(f"{variant.name}, {rule}", radial, variant=variant.name, modulus_rule=rule)
-                for rule in MODULUS_RULES
-            ]
-        else:
-            out.append(candidate(variant.name, radial, variant=variant.name))
-    growing = [growing_law() for growing_law in ACTUATION_LAWS.values() if growing_law.grows]
-    out += [
-        candidate(f"homogeneous, {push.name}", (PUSH_GROWTH,), variant="homogeneous", actuation=push)
-        for push in growing
-    ]
-    out += [_remembering(candidate, setup.arm, branches, stops) for branches, stops in ((1, 0), (0, 1), (1, 1))]
-    return (
-        tuple(one for still in out for one in (still.without_damping(), still.with_damping())) if moving else tuple(out)
-    )
-
-
-def _remembering(candidate: Callable[..., Candidate], arm: Arm, branches: int, stops: int) -> Candidate:
-    """The arm's own variant with so many branches and stop elements, at most one each."""
-    material = replace(arm.material, branches=(TYPICAL_BRANCH,) * branches)
-    actuation = replace(arm.actuation, stops=(TYPICAL_STOP,) * stops)
-    radial = ("rpe_per_bar",) if arm.radial_effect else ()
-    growth = (PUSH_GROWTH,) if actuation.grows else ()
-    what = " and ".join([*["branch"] * branches, *["stop"] * stops])
-    names = memory_names(replace(arm, material=material, actuation=actuation))
-    return candidate(f"{arm.variant}, {what}", (*radial, *growth, *names), material=material, actuation=actuation)
-
-
-def _with_damping(setup: Setup, damping_s: float) -> Setup:
-    material = replace(setup.arm.material, damping_s=damping_s)
-    return replace(setup, arm=replace(setup.arm, material=material))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.data import Poses
+from calibration.identify.poses import Poses
 from calibration.identify.tip_predictor import PushResponse
 from model.arm import Arm
 

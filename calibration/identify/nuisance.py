@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibration.identify.data import Poses
 from calibration.identify.memory_parameters import ALL_NAMES, memory_names
-from calibration.identify.parameters import PUSH_GROWTH, TOOL_ROTATION, Parameter, Prior, Setup, known, named
+from calibration.identify.parameters import PUSH_GROWTH, TOOL_ROTATION, Parameter, Prior, known, named
+from calibration.identify.poses import Poses
+from calibration.identify.setup import Setup
 from model.variants import VARIANTS, variant_named
 
 # A turn about an axis with this share of gravity along it does not change the direction of gravity.

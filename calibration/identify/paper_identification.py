@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 import model
-from calibration.identify.data import PA_PER_BAR, Poses
 from calibration.identify.errors import NoDataError
+from calibration.identify.poses import PA_PER_BAR, Poses
 from model.tube import BallooningError, Tube
 
 Array = NDArray[np.float64]

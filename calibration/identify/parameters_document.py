@@ -12,9 +12,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from calibration.identify.parameters import Prior, Setup
+from calibration.identify.parameters import Prior
 from calibration.identify.profile_likelihood import LikelihoodProfile
 from calibration.identify.results import Estimate, RunFit
+from calibration.identify.setup import Setup
 from model.actuation import PA_PER_BAR
 
 VERSION = 2

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.data import Poses
 from calibration.identify.likelihood import outlying, whitened
+from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
 
 Array = NDArray[np.float64]

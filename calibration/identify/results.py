@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.likelihood import Discrepancy
 from calibration.identify.model_error_posterior import ModelErrorPosterior
-from calibration.identify.parameters import Prior, Setup, known
+from calibration.identify.parameters import Prior, known
+from calibration.identify.setup import Setup
 
 Array = NDArray[np.float64]
 

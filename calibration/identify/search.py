@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.data import Poses
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.nuisance import MOTION_ONLY
+from calibration.identify.poses import Poses
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]

@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from calibration.identify.data import Poses
 from calibration.identify.fit import identify
 from calibration.identify.memory_parameters import ALL_NAMES, memory_names
 from calibration.identify.orientation import MIN_FRAMES, Orientations
-from calibration.identify.parameters import Prior, Setup, known, named
+from calibration.identify.parameters import Prior, known, named
+from calibration.identify.poses import Poses
 from calibration.identify.pressure_course import PressureCourse
 from calibration.identify.pressure_history import pressure_history
 from calibration.identify.pressure_smoothing import smoothed
+from calibration.identify.setup import Setup
 from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
 from calibration.parallel_map import Progress, parallel_map
 

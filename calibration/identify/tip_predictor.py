@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import model
-from calibration.identify.data import Poses
-from calibration.identify.parameters import Setup
+from calibration.identify.poses import Poses
 from calibration.identify.pressure_course import PressureCourse
 from calibration.identify.pressure_smoothing import curve
+from calibration.identify.setup import Setup
 from calibration.rotation_vectors import inverse_right_jacobian, left_jacobian
 from model import sensitivities
 from model.dynamics import Dynamics
-from model.sensitivities import Gradients, TipWrench, Variation
+from model.sensitivities import Gradients
+from model.variation import TipWrench, Variation
 
 Array = NDArray[np.float64]
 Solved = tuple[Array, Array]

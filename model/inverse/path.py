@@ -14,7 +14,7 @@ from model.dynamics import Dynamics
 from model.inverse.drive import Drive
 from model.inverse.limited_step import limited_step
 from model.loads import Loads
-from model.sensitivities import Variation
+from model.variation import Variation
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from model import batch, sensitivities
 from model.arm import Arm
 from model.inverse.drive import PA_PER_BAR, Drive
-from model.sensitivities import Variation
+from model.variation import Variation
 
 Array = NDArray[np.float64]
 

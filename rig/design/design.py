@@ -21,9 +21,10 @@ from calibration.design.information import (
     error_bars,
     of_interest,
 )
-from calibration.identify.data import Poses
 from calibration.identify.nuisance import nuisance_parameters
-from calibration.identify.parameters import DAMPING_S, Setup, named
+from calibration.identify.parameters import DAMPING_S, named
+from calibration.identify.poses import Poses
+from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors
 from protocols import BadInputError, Problem, Protocol
 from protocols.problems import closest

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from calibration.identify.data import SETTLE_S, Poses
+from calibration.identify.data import SETTLE_S
+from calibration.identify.poses import Poses
 from calibration.identify.simulated_experiments import MeasurementErrors, plan
 from protocols import BadInputError, Problem, SetPointTrajectory
 from rig.config.schema import RigConfig

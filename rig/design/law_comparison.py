@@ -10,10 +10,11 @@ import yaml
 import protocols
 from calibration.design.discrimination import RivalLaw, Separation, closest, separation, t_optimal
 from calibration.design.information import Unknowns
-from calibration.identify.data import Poses
-from calibration.identify.model_comparison import Candidate
+from calibration.identify.candidates import Candidate
 from calibration.identify.nuisance import nuisance_parameters
-from calibration.identify.parameters import Setup, named
+from calibration.identify.parameters import named
+from calibration.identify.poses import Poses
+from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors
 from calibration.identify.tip_predictor import Predictor
 from protocols import BadInputError, Problem, Protocol

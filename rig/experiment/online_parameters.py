@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.parameters import Parameter, Setup, named
+from calibration.identify.parameters import Parameter, named
 from calibration.identify.parameters_document import write
 from calibration.identify.results import NORMAL_95, Estimate, RunFit, Verdict
+from calibration.identify.setup import Setup
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
 from rig.config.model_variant import variant_named

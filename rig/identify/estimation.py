@@ -7,15 +7,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from calibration.identify.data import Poses, poses_of, quasi_static_poses
+from calibration.identify.data import poses_of, quasi_static_poses
 from calibration.identify.figures import predictions
 from calibration.identify.fit import identify
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.memory_parameters import memory_names
 from calibration.identify.nuisance import nuisance_parameters, stated_values
-from calibration.identify.parameters import Prior, Setup, UnknownParameter, named
+from calibration.identify.parameters import Prior, UnknownParameter, named
+from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
 from calibration.identify.search import Progress as SearchProgress
+from calibration.identify.setup import Setup
 from protocols import BadInputError, Problem
 from rig.config.arm_model import model_arm
 from rig.config.loader import RigFile

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from calibration.identify import split_at
-from calibration.identify.data import Poses
 from calibration.identify.held_out_prediction import Prediction, predict
 from calibration.identify.parameters import Prior
 from calibration.identify.parameters_document import Baseline
+from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
 from calibration.identify.search import Progress as SearchProgress
 from protocols import BadInputError, Problem

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from calibration.identify.model_comparison import Candidate, candidates
-from calibration.identify.parameters import Setup
+from calibration.identify.candidates import Candidate, candidates
+from calibration.identify.setup import Setup
 from model.variants import POINTWISE
 from protocols import BadInputError, Problem
 from protocols.problems import closest

@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from calibration.identify.data import Poses
-from calibration.identify.model_comparison import ModelComparison, candidates, compare_models, compared
-from calibration.identify.parameters import Prior, Setup
+from calibration.identify.candidates import candidates
+from calibration.identify.model_comparison import ModelComparison, compare_models, compared
+from calibration.identify.parameters import Prior
+from calibration.identify.poses import Poses
+from calibration.identify.setup import Setup
 from rig.config.schema import RigConfig
 from rig.identify.estimation import Progress, check_priors, rig_uncertainties, sensor_priors
 from rig.identify.law_names import BASE, laws_named

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
-from calibration.identify.parameters import PUSH_GROWTH, Prior, Setup
+from calibration.identify.parameters import PUSH_GROWTH, Prior
 from calibration.identify.recursive_estimator import RecursiveEstimator
+from calibration.identify.setup import Setup
 from model.statics import statics
 from model.variants import variant_named
 from rig.config.arm_model import TipLoad, model_arm

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.memory_parameters import ALL_NAMES
-from calibration.identify.parameters import Parameter, Setup, groups, known
+from calibration.identify.parameters import Parameter, groups, known
+from calibration.identify.setup import Setup
 from model import batch, sensitivities
-from model.sensitivities import Variation
+from model.variation import Variation
 from protocols import SetPointTrajectory, TipMotion
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig

@@ -11,8 +11,8 @@ from model import Arm, Loads, batch, sensitivities
 from model.actuation import ACTUATION_LAWS, OwnPressure, PressureSum, Proportional, actuation_law_named
 from model.dynamics import Dynamics
 from model.paper.rod import PaperRod
-from model.sensitivities import Variation
 from model.statics import statics
+from model.variation import Variation
 
 BAR = 1e5
 PRESSURES = np.array([0.5, 0.2, 0.05]) * BAR

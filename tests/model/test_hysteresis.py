@@ -14,8 +14,8 @@ from model import Arm, sensitivities
 from model.actuation import PressureSum, Proportional, StopElement
 from model.dynamics import Dynamics
 from model.hysteresis import Hysteresis, effective_pa
-from model.sensitivities import Variation
 from model.statics import statics
+from model.variation import Variation
 
 Array = NDArray[np.float64]
 

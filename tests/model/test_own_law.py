@@ -14,9 +14,9 @@ import pytest
 from scipy.optimize import fsolve
 
 import model
-from calibration.identify.model_comparison import candidates
+from calibration.identify.candidates import candidates
 from calibration.identify.nuisance import nuisance_parameters
-from calibration.identify.parameters import Setup
+from calibration.identify.setup import Setup
 from model.arm import Arm
 from model.variants import ModelVariant, register
 from rig.config.arm_model import model_arm

@@ -17,8 +17,9 @@ from calibration.identify.simulated_experiments import plan
 from calibration.identify.tip_predictor import Predictor
 from model import Arm, Geometry, Loads, sensitivities
 from model.dynamics import Dynamics
-from model.sensitivities import TipWrench, Variation, tip_gradient
+from model.sensitivities import tip_gradient
 from model.statics import statics
+from model.variation import TipWrench, Variation
 from tests.support.budget import examples
 
 Array = NDArray[np.float64]

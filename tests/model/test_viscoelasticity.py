@@ -13,8 +13,8 @@ from model import Arm, Loads, sensitivities
 from model.dynamics import Dynamics
 from model.material import MaxwellBranch
 from model.paper.rod import PaperRod
-from model.sensitivities import Variation
 from model.statics import statics
+from model.variation import Variation
 
 Array = NDArray[np.float64]
 

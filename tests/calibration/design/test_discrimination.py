@@ -12,7 +12,7 @@ from scipy.stats import chi2, norm
 from calibration.design.discrimination import RivalLaw, Separation, closest, separation, t_optimal
 from calibration.design.information import Unknowns
 from calibration.identify import Poses, Prior, Setup, named
-from calibration.identify.model_comparison import candidates
+from calibration.identify.candidates import candidates
 from calibration.identify.simulated_experiments import plan
 from calibration.identify.tip_predictor import Predictor
 from rig.config.arm_model import model_arm

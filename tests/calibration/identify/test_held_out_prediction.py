@@ -8,9 +8,9 @@ import numpy as np
 
 import model
 from calibration.identify import Prior, Setup, identify, split_at
-from calibration.identify.data import Poses
 from calibration.identify.held_out_prediction import Prediction, predict
 from calibration.identify.likelihood import Discrepancy
+from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 

@@ -10,16 +10,9 @@ import pytest
 
 import model
 from calibration.identify import NoDataError, Poses, Prior, Setup, identify
+from calibration.identify.candidates import Candidate, candidates
 from calibration.identify.memory_parameters import ALL_NAMES
-from calibration.identify.model_comparison import (
-    Candidate,
-    ComparisonRow,
-    candidates,
-    compare_models,
-    compared,
-    decision,
-    sentence,
-)
+from calibration.identify.model_comparison import ComparisonRow, compare_models, compared, decision, sentence
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 
 RAMP = np.linspace(0.15e5, 0.65e5, 6)[:, None]

@@ -13,7 +13,6 @@ from scipy.stats import halfnorm, multivariate_normal
 
 import model
 from calibration.identify import Fit, Prior, Setup, identify, named
-from calibration.identify.data import Poses
 from calibration.identify.findings import findings
 from calibration.identify.information import covariance as covariance_of
 from calibration.identify.least_squares import LeastSquaresProblem
@@ -28,6 +27,7 @@ from calibration.identify.model_error_posterior import (
     sample,
 )
 from calibration.identify.nuisance import stated_values
+from calibration.identify.poses import Poses
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, perform, plan
 from calibration.identify.tip_predictor import Predictor
 

@@ -20,7 +20,7 @@ from calibration.identify.paper_identification import (
     radial_pressure_effect,
     softening,
 )
-from calibration.identify.parameters import Setup
+from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 from model.tube import Tube
 

@@ -10,9 +10,9 @@ import pytest
 import model
 from calibration.identify import Prior, Setup, UnknownParameter, identify
 from calibration.identify.bootstrap import bootstrap
-from calibration.identify.data import Poses
 from calibration.identify.held_out_prediction import predict
 from calibration.identify.nuisance import stated_values
+from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 

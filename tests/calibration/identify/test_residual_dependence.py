@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from calibration.identify.data import Poses
+from calibration.identify.poses import Poses
 from calibration.identify.residual_dependence import SIGNIFICANT, Dependence, dependence
 from calibration.identify.simulated_experiments import plan
 

@@ -16,6 +16,7 @@ from calibration.identify import Setup, identify, quasi_static_poses
 from calibration.identify.tip_predictor import Predictor
 from model import sensitivities
 from model.statics import statics
+from model.variation import TipWrench
 from protocols import BadInputError
 from rig.importing import import_table
 from runs.run import Run
@@ -133,9 +134,7 @@ def test_a_strong_force_off_the_axis_is_solved_or_reported_as_unsolved() -> None
     n, point, rng = 24, np.array([0.0157, 0.0, 0.006]), np.random.default_rng(1)
     pressure_pa = rng.uniform(0, 1e5, (n, 3)) * np.eye(3)[rng.integers(0, 3, n)]
     force = 2.0 * Rotation.random(n, random_state=3).apply([0, 0, 1])
-    found = sensitivities.statics(
-        arm, pressure_pa, (), np.zeros(n), sensitivities.TipWrench(force, np.zeros((n, 3)), point)
-    )
+    found = sensitivities.statics(arm, pressure_pa, (), np.zeros(n), TipWrench(force, np.zeros((n, 3)), point))
     met = np.flatnonzero(found.ok)
     assert len(met) > 0.8 * n
     assert np.isnan(found.tip_m[~found.ok]).all()

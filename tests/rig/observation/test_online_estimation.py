@@ -10,7 +10,8 @@ import pytest
 from matplotlib.figure import Figure
 
 import model
-from calibration.identify.parameters import Setup, named
+from calibration.identify.parameters import named
+from calibration.identify.setup import Setup
 from model.dynamics import Dynamics
 from model.statics import statics
 from rig.cli.app import main

@@ -1,0 +1,124 @@
+"""An arm and its neighbours side by side in the lanes of the sensitivity kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from model.arm import Arm
+from model.kernel_arguments import KernelArguments
+from model.kernels import layout
+from model.kernels.arguments import LaneArguments
+from model.kernels.lanes import FIRST, passes
+from model.variation import TipWrench, Variation
+from model.viscoelasticity import branch_factors
+
+Array = NDArray[np.float64]
+
+
+def lane_rows(rows: Array, changed: Sequence[Array | None]) -> Array:
+    """Pressures (K, W, N, 8) by lane from those of the arm (K, N) and of its neighbours."""
+    works = passes(len(changed))
+    out = np.empty((works * layout.LANES, *rows.shape))
+    out[:] = rows
+    for lane, own in enumerate(changed, start=FIRST):
+        if own is not None:
+            out[lane] = own
+    split = out.reshape(works, layout.LANES, *rows.shape)
+    return np.ascontiguousarray(split.transpose(2, 0, 3, 1))
+
+
+def _lanes(order: NDArray[np.intp], values: Sequence[ArrayLike]) -> Array:
+    """One value each of the arm and its neighbours, (W, .., 8) by lane."""
+    each = np.array(values, dtype=np.float64)[order].reshape(-1, layout.LANES, *np.shape(values[0]))
+    return np.ascontiguousarray(np.moveaxis(each, 1, -1))
+
+
+def lane_tip_loads(
+    arm: Arm, changes: Sequence[Variation], count: int, weight_kg: ArrayLike | None, pull: TipWrench | None
+) -> Array:
+    """What hangs on the lanes' tips beyond the cap, (count, W, 12, 8) for `apply_pressure`; or one empty row."""
+    weight = _weights(weight_kg, count)
+    if pull is None and any(change.pull is not None for change in changes):
+        raise ValueError("what pulls may only change where something pulls")
+    for some in (pull, *(change.pull for change in changes)):
+        if some is not None and len(some.force_n) != count:
+            raise ValueError(f"what pulls has {len(some.force_n)} rows, the pressures {count}")
+    lanes = passes(len(changes)) * layout.LANES
+    tip_loads = np.zeros((lanes, count if pull is not None or weight.any() else 1, 12))
+    own = [(arm, pull)] * lanes
+    own[FIRST : FIRST + len(changes)] = [(change.arm, change.pull or pull) for change in changes]
+    for lane, (one, pulls) in zip(tip_loads, own, strict=True):
+        if weight.any():
+            lane[:, :3] = weight[:, None] * np.asarray(one.gravity_m_s2)
+        if pulls is not None:
+            lane[:, :3] += pulls.force_n
+            lane[:, 3:6], lane[:, 6:9], lane[:, 9:] = pulls.moment_n_m, pulls.force_n, pulls.point_m
+    return np.ascontiguousarray(tip_loads.reshape(-1, layout.LANES, *tip_loads.shape[1:]).transpose(2, 0, 3, 1))
+
+
+def _weights(weight_kg: ArrayLike | None, count: int) -> Array:
+    weight = np.zeros(count) if weight_kg is None else np.array(weight_kg, dtype=np.float64)
+    if weight.shape != (count,) or not np.isfinite(weight).all():
+        raise ValueError(f"weight_kg must hold {count} finite numbers")
+    return weight
+
+
+@dataclass(frozen=True)
+class LaneStack:
+    """The arm and its neighbours as the kernels take them; one section for each row of pressures, or one for all."""
+
+    first: KernelArguments
+    lanes: LaneArguments
+    load: Array
+    loaded: bool
+    work: Array
+    steps: Array
+
+    @classmethod
+    def of(
+        cls, arm: Arm, changes: Sequence[Variation], nodes: int, rows: Array, c0: float = 0.0, dt_s: float = 0.0
+    ) -> LaneStack:
+        """Of rows of pressures (K, N), the first ones or all; they matter only to rules that freeze the moduli."""
+        arms, some = [arm, *(change.arm for change in changes)], len(rows)
+        pressure = [rows, *(rows if change.pressure_pa is None else change.pressure_pa[:some] for change in changes)]
+        each = [KernelArguments.of(one, own, c0, dt_s) for one, own in zip(arms, pressure, strict=True)]
+        first = each[0]
+        order = np.zeros(passes(len(changes)) * layout.LANES, dtype=np.intp)
+        order[FIRST : FIRST + len(changes)] = np.arange(1, len(arms))
+        works = layout.aligned(len(order) // layout.LANES, len(first.prepared) // layout.LANES, layout.LANES)
+        works[:] = _lanes(order, [p.prepared[:: layout.LANES] for p in each])
+        weight = [one.line_density_kg_m * one.rod_weight * np.asarray(one.gravity_m_s2) for one in arms]
+        heavier = [own - weight[0] for own in weight]
+        works[:, layout.STRIDE] = _lanes(order, [p.length_m / nodes for p in each])
+        works[:, layout.WEIGHT : layout.WEIGHT + 3] = _lanes(order, heavier)
+        works[:, layout.CENTRE : layout.CENTRE + 2] = _lanes(order, [p.centre_m for p in each])
+        ends = _lanes(order, [p.cap for p in each])
+        load, loaded = first.load(arm, None, nodes)
+        sections = [p.stiffness for p in each], [p.rest for p in each], [p.per_pressure for p in each]
+        stiffness, rest, per_pressure = (np.ascontiguousarray(_lanes(order, part).swapaxes(0, 1)) for part in sections)
+        lanes = LaneArguments(
+            works.reshape(len(works), -1), stiffness, rest, per_pressure, _lanes(order, [p.free_per_pa for p in each]),
+            ends, loaded or bool(np.any(heavier)), any(one.cap_inertia and one.inertia for one in arms),
+            _lanes(order, [branch_factors(one.material, c0, dt_s) for one in arms]),
+        )  # fmt: skip
+        steps = np.array([change.step for change in changes], dtype=np.float64)
+        return cls(first, lanes, load, loaded, first.work(), steps)
+
+    def own(self, rows: slice) -> LaneStack:
+        """The part for some rows, with work arrays of its own."""
+        lanes, first = self.lanes, self.first
+        works = layout.aligned(*lanes.works.shape)
+        works[:] = lanes.works
+        at = slice(None) if len(lanes.stiffness) == 1 else rows
+        at_rest = slice(None) if len(lanes.rest) == 1 else rows
+        own = lanes._replace(
+            works=works, stiffness=lanes.stiffness[at], rest=lanes.rest[at_rest], per_pressure=lanes.per_pressure[at]
+        )
+        first = replace(
+            first, stiffness=first.stiffness[at], rest=first.rest[at_rest], per_pressure=first.per_pressure[at]
+        )
+        return replace(self, first=first, lanes=own, work=first.work())
