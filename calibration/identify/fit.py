@@ -77,8 +77,8 @@ def identify(
     joint = searched.best
     nuisances = {p.name for p in held}
     solution, fixed = _fix_undetermined(problem, joint, nuisances)
-    error = None if stated is None else model_error_posterior(problem, solution, fixed)
-    alone = _joint_covariance(problem, solution, fixed)
+    assumed, alone = _joint_covariance(problem, solution, fixed)
+    error = None if stated is None else model_error_posterior(problem, solution, assumed)
     wide = alone if error is None else error.second[: len(alone), : len(alone)]
     estimates, covariance = _estimates(problem, solution, joint, fixed, nuisances, wide)
     rates = problem.rates(solution.z)
@@ -148,24 +148,28 @@ def _fix_undetermined(
     """Fix undetermined unknowns at their start and refit the others; return the fit and the verdict of each fixed one.
 
     The refit may move to a region where further unknowns are undetermined, so this is repeated. Nuisance parameters,
-    which have a prior, are never fixed. Nor does their uncertainty fix others: at a fixed value, wrong by what the
-    nuisance parameters leave open, an unknown would drag them there.
+    which have a prior, are never fixed.
     """
     solution, fixed = joint, dict[int, Verdict]()
     free = [i for i, unknown in enumerate(problem.unknowns) if unknown.parameter.name not in nuisances]
-    while more := _undetermined(solution, [i for i in free if i not in fixed]):
+    beside = [i for i in range(len(problem.unknowns)) if i not in free]
+    while more := _undetermined(solution, [i for i in free if i not in fixed], beside):
         fixed |= more
         at = np.array([0.0 if i in fixed else value for i, value in enumerate(joint.z)])
         solution = problem.solve(at, sorted(fixed))
     return solution, fixed
 
 
-def _undetermined(solution: Solution, only: list[int]) -> dict[int, Verdict]:
-    """Which of the unknowns `only` to fix, with the verdict, so that the others are determined; worst first."""
+def _undetermined(solution: Solution, only: list[int], beside: list[int]) -> dict[int, Verdict]:
+    """Which of the unknowns `only` to fix, with the verdict, so that the others are determined; worst first.
+
+    beside: unknowns that are uncertain, too, but not fixed.
+    """
     fixed: dict[int, Verdict] = {}
     information = _scaled_information(solution)
     while only:
-        std = _std(information[np.ix_(only, only)])
+        part = [*only, *beside]
+        std = _std(information[np.ix_(part, part)])[: len(only)]
         worst = int(np.argmax(std))
         if std[worst] <= UNDETERMINED_SPANS:
             break
@@ -211,14 +215,23 @@ def _estimates(
     return tuple(out), covariance * np.outer(rates, rates)
 
 
-def _joint_covariance(problem: LeastSquaresProblem, solution: Solution, fixed: Collection[int]) -> Array:
-    """Covariance (n, n) of all unknowns, in spans; the fixed ones have errors of `UNDETERMINED_SPANS`."""
-    if not fixed:
-        return covariance_of(solution.information)
+def _joint_covariance(problem: LeastSquaresProblem, solution: Solution, fixed: Iterable[int]) -> tuple[Array, Array]:
+    """Information (n,) that is assumed of the fixed unknowns, and the covariance (n, n) of all with it, in spans.
+
+    It gives each of them, worst first, an error of `UNDETERMINED_SPANS` together with what the data say of it: that of
+    the least determined unknown that is not fixed. With a fixed amount, more data could widen error bars.
+    """
     every = range(len(problem.unknowns))
+    assumed = np.zeros(len(every))
+    if not fixed:
+        return assumed, covariance_of(solution.information)
     whole = problem.solution(solution.z, every, solution.weights, solution.discrepancy, solution.solved)
-    guessed = np.diag([1 / UNDETERMINED_SPANS**2 if i in fixed else 0.0 for i in every])
-    return covariance_of(whole.information + guessed)
+    left = list(every)
+    for i in fixed:
+        std = _std(whole.information[np.ix_(left, left)])[left.index(i)]
+        assumed[i] = max(0.0, 1 / UNDETERMINED_SPANS**2 - 1 / std**2)
+        left.remove(i)
+    return assumed, covariance_of(whole.information + np.diag(assumed))
 
 
 def _partners(information: Array, i: int) -> list[int]:

@@ -9,7 +9,7 @@ George and McCulloch 1993 for the selection of terms).
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -35,8 +35,8 @@ _QUANTILES = (np.arange(6) + 0.5) / 6
 _SWEEPS, _BURN_IN = 200, 30
 # Independent errors of the tips that are considered, as shares of the discrepancy of the fit.
 _NOISE_SHARES = (0.05, 0.3, 0.6, 1.0)
-# Standard deviation, in spans, of the ridge term of the search, and of unknowns that are held as undetermined.
-_RIDGE_SPANS, _HELD_SPANS = 5.0, 0.5
+# Standard deviation, in spans, of the ridge term of the search.
+_RIDGE_SPANS = 5.0
 
 
 @dataclass(frozen=True)
@@ -93,10 +93,8 @@ class NormalEquations:
     constant: float
 
 
-def model_error_posterior(
-    problem: LeastSquaresProblem, solution: Solution, fixed: Collection[int]
-) -> ModelErrorPosterior:
-    """The posterior at the solution of a fit whose unknowns `fixed` are held."""
+def model_error_posterior(problem: LeastSquaresProblem, solution: Solution, assumed: Array) -> ModelErrorPosterior:
+    """The posterior at the solution of a fit; assumed (n,): information on unknowns that are held, in spans."""
     reference_pa = max(float(np.abs(poses.pressure_pa).max()) for poses in problem.data) or 1.0
     terms = lacking(problem.start.arm)
     columns = [
@@ -106,7 +104,7 @@ def model_error_posterior(
     off = solution.discrepancy
     shares = _NOISE_SHARES if off.tip_m or off.rotation_rad else (0.0,)
     noises = [off.scaled(share) for share in shares]
-    equations = [normal_equations(problem, solution, fixed, [c.pose for c in columns], noise) for noise in noises]
+    equations = [normal_equations(problem, solution, assumed, [c.pose for c in columns], noise) for noise in noises]
     drawn = sample(equations, columns[0].term, np.array([one.scale for one in terms]))
     sizes = np.column_stack(
         [
@@ -137,15 +135,14 @@ def _effect(term: ModelErrorTerm, probability: float, size: Array, present: NDAr
 def normal_equations(
     problem: LeastSquaresProblem,
     solution: Solution,
-    fixed: Collection[int],
+    assumed: Array,
     columns: Sequence[Array],
     noise: Discrepancy,
 ) -> NormalEquations:
     n, z = len(solution.z), solution.z
     prior, gap = problem.prior_rows(z)
-    held = np.array([1 / _HELD_SPANS**2 if i in fixed else 0.0 for i in range(n)])
     m = columns[0].shape[2]
-    on_unknowns = [prior, np.diag(np.sqrt(held + 1 / _RIDGE_SPANS**2))]
+    on_unknowns = [prior, np.diag(np.sqrt(assumed + 1 / _RIDGE_SPANS**2))]
     on_coefficients = [np.zeros((len(prior) + n, m))]
     residual = [-gap, np.zeros(n)]
     constant = 0.0

@@ -60,7 +60,13 @@ def linear_problem() -> tuple[NormalEquations, Array, Array, Array, Array]:
     prior = np.linalg.inv(rows.T @ rows + RIDGE * np.eye(3))
     # The prior's mean, seen from the solution.
     residual = residual + jacobian @ (prior @ (rows.T @ gap))
-    return normal_equations(problem, solution, (), columns, Discrepancy(NOISE_M)), residual, jacobian, effect, prior
+    return (
+        normal_equations(problem, solution, np.zeros(len(solution.z)), columns, Discrepancy(NOISE_M)),
+        residual,
+        jacobian,
+        effect,
+        prior,
+    )
 
 
 def test_the_evidence_is_the_marginal_likelihood_of_a_linear_gaussian_model() -> None:
@@ -208,7 +214,9 @@ def test_a_single_ramp_that_leaves_most_parameters_open_has_a_posterior() -> Non
     fit = identify(data, START, ("law", "rpe_per_bar", "base"), stated=stated)
     columns = [error_columns(one, Predictor(one).push_response(START), 0.65e5, TERMS).pose for one in data]
     for noise_m in (0.0, NOISE_M):
-        seen = normal_equations(fit.problem, fit.solution, (), columns, Discrepancy(noise_m)).seen
+        seen = normal_equations(
+            fit.problem, fit.solution, np.zeros(len(fit.solution.z)), columns, Discrepancy(noise_m)
+        ).seen
         values = np.linalg.eigvalsh(seen)
         assert seen == pytest.approx(seen.T, rel=1e-9, abs=1e-9 * values[-1])
         assert values[0] > -1e-9 * values[-1]
