@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.tip_control.interface import PayloadEstimate
-from rig.tip_control.static_map import LARGEST_PAYLOAD_KG, StaticMap
+from rig.tip_control.static_map import LARGEST_PAYLOAD_KG, StaticMap, payload_terms
 
 Array = NDArray[np.float64]
 
@@ -103,37 +103,39 @@ class TipEstimator:
         out: Array = self._regressors(times_s, period_s) @ state.z[self._offset :].reshape(-1, 3)
         return out
 
-    def drive(self, state: EstimatorState, pressure_pa: Array) -> Array:
-        """Static tips (K, 3) of pressures (K, V) with the estimated strengths and payload."""
-        strong, payload = pressure_pa * (1 + self.gains(state)), self.payload_kg(state)
-        softness = float(state.z[self._soft])
-        return (1 + softness) * self._map.tips(strong, payload) - softness * self._map.tips(strong)
+    def drive(self, state: EstimatorState, pressure_pa: Array) -> tuple[Array, Array]:
+        """Static tips (K, 3) of pressures (K, V) with the estimated strengths and payload.
 
-    def drive_by_pressure(self, state: EstimatorState, pressure_pa: Array) -> Array:
-        """Their derivatives (K, 3, V) [m/Pa]."""
+        And their derivatives by the pressures (K, 3, V) [m/Pa].
+        """
         gain = 1 + self.gains(state)
-        # That the payload's share depends on the pressure is of second order.
-        return self._map.jacobians(pressure_pa * gain, self.payload_kg(state)) * gain
+        tips, by_pressure = self._map.combined_slopes(pressure_pa * gain, self._load(state))
+        return tips, by_pressure * gain
+
+    def _load(self, state: EstimatorState) -> Array:
+        """Terms of the payload, which pulls a soft arm farther than the model's: (1 + softness) of its effect."""
+        softness = float(state.z[self._soft])
+        load: Array = (1 + softness) * payload_terms(self.payload_kg(state))[0] - softness * payload_terms(0.0)[0]
+        return load
 
     def predict(
         self, state: EstimatorState, tip_m: Array, velocity_m_s: Array, pressure_pa: Array, time_s: float,
         period_s: float | None,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Predicted measurement (3,) and its slope (3, n) by z, for the model's tip, velocity and pressures (V,)."""
-        gain, payload, softness = 1 + self.gains(state), self.payload_kg(state), float(state.z[self._soft])
-        strong = (pressure_pa * gain)[None]
-        unloaded = self._map.tips(strong)[0]
-        sag = self._map.tips(strong, payload)[0] - unloaded
-        shift = unloaded - self._map.tips(pressure_pa[None])[0] + (1 + softness) * sag
+        gain, (hung, by_payload) = 1 + self.gains(state), payload_terms(self.payload_kg(state))
+        strong, softness = (pressure_pa * gain)[None], float(state.z[self._soft])
+        driven, loaded = self._map.combined_slopes(strong, self._load(state))
+        shift = driven[0] - self._map.tips(pressure_pa[None])[0]
         known = self._regressors(np.array([time_s]), period_s)[0]
         slope = np.zeros((3, self._size))
-        bare = self._map.jacobians(strong)[0]
-        loaded = bare if payload == 0 else bare + (1 + softness) * (self._map.jacobians(strong, payload)[0] - bare)
-        slope[:, : self._valves] = loaded * pressure_pa
+        slope[:, : self._valves] = loaded[0] * pressure_pa
+        sag = self._map.combined(strong, hung - payload_terms(0.0)[0])[0]
         slope[:, self._soft] = slope[:, : self._valves].sum(axis=1) + sag
         slope[:, self._lag] = -velocity_m_s
-        slope[:, self._payload] = (1 + softness) * self._map.by_payload(strong[0], payload)
-        slope[:, self._offset :] = np.kron(known, np.eye(3))
+        slope[:, self._payload] = (1 + softness) * self._map.combined(strong, by_payload)[0]
+        for axis in range(3):
+            slope[axis, self._offset + axis :: 3] = known
         predicted = tip_m + shift - self.lag_s(state) * velocity_m_s + known @ state.z[self._offset :].reshape(-1, 3)
         return predicted, slope
 

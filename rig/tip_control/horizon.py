@@ -55,22 +55,39 @@ class HorizonState(NamedTuple):
 
 
 class _Prediction(NamedTuple):
-    """Tips (K, 3) at the times (K,) of a grid, and their linearisation: the response (3, K, K) to a change of the
-    drive, the slopes (K, 3, V) of the drive by the pressures, and the weights (K, k - 1) of the free deviations.
-    """
+    """Tips (K, 3) at the times (K,) of a grid, and their slopes (3, K, n) by the n free deviations [m/Pa]."""
 
     grid_s: Array
     tips_m: Array
-    response: Array
     slopes: Array
-    weights: Array
 
     def moved(self, change_pa: Array) -> Array:
-        """The tips (K, 3) after a change (k - 1, V) of the free deviations."""
-        moved: Array = self.tips_m + np.einsum(
-            "ckl,lcv,lj,jv->kc", self.response, self.slopes, self.weights, change_pa, optimize=True
-        )
+        """The tips (K, 3) after a change (n,) of the free deviations."""
+        moved: Array = self.tips_m + (self.slopes @ change_pa).T
         return moved
+
+
+class _Program(NamedTuple):
+    """What is the same in the quadratic program of every frame: the interpolation of the deviations, and its rates.
+
+    `blocks` (HORIZON + 1, k): weights of the deviations at the frames. `rows` (m, n): constraints of the free ones.
+    `rates` (r, n): rates of change of the free deviations, times the root of their cost; `first_rates` (r, V): those of
+    the given deviation.
+    """
+
+    blocks: Array
+    rows: Array
+    rates: Array
+    first_rates: Array
+
+    @classmethod
+    def of(cls, valves: int, frame_s: float) -> _Program:
+        knots = np.array(KNOTS, dtype=np.float64)
+        blocks = _hat(np.arange(HORIZON + 1, dtype=np.float64), knots)
+        rates = (np.eye(len(KNOTS)) - np.eye(len(KNOTS), k=-1))[1:] / (frame_s * np.diff(knots)[:, None])
+        costly: Array = SETTLING_WEIGHT * np.kron(rates, np.eye(valves))
+        free = np.concatenate([blocks[1:, 1:], np.diff(blocks[:, 1:], axis=0)])
+        return cls(blocks, np.kron(free, np.eye(valves)), costly[:, valves:], costly[:, :valves])
 
 
 class HorizonControl:
@@ -82,6 +99,7 @@ class HorizonControl:
         self._dynamics = TipDynamics.of(settings.arm, settings.pressure_limit_pa)
         self._estimator = TipEstimator(self._map, learned=settings.learned)
         self._step_s = settings.frame_s / STEPS_PER_FRAME
+        self._program = _Program.of(self._map.valves, settings.frame_s)
 
     def start(self) -> HorizonState:
         """Nothing is known."""
@@ -130,20 +148,23 @@ class HorizonControl:
         deviation = _last_deviation(state, reference, knots_s, measurement.setpoint_pa[-1], feed[0])
         before = deviation[1:].reshape(-1) / _PA_PER_BAR
         prediction = self._prediction(state, reference, measurement, knots_s, deviation, frames_s[-1])
-        hessian, slope = self._cost(prediction, reference, frames_s, knots_s, deviation, before)
-        rows, low, high = self._constraints(feed, frames_s, knots_s, deviation[0])
+        hessian, slope = self._cost(prediction, reference, frames_s, deviation[0], before)
+        low, high = self._bounds(feed, deviation[0])
         found, _, flag, info = daqp.solve(
-            np.ascontiguousarray(hessian), slope, np.ascontiguousarray(rows), high, low,
-            np.full(len(rows), _SOFT, dtype=np.int32), iter_limit=MOST_ITERATIONS,
+            hessian, slope, self._program.rows, high, low,
+            np.full(len(low), _SOFT, dtype=np.int32), iter_limit=MOST_ITERATIONS,
         )  # fmt: skip
         solved = flag in _SOLVED and bool(np.isfinite(found).all())
+        change = np.zeros(len(before))
         if solved:
-            deviation[1:] = np.asarray(found).reshape(deviation[1:].shape) * _PA_PER_BAR
+            change = _PA_PER_BAR * (np.asarray(found) - before)
+            deviation[1:] += change.reshape(deviation[1:].shape)
         times = start_s + self._step_s * np.arange(HORIZON * STEPS_PER_FRAME + 1, dtype=np.float64)
-        setpoint = interpolated(times, reference.times_s, reference.feedforward_pa) + _hat(times, knots_s) @ deviation
+        setpoint = interpolated(times, reference.times_s, reference.feedforward_pa)
+        setpoint += interpolated(times, knots_s, deviation)
         setpoint = np.clip(setpoint, 0.0, self._settings.pressure_limit_pa)  # the constraints are soft
         return SetPointPlan(
-            times, setpoint, interpolated(times, prediction.grid_s, prediction.moved(_changed(deviation, before))),
+            times, setpoint, interpolated(times, prediction.grid_s, prediction.moved(change)),
             state._replace(times_s=times, setpoint_pa=setpoint),
             SolveStatus.SOLVED if solved else SolveStatus.NOT_SOLVED,
             int(info["iterations"]), int(np.count_nonzero(info["lam"])), estimate,
@@ -166,53 +187,50 @@ class HorizonControl:
         weights = _hat(asked_s, knots_s)
         past = interpolated(asked_s, measurement.sample_s, measurement.setpoint_pa)
         future = interpolated(asked_s, reference.times_s, reference.feedforward_pa) + weights @ deviation
-        later = asked_s > start_s
-        pressure = np.clip(np.where(later[:, None], future, past), 0.0, self._settings.pressure_limit_pa)
+        later = (asked_s > start_s)[:, None]
+        pressure = np.clip(np.where(later, future, past), 0.0, self._settings.pressure_limit_pa)
         nominal = self._map.tips(pressure)
-        slopes = self._estimator.drive_by_pressure(known, pressure)
+        drive, by_pressure = self._estimator.drive(known, pressure)
         moving = state.tip if state.tip is not None else np.stack([nominal[0], np.zeros(3)])
-        states = self._dynamics.advance(moving, nominal, self._step_s)
+        responses = self._dynamics.responses(count - 1, self._step_s)
         # As the estimator predicts measurements: strengths and payload act at once.
-        tips = states[:, 0] - lag_s * states[:, 1] + self._estimator.drive(known, pressure) - nominal
-        tips = tips + self._estimator.disturbance(known, grid_s, reference.period_s)
-        response = self._dynamics.responses(len(grid_s) - 1, self._step_s, lag_s)
-        return _Prediction(grid_s, tips, response, slopes, np.where(later[:, None], weights, 0.0)[:, 1:])
+        response = responses.tip - lag_s * responses.velocity
+        free = responses.free[:, :, 0] - lag_s * responses.free[:, :, 1]
+        tips = (free @ moving.T[:, :, None] + response @ nominal.T[:, :, None])[:, :, 0].T + drive - nominal
+        tips += self._estimator.disturbance(known, grid_s, reference.period_s)
+        weights = np.where(later, weights, 0.0)[:, 1:]
+        by_deviation = weights[None, :, :, None] * by_pressure.transpose(1, 0, 2)[:, :, None]
+        return _Prediction(grid_s, tips, response @ by_deviation.reshape(3, count, -1))
 
     def _cost(
-        self,
-        prediction: _Prediction,
-        reference: ReferenceTrajectory,
-        frames_s: Array,
-        knots_s: Array,
-        deviation: Array,
-        before: Array,
+        self, prediction: _Prediction, reference: ReferenceTrajectory, frames_s: Array, first: Array, before: Array
     ) -> tuple[Array, Array]:
-        """Hessian (n, n) and slope (n,) of the cost by the deviations [bar] at all knots but the first."""
-        valves = self._map.valves
-        seen = _hat(frames_s[1:], prediction.grid_s)
-        by = np.einsum("cfk,kcv,kj->fcjv", seen @ prediction.response, prediction.slopes, prediction.weights)
-        matrix = by.reshape(HORIZON * 3, len(before))
-        wanted = interpolated(frames_s[1:], reference.times_s, reference.position_m)
-        gap = (wanted - seen @ prediction.tips_m).reshape(-1)
+        """Hessian (n, n) and slope (n,) of the cost by the deviations [bar] at all knots but the first.
+
+        `first` (V,) is the given deviation [Pa], `before` (n,) are the others of the last plan [bar].
+        """
+        rates, first_rates = self._program.rates, self._program.first_rates
+        row = (frames_s[1:] - prediction.grid_s[0]) / self._step_s
+        left = np.minimum(row.astype(np.int64), len(prediction.grid_s) - 2)
+        share = (row - left)[:, None]
+        tips, slopes = prediction.tips_m, prediction.slopes
+        seen = (1 - share) * tips[left] + share * tips[left + 1]
+        matrix = ((1 - share) * slopes[:, left] + share * slopes[:, left + 1]).reshape(-1, len(before))
+        gap = (interpolated(frames_s[1:], reference.times_s, reference.position_m) - seen).T.reshape(-1)
         used = np.isfinite(gap)
         matrix, gap = _MM * _PA_PER_BAR * matrix[used], _MM * gap[used]
         gap = gap + matrix @ before
-        rates = (np.eye(len(KNOTS)) - np.eye(len(KNOTS), k=-1))[1:] / np.diff(knots_s)[:, None]
-        smooth = SETTLING_WEIGHT * np.kron(rates[:, 1:], np.eye(valves))
-        smooth_gap = -SETTLING_WEIGHT * np.kron(rates[:, :1], np.eye(valves)) @ (deviation[0] / _PA_PER_BAR)
-        return matrix.T @ matrix + smooth.T @ smooth, -(matrix.T @ gap + smooth.T @ smooth_gap)
+        rate_gap = -(first_rates @ first) / _PA_PER_BAR
+        return matrix.T @ matrix + rates.T @ rates, -(matrix.T @ gap + rates.T @ rate_gap)
 
-    def _constraints(self, feed: Array, frames_s: Array, knots_s: Array, first: Array) -> tuple[Array, Array, Array]:
-        """Rows (m, n) and bounds (m,) [bar] of pressure and rate at each frame; `first` (V,) is the given deviation."""
-        limit, valves = self._settings.pressure_limit_pa, self._map.valves
-        blocks = _hat(frames_s, knots_s)
-        base = feed + blocks[:, :1] * first
-        rows = np.concatenate([blocks[1:, 1:], np.diff(blocks[:, 1:], axis=0)])
-        room = self._settings.rate_limit_pa_s * self._settings.frame_s
-        centre = np.concatenate([base[1:], np.diff(base, axis=0)])
-        low = np.concatenate([np.zeros((HORIZON, valves)), np.full((HORIZON, valves), -room)]) - centre
-        high = np.concatenate([np.full((HORIZON, valves), limit), np.full((HORIZON, valves), room)]) - centre
-        return np.kron(rows, np.eye(valves)), low.reshape(-1) / _PA_PER_BAR, high.reshape(-1) / _PA_PER_BAR
+    def _bounds(self, feed: Array, first: Array) -> tuple[Array, Array]:
+        """Bounds (m,) [bar] of pressure and rate at each frame; `first` (V,) is the given deviation [Pa]."""
+        limit, room = self._settings.pressure_limit_pa, self._settings.rate_limit_pa_s * self._settings.frame_s
+        base = feed + self._program.blocks[:, :1] * first
+        levels, steps = base[1:], np.diff(base, axis=0)
+        low = np.concatenate([-levels, -room - steps])
+        high = np.concatenate([limit - levels, room - steps])
+        return low.reshape(-1) / _PA_PER_BAR, high.reshape(-1) / _PA_PER_BAR
 
 
 def _last_deviation(
@@ -226,10 +244,6 @@ def _last_deviation(
         deviation = np.tile(now_pa - feed_pa, (len(KNOTS), 1))
     deviation[0] = now_pa - feed_pa
     return deviation
-
-
-def _changed(deviation: Array, before: Array) -> Array:
-    return deviation[1:] - _PA_PER_BAR * before.reshape(deviation[1:].shape)
 
 
 def _hat(times_s: Array, at_s: Array) -> Array:

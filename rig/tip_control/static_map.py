@@ -67,24 +67,27 @@ class StaticMap:
 
     def tips(self, pressure_pa: Array, payload_kg: float = 0.0) -> Array:
         """Tips (K, 3) [m] of pressures (K, V) [Pa]."""
-        return _contracted(self._loaded(payload_kg), [terms for terms, _ in self._terms(pressure_pa)])
+        return self.combined(pressure_pa, payload_terms(payload_kg)[0])
 
     def jacobians(self, pressure_pa: Array, payload_kg: float = 0.0) -> Array:
         """d tip / d pressure (K, 3, V) [m/Pa]."""
-        loaded, terms = self._loaded(payload_kg), self._terms(pressure_pa)
-        columns = []
-        for valve in range(self.valves):
-            mixed = [pair[1] if axis == valve else pair[0] for axis, pair in enumerate(terms)]
-            columns.append(_contracted(loaded, mixed))
-        return np.stack(columns, axis=2) * (2 / self.limit_pa)
+        return self.combined_slopes(pressure_pa, payload_terms(payload_kg)[0])[1]
 
     def by_payload(self, pressure_pa: Array, payload_kg: float) -> Array:
         """d tip / d payload (3,) [m/kg] at pressures (V,)."""
-        at = np.array([payload_kg / LARGEST_PAYLOAD_KG])
-        slope = _polynomials(at, PAYLOAD_TERMS)[1][0] / LARGEST_PAYLOAD_KG
-        loaded = np.einsum("...mc,m->...c", self.coefficients, slope)
-        found: Array = _contracted(loaded, [terms for terms, _ in self._terms(pressure_pa[None])])[0]
+        found: Array = self.combined(pressure_pa[None], payload_terms(payload_kg)[1])[0]
         return found
+
+    def combined(self, pressure_pa: Array, terms: Array) -> Array:
+        """Tips (K, 3) with the terms (4,) of the payload: a sum of tips under several payloads is one evaluation."""
+        powers = self._powers(pressure_pa)
+        return _contracted(self._loaded(terms), powers @ _monomials(PRESSURE_TERMS)[0])
+
+    def combined_slopes(self, pressure_pa: Array, terms: Array) -> tuple[Array, Array]:
+        """The same, and their derivatives by the pressures (K, 3, V) [m/Pa]."""
+        powers, (values, slopes) = self._powers(pressure_pa), _monomials(PRESSURE_TERMS)
+        tips, by = _contracted_slopes(self._loaded(terms), powers @ values, powers @ slopes)
+        return tips, by * (2 / self.limit_pa)
 
     def inverse(self, tip_m: Array, start_pa: Array, payload_kg: float = 0.0) -> Array:
         """Pressures (K, V) [Pa] within the limits whose tips are nearest to points (K, 3).
@@ -94,10 +97,10 @@ class StaticMap:
         weight = np.isfinite(tip_m).astype(float)
         target = np.nan_to_num(tip_m)
         pressure = np.array(np.broadcast_to(np.clip(start_pa, 0.0, self.limit_pa), (len(tip_m), self.valves)))
-        identity = np.eye(self.valves)
+        identity, terms = np.eye(self.valves), payload_terms(payload_kg)[0]
         for _ in range(_INVERSE_STEPS):
-            slope = weight[:, :, None] * self.jacobians(pressure, payload_kg) * self.limit_pa
-            gap = weight * (target - self.tips(pressure, payload_kg))
+            tips, by_pressure = self.combined_slopes(pressure, terms)
+            slope, gap = weight[:, :, None] * by_pressure * self.limit_pa, weight * (target - tips)
             normal, pull = slope.swapaxes(1, 2) @ slope, np.einsum("kcv,kc->kv", slope, gap)
             damping = _DAMPING * np.trace(normal, axis1=1, axis2=2)[:, None, None] * identity
             # A pressure at its bound that wants to leave it is fixed, and the others are solved without it.
@@ -113,15 +116,23 @@ class StaticMap:
             pressure = np.clip(pressure + free * step * self.limit_pa, 0.0, self.limit_pa)
         return pressure
 
-    def _loaded(self, payload_kg: float) -> Array:
-        terms = _polynomials(np.array([payload_kg / LARGEST_PAYLOAD_KG]), PAYLOAD_TERMS)[0][0]
-        loaded: Array = np.einsum("...mc,m->...c", self.coefficients, terms)
+    def _loaded(self, terms: Array) -> Array:
+        loaded: Array = terms @ self.coefficients
         return loaded
 
-    def _terms(self, pressure_pa: Array) -> list[tuple[Array, Array]]:
-        """Chebyshev polynomials and their derivatives (K, 8) of each valve; pressures are held within the limits."""
-        scaled = np.clip(2 * pressure_pa / self.limit_pa - 1, -1.0, 1.0)
-        return [_polynomials(x, PRESSURE_TERMS) for x in scaled.T]
+    def _powers(self, pressure_pa: Array) -> Array:
+        """Powers (V, K, 8) of the scaled pressures; pressures are held within the limits."""
+        scaled = np.minimum(np.maximum(2 / self.limit_pa * pressure_pa.T - 1, -1.0), 1.0)
+        return _powers(scaled, PRESSURE_TERMS)
+
+
+def payload_terms(payload_kg: float) -> tuple[Array, Array]:
+    """Polynomials (4,) of the payload, and their derivatives [1/kg]."""
+    powers, (values, slopes) = (
+        _powers(np.array(payload_kg / LARGEST_PAYLOAD_KG), PAYLOAD_TERMS),
+        _monomials(PAYLOAD_TERMS),
+    )
+    return powers @ values, powers @ slopes / LARGEST_PAYLOAD_KG
 
 
 def _nodes(terms: int) -> tuple[Array, Array]:
@@ -131,13 +142,12 @@ def _nodes(terms: int) -> tuple[Array, Array]:
     return nodes, transform
 
 
-def _polynomials(x: Array, terms: int) -> tuple[Array, Array]:
-    """Chebyshev polynomials and their derivatives (K, n) at points (K,) within -1 and 1."""
-    values, slopes = _monomials(terms)
-    powers = np.ones((len(x), terms))
-    for n in range(1, terms):
-        powers[:, n] = powers[:, n - 1] * x
-    return powers @ values, powers @ slopes
+def _powers(x: Array, terms: int) -> Array:
+    """Powers (.., n) of points (..) from the zeroth on."""
+    powers = np.ones((*x.shape, terms))
+    powers[..., 1:] = x[..., None]
+    np.multiply.accumulate(powers, axis=-1, out=powers)
+    return powers
 
 
 @lru_cache
@@ -151,11 +161,23 @@ def _monomials(terms: int) -> tuple[Array, Array]:
     return values, slopes
 
 
-def _contracted(coefficients: Array, terms: list[Array]) -> Array:
-    """Sum over all axes but the last, (K, 3), for the polynomials (K, n) of each axis."""
-    rows = len(terms[0])
-    value = (terms[0] @ coefficients.reshape(len(coefficients), -1)).reshape(rows, *coefficients.shape[1:])
+def _contracted(coefficients: Array, terms: Array) -> Array:
+    """Sum (K, 3) over all axes but the last, for polynomials (V, K, n) of each axis."""
+    rows = terms.shape[1]
+    value: Array = terms[0] @ coefficients.reshape(len(coefficients), -1)
     for factor in terms[1:]:
-        merged = factor[:, None, :] @ value.reshape(rows, factor.shape[1], -1)
-        value = merged.reshape(rows, *value.shape[2:])
+        value = (factor[:, None] @ value.reshape(rows, factor.shape[1], -1))[:, 0]
     return value
+
+
+def _contracted_slopes(coefficients: Array, terms: Array, slopes: Array) -> tuple[Array, Array]:
+    """The same, and the sums (K, 3, V) with the derivatives (V, K, n) of one axis instead of its polynomials."""
+    axes, rows = terms.shape[:2]
+    # The first sum is that of the polynomials; each axis adds one with its derivatives.
+    sums = np.stack([terms[0], slopes[0]]) @ coefficients.reshape(len(coefficients), -1)
+    for axis in range(1, axes):
+        split = sums.reshape(axis + 1, rows, terms.shape[2], -1)
+        with_terms = (terms[axis][:, None] @ split)[:, :, 0]
+        with_slopes = (slopes[axis][:, None] @ split[0])[:, 0]
+        sums = np.concatenate([with_terms, with_slopes[None]])
+    return sums[0], np.moveaxis(sums[1:], 0, 2)

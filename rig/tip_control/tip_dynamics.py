@@ -6,10 +6,10 @@ tip + tau d(tip)/dt + d2(tip)/dt2 / omega^2 = static tip(pressures), in each coo
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 from scipy.optimize import least_squares
 
 import model
@@ -23,6 +23,17 @@ _SHARE = 0.35
 _KICK = 0.02
 
 
+class TipResponses(NamedTuple):
+    """States after k steps in each coordinate: sum over j of `tip` or `velocity` (3, K + 1, K + 1) times drive j.
+
+    And `free` (3, K + 1, 2, 2) times the first tip and velocity.
+    """
+
+    tip: Array
+    velocity: Array
+    free: Array
+
+
 @dataclass(frozen=True, eq=False)
 class TipDynamics:
     """A mode for each coordinate (3,): angular frequency `omega_rad_s`, retardation time `tau_s`.
@@ -32,7 +43,7 @@ class TipDynamics:
 
     omega_rad_s: Array
     tau_s: Array
-    _steps: dict[int, tuple[Array, Array, Array]] = field(default_factory=dict, repr=False)
+    _kept: dict[float, TipResponses] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, arm: model.Arm, limit_pa: float) -> TipDynamics:
@@ -49,18 +60,21 @@ class TipDynamics:
     def matrices(self, step_s: float) -> tuple[Array, Array, Array]:
         """A (3, 2, 2), b0, b1 (3, 2): (tip, velocity) after a step with a drive from u0 to u1, linear in between.
 
-        For each coordinate.
+        For each coordinate. Closed form: the tip that follows such a drive without swinging is u(t) - tau du/dt.
         """
-        key = round(step_s * 1e7)
-        if key not in self._steps:
-            system = np.zeros((3, 4, 4))
-            square = self.omega_rad_s**2
-            system[:, 0, 1] = 1.0
-            system[:, 1] = np.stack([-square, -square * self.tau_s, square, np.zeros(3)], axis=1)
-            system[:, 2, 3] = 1.0 / step_s
-            step = expm(system * step_s)
-            self._steps[key] = step[:, :2, :2], step[:, :2, 2] - step[:, :2, 3], step[:, :2, 3]
-        return self._steps[key]
+        slow, fast = _roots(self.omega_rad_s, self.tau_s)
+        decay, quick = np.exp(slow * step_s), np.exp(fast * step_s)
+        between = (decay - quick) / (slow - fast)
+        rows = [
+            [slow * quick - fast * decay, (slow - fast) * between],
+            [-slow * fast * (decay - quick), slow * decay - fast * quick],
+        ]
+        transition = np.ascontiguousarray(np.moveaxis((np.array(rows) / (slow - fast)).real, -1, 0))
+        lag, rate = self.tau_s / step_s, np.full(3, 1 / step_s)
+        calm, one = np.stack([lag, -rate], axis=1), np.array([1.0, 0.0])
+        first = calm - _applied(transition, calm + one)
+        last = one - calm + _applied(transition, calm)
+        return transition, first, last
 
     def advance(self, state: Array, drive: Array, step_s: float) -> Array:
         """States (K + 1, 2, 3) from the state (2, 3) on, for drives (K + 1, 3) [m] that are linear in between."""
@@ -73,20 +87,42 @@ class TipDynamics:
             states[k + 1] = from_tip * states[k, 0] + from_velocity * states[k, 1] + forced[k]
         return states
 
-    def responses(self, count: int, step_s: float, lag_s: float) -> Array:
-        """Outputs tip - lag * velocity per drive (3, K + 1, K + 1), for each coordinate.
+    def responses(self, count: int, step_s: float) -> TipResponses:
+        """The states after up to `count` steps, as linear functions of the drive and of the first state."""
+        kept = self._kept.get(step_s)
+        if kept is None or len(kept.free[0]) <= count:
+            kept = self._kept[step_s] = self._responses(count, step_s)
+        # Later drives do not act on earlier states: a shorter response is a part of a longer one.
+        span = slice(0, count + 1)
+        return TipResponses(kept.tip[:, span, span], kept.velocity[:, span, span], kept.free[:, span])
 
-        Row k is after k steps, column j for the drive at time j.
-        """
+    def _responses(self, count: int, step_s: float) -> TipResponses:
         transition, first, last = self.matrices(step_s)
-        out = np.zeros((3, count + 1, count + 1))
-        state = np.zeros((3, 2, count + 1))
+        free = np.zeros((3, count + 1, 2, 2))
+        begun, inner = np.zeros((count + 1, 3, 2)), np.zeros((count + 1, 3, 2))
+        free[:, 0], inner[0] = np.eye(2), last
         for k in range(count):
-            state = transition @ state
-            state[:, :, k] += first
-            state[:, :, k + 1] += last
-            out[:, k + 1] = state[:, 0] - lag_s * state[:, 1]
-        return out
+            free[:, k + 1] = transition @ free[:, k]
+            begun[k + 1] = first if k == 0 else _applied(transition, begun[k])
+            inner[k + 1] = _applied(transition, inner[k]) + (first if k == 0 else 0.0)
+        forced = np.zeros((2, 3, count + 1, count + 1))
+        forced[:, :, :, 0] = begun.T
+        for k in range(1, count + 1):
+            forced[:, :, k:, k] = inner[: count + 1 - k].T
+        return TipResponses(forced[0], forced[1], free)
+
+
+def _applied(transition: Array, state: Array) -> Array:
+    """Products (3, 2) of the transitions (3, 2, 2) and states (3, 2)."""
+    applied: Array = (transition @ state[:, :, None])[:, :, 0]
+    return applied
+
+
+def _roots(omega_rad_s: Array, tau_s: Array) -> tuple[Array, Array]:
+    """The roots of s^2 + omega^2 tau s + omega^2; equal ones are moved apart."""
+    decay = 0.5 * omega_rad_s**2 * tau_s
+    apart = np.sqrt((decay**2 - omega_rad_s**2 + 1e-6).astype(complex))
+    return -decay + apart, -decay - apart
 
 
 def _fitted(arm: model.Arm, pressure_pa: Array, kick_pa: Array) -> tuple[float, float]:
@@ -101,10 +137,7 @@ def _fitted(arm: model.Arm, pressure_pa: Array, kick_pa: Array) -> tuple[float, 
     times = _STEP_S * (np.arange(steps) + 0.5)
 
     def gaps(x: Array) -> Array:
-        # The roots of s^2 + omega^2 tau s + omega^2; equal ones are moved apart.
-        decay = 0.5 * x[0] ** 2 * x[1]
-        apart = np.sqrt(complex(decay**2 - x[0] ** 2 + 1e-6))
-        slow, fast = -decay + apart, -decay - apart
+        slow, fast = _roots(*x)
         wave = (fast * np.exp(slow * times) - slow * np.exp(fast * times)) / (fast - slow)
         gap: Array = response - (1 - wave.real)
         return gap

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import model
 from model.dynamics import Dynamics
@@ -100,14 +101,36 @@ def test_the_first_mode_follows_the_rod_model(static_map: StaticMap) -> None:
     assert error < 0.3 * quasi_static
 
 
-def test_the_responses_are_the_slopes_of_the_advance() -> None:
-    mode, rng = TipDynamics(np.array([41.0, 41.0, 97.0]), np.array([0.01, 0.01, 0.03])), np.random.default_rng(1)
-    drive, change = rng.standard_normal((9, 3)), rng.standard_normal((9, 3))
-    start = rng.standard_normal((2, 3))
-    moved = mode.advance(start, drive + change, 0.02) - mode.advance(start, drive, 0.02)
-    output = moved[:, 0] - 0.005 * moved[:, 1]
-    found = np.einsum("ckl,lc->kc", mode.responses(8, 0.02, 0.005), change)
-    np.testing.assert_allclose(found, output, atol=1e-12)
+MODES = TipDynamics(np.array([41.0, 41.0, 97.0]), np.array([0.01, 2 / 41.0, 0.03]))
+"""Below, at and above critical damping."""
+
+
+@pytest.mark.parametrize("step_s", [1e-4, 1 / 60, 0.3])
+def test_a_step_of_the_modes_is_the_matrix_exponential(step_s: float) -> None:
+    transition, first, last = MODES.matrices(step_s)
+    for axis, (omega, tau) in enumerate(zip(MODES.omega_rad_s, MODES.tau_s, strict=True)):
+        square = omega**2
+        system = np.array([[0, 1, 0, 0], [-square, -square * tau, square, 0], [0, 0, 0, 1 / step_s], [0, 0, 0, 0]])
+        step = expm(step_s * system)
+        scale = np.array([1.0, omega])  # velocities are compared with those of the mode
+        np.testing.assert_allclose(transition[axis] / scale[:, None], step[:2, :2] / scale[:, None], atol=1e-8)
+        np.testing.assert_allclose(first[axis] / scale, (step[:2, 2] - step[:2, 3]) / scale, atol=1e-8)
+        np.testing.assert_allclose(last[axis] / scale, step[:2, 3] / scale, atol=1e-8)
+
+
+def test_the_responses_are_those_of_the_advance() -> None:
+    rng = np.random.default_rng(1)
+    drive, start = rng.standard_normal((9, 3)), rng.standard_normal((2, 3))
+    MODES.responses(20, 0.02)
+    responses = MODES.responses(8, 0.02)
+    for forced, free, states in zip(
+        (responses.tip, responses.velocity),
+        np.moveaxis(responses.free, 2, 0),
+        np.moveaxis(MODES.advance(start, drive, 0.02), 1, 0),
+        strict=True,
+    ):
+        found = np.einsum("ckl,lc->kc", forced, drive) + np.einsum("ckn,nc->kc", free, start)
+        np.testing.assert_allclose(found, states, atol=1e-9)
 
 
 def test_the_slopes_of_the_estimator_are_those_of_finite_differences(static_map: StaticMap) -> None:
