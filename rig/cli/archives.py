@@ -25,8 +25,6 @@ from rig.cli.options import (
     Variant,
 )
 
-PAGE = "html"
-
 
 def runs(
     folder: Annotated[Path, typer.Argument(metavar="DIR", file_okay=False)] = DATA,
@@ -72,33 +70,43 @@ def show(archive: Archive, json: AsJson = False) -> None:
 
 def report(
     archives: Archives,
-    format_: Format = "html",
+    figures: Annotated[bool, typer.Option("--figures", help="Write each figure as a file, for print.")] = False,
+    format_: Format = "pdf",
+    width_mm: Annotated[float, typer.Option("--width-mm", help="Width of the figures [mm].")] = 88.0,
     to: ReportFile = None,
     out: OptionalFolder = None,
     replace: Replace = False,
 ) -> None:
     """Write the report of one run, or what differs between several.
 
-    --format html writes one page to --to; pdf, png and svg write each figure as a file into --out.
+    --figures writes figures in the width of a column instead, into --out: pdf, png or svg, and CSV files with their
+    data.
     """
     from protocols.problems import BadInputError, Problem
     from rig.cli.run_names import resolve
     from runs.report import figure_export
     from runs.report.page import default_path, write
 
-    page = format_ == PAGE
-    for option, given in (("--out", out) if page else ("--to", to),):
-        if given is not None:
-            kinds = ", ".join(figure_export.KINDS)
-            expected = f"--out is for figures: --format {kinds}" if page else f"--to is for --format {PAGE}: use --out"
-            raise BadInputError([Problem(option, 0, 0, "", str(given), expected)])
+    misplaced = (
+        [("--to", to, "no --to beside --figures: use --out")]
+        if figures
+        else [
+            ("--out", out, "--out is for --figures: use --to"),
+            ("--format", format_ if format_ != "pdf" else None, "--format is for --figures"),
+            ("--width-mm", width_mm if width_mm != 88.0 else None, "--width-mm is for --figures"),
+        ]
+    )
+    problems = [Problem(option, 0, 0, "", str(given), expected) for option, given, expected in misplaced if given]
+    if problems:
+        raise BadInputError(problems)
     if to is not None and to.suffix.lower() != ".html":
         raise BadInputError([Problem("--to", 0, 0, "", str(to), "a file whose name ends with .html")])
     found = [resolve(archive) for archive in archives]
-    if page:
+    if not figures:
         typer.echo(write(found, to, replace=replace))
         return
-    for path in figure_export.write(found, out or default_path(found, "-figures"), format_, replace=replace):
+    folder = out or default_path(found, "-figures")
+    for path in figure_export.write(found, folder, format_, width_mm=width_mm, replace=replace):
         typer.echo(path)
 
 

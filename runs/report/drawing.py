@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import re
 from collections.abc import Callable
@@ -13,12 +12,15 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
 from numpy.typing import NDArray
 
+from runs.report import figure_data
 from runs.report.colours import INK, MUTED, RULE
 
 POINTS = 900
@@ -55,6 +57,26 @@ STYLE: dict[Any, Any] = {
     "figure.constrained_layout.use": True,
     "figure.constrained_layout.h_pad": 0.06,
 }
+_PRINT: dict[Any, Any] = {
+    "figure.facecolor": "white",
+    "axes.facecolor": "white",
+    "pdf.fonttype": 42,
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "legend.fontsize": 7.5,
+    "lines.linewidth": 1.1,
+}
+COLUMN_MM = 88.0
+"""Usual width of a column of a journal with two."""
+_NARROW_IN = 6.0
+"""In a narrower figure, panels stand below each other."""
+_PAGE_IN = 9.0
+"""Width of the figures of a page, whose heights the specifications state."""
+_NARROW_LABELS_IN = 0.55
+"""Width of the labels left of a narrow figure's panels."""
+_NARROW_HEIGHT, _NARROW_LEGEND_IN = 0.58, 0.5
+"""Height of a narrow figure's panels as a part of that on the page; height for the rows of its legend."""
+_INCH_MM = 25.4
 _MARGINS_IN = (0.85, 0.1, 0.46, 0.28)
 """Left, right, below and above of a figure's panels, for labels and legends; `_GAPS_IN` beside and below each."""
 _GAPS_IN = (0.75, 0.3)
@@ -68,13 +90,24 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FigureSpecification:
-    """One figure at a size in inches: `draw(figure, run, summary)`, or with the runs and summaries that it compares."""
+    """One figure at a size in inches: `draw(figure, run, summary)`, or with the runs and summaries that it compares.
+
+    `beside` is the number of panels beside each other, which a narrow figure has below each other.
+    """
 
     name: str
     title: str
     draw: Callable[..., None]
     size: tuple[float, float]
     caption: str = ""
+    beside: int = 1
+
+    def print_size(self, width_mm: float) -> tuple[float, float]:
+        """Return the size in inches of the figure in print, at a width."""
+        width = width_mm / _INCH_MM
+        if width < _NARROW_IN:
+            return width, _NARROW_LEGEND_IN + _NARROW_HEIGHT * self.beside * self.size[1]
+        return width, max(width / _PAGE_IN, _NARROW_HEIGHT) * self.size[1]
 
 
 def svg(draw: Callable[..., None], size: tuple[float, float], salt: str, *about: object) -> str:
@@ -112,34 +145,33 @@ def load_fonts_and_layouts() -> None:
 
 
 def save(draw: Callable[..., None], size: tuple[float, float], path: Path, *about: object, mark: str = "") -> None:
-    """Write a figure to a file; its kind is that of the name. `draw` is called with the figure and `about`.
+    """Write a figure of a size in inches to a file for print; the file's kind is that of its name.
 
-    A CSV file beside it has the points of its lines as drawn: panel and line by number, their labels, x and y. The
+    `draw` is called with the figure and `about`. A CSV file beside it has what is drawn (see `figure_data`). The
     `mark` goes into a corner: what must not be forgotten of a figure that is shown without its page.
     """
-    with mpl.rc_context({**STYLE, "figure.facecolor": "white", "axes.facecolor": "white", "pdf.fonttype": 42}):
+    with mpl.rc_context(STYLE | _PRINT):
         figure = Figure(figsize=size)
         draw(figure, *about)
-        figure.text(0.998, 0.004, mark, ha="right", va="bottom", fontsize=7, color=MUTED)
-        figure.savefig(path, dpi=200)
-    _write_lines(figure, path.with_suffix(".csv"))
+        if mark:
+            # Below the axis labels, whatever their size.
+            figure.supxlabel(mark, x=0.995, ha="right", va="bottom", fontsize=6.5, color=MUTED)
+        figure.savefig(path, dpi=300)
+    figure_data.write(figure, path.with_suffix(".csv"))
 
 
-def _write_lines(figure: Figure, path: Path) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("panel", "line", "label", "x_label", "y_label", "x", "y"))
-        for panel, axes in enumerate(figure.axes, 1):
-            labels = (axes.get_xlabel(), axes.get_ylabel().replace("\n", " "))
-            for number, line in enumerate(axes.get_lines(), 1):
-                name = str(line.get_label())
-                named = "" if name.startswith("_") else name
-                for x, y in zip(*np.broadcast_arrays(*line.get_data()), strict=True):
-                    writer.writerow((panel, number, named, *labels, x, y))
+def narrow(figure: Figure) -> bool:
+    """Return whether panels stand below each other in a figure of this width."""
+    return bool(figure.get_size_inches()[0] < _NARROW_IN)
 
 
 def panels(figure: Figure, rows: int = 1, columns: int = 1, **options: Any) -> NDArray[Any]:
-    """Return axes (rows, columns) with fixed spacing round them: to measure every label takes as long as to draw."""
+    """Return axes (rows, columns); in a narrow figure the columns of a row stand below each other.
+
+    On the page the spacing round them is fixed: to measure every label takes as long as to draw.
+    """
+    if narrow(figure):
+        return _stacked(figure, rows, columns, **options)
     figure.set_layout_engine("none")
     width, height = figure.get_size_inches()
     left, right, below, above = _MARGINS_IN
@@ -157,6 +189,15 @@ def panels(figure: Figure, rows: int = 1, columns: int = 1, **options: Any) -> N
     axes: NDArray[Any] = figure.subplots(
         rows, columns, sharex=columns == 1, squeeze=False, gridspec_kw=spacing, **options
     )
+    return axes
+
+
+def _stacked(figure: Figure, rows: int, columns: int, **options: Any) -> NDArray[Any]:
+    options.pop("width_ratios", None)
+    if columns > 1:
+        options.pop("height_ratios", None)
+    stacked = figure.subplots(rows * columns, 1, sharex=columns == 1, squeeze=False, **options)
+    axes: NDArray[Any] = stacked.reshape(rows, columns)
     return axes
 
 
@@ -192,9 +233,20 @@ def legend(axes: Axes, columns: int = 6) -> None:
     """Above the plot, so that it never hides a line; none where nothing has a name."""
     if not axes.get_legend_handles_labels()[0]:
         return
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    names = _legend(axes, columns)
+    while narrow(figure) and columns > 1 and _overflows(names, axes, figure):
+        columns -= 1
+        names = _legend(axes, columns)
+    for name in names.get_texts():
+        name.set_parse_math(False)  # a dollar in the name of a run begins no formula
+
+
+def _legend(axes: Axes, columns: int) -> Legend:
     # More columns than usual must share the width: the spacing above is that of one row.
     beside = 1.4 * min(1.0, 6 / columns) ** 2
-    names = axes.legend(
+    return axes.legend(
         loc="lower left",
         bbox_to_anchor=(0, 1.0),
         ncols=columns,
@@ -202,8 +254,11 @@ def legend(axes: Axes, columns: int = 6) -> None:
         columnspacing=beside,
         handlelength=2.0 * min(1.0, 6 / columns),
     )
-    for name in names.get_texts():
-        name.set_parse_math(False)  # a dollar in the name of a run begins no formula
+
+
+def _overflows(names: Legend, axes: Axes, figure: Figure) -> bool:
+    width = names.get_window_extent(FigureCanvasAgg(figure).get_renderer()).width
+    return bool(width > figure.bbox.width - _NARROW_LABELS_IN * figure.dpi)
 
 
 def no_data(*panels: Axes) -> None:

@@ -14,7 +14,7 @@ from runs.report.gaps import tip_with_gaps, with_gaps
 from runs.run import Run
 from runs.summary import Z_95, Summary
 
-COLUMNS = 3
+COLUMNS, NARROW_COLUMNS = 3, 2
 
 
 def size(adaptation: Adaptation) -> tuple[float, float]:
@@ -26,8 +26,9 @@ def draw(figure: Figure, run: Run, summary: Summary) -> None:
     """The live error with and without the estimates, and each estimate with its 95 % band and where it began."""
     a = run.adaptation
     assert a is not None
-    rows = math.ceil(len(a.parameter) / COLUMNS)
-    grid = figure.add_gridspec(1 + rows, COLUMNS)
+    columns = NARROW_COLUMNS if drawing.narrow(figure) else COLUMNS
+    rows = math.ceil(len(a.parameter) / columns)
+    grid = figure.add_gridspec(1 + rows, columns)
     above = figure.add_subplot(grid[0, :])
     # A run that was cut off may have a frame without what it taught.
     tip, gaps = tip_with_gaps(run.tip)
@@ -42,7 +43,7 @@ def draw(figure: Figure, run: Run, summary: Summary) -> None:
     above.margins(x=0.01)
     drawing.legend(above)
     for k, (name, unit) in enumerate(zip(a.parameter, a.unit, strict=True)):
-        panel = figure.add_subplot(grid[1 + k // COLUMNS, k % COLUMNS])
+        panel = figure.add_subplot(grid[1 + k // columns, k % columns])
         index = drawing.decimated_indices(a.value[:, k])
         time, value, half = a.time_s[index], a.value[index, k], Z_95 * a.uncertainty[index, k]
         panel.axhline(a.start[k], color=INK, lw=0.8, ls=(0, (4, 2)))
@@ -53,5 +54,5 @@ def draw(figure: Figure, run: Run, summary: Summary) -> None:
         panel.ticklabel_format(axis="y", style="sci", scilimits=(-2, 4), useMathText=True)
         panel.yaxis.get_offset_text().set_fontsize(7.5)
         panel.tick_params(labelsize=7.5)
-        if k + COLUMNS >= len(a.parameter):
+        if k + columns >= len(a.parameter):
             panel.set_xlabel("time [s]")

@@ -13,17 +13,22 @@ from runs.run import Run
 from runs.summary import summarise
 
 KINDS = ("pdf", "png", "svg")
+LEAST_WIDTH_MM, LARGEST_WIDTH_MM = 60.0, 300.0
 _MARK = "simulated"
 
 
 def write(
-    archives: Sequence[Path | str], folder: Path | str, kind: str = "pdf", *, replace: bool = False
+    archives: Sequence[Path | str],
+    folder: Path | str,
+    kind: str = "pdf",
+    *,
+    width_mm: float = drawing.COLUMN_MM,
+    replace: bool = False,
 ) -> tuple[Path, ...]:
     """Write each figure of each run as `<run>-<figure>.pdf` (or png, svg) for a paper; return these files.
 
-    Beside each, `<run>-<figure>.csv` has the points of its lines.
-
-    Of several runs also those that compare them, `compared-<figure>.pdf`. What was simulated says so in its corner.
+    The width is that of a column. Beside each figure, `<run>-<figure>.csv` has what it shows (see `figure_data`). Of
+    several runs also those that compare them, `compared-<figure>.pdf`. What was simulated says so in its corner.
 
     Raises:
         WouldOverwriteError: a file exists, and `replace` is False.
@@ -31,10 +36,14 @@ def write(
     """
     if kind not in KINDS:
         raise ExportError(f"no figures as {kind!r}; there are {', '.join(KINDS)}")
+    if not LEAST_WIDTH_MM <= width_mm <= LARGEST_WIDTH_MM:
+        raise ExportError(
+            f"no figures {width_mm:g} mm wide; they are {LEAST_WIDTH_MM:g} to {LARGEST_WIDTH_MM:g} mm wide"
+        )
     runs, place = [Run(archive) for archive in archives], Path(folder)
     try:
         with staged(place, replace=replace) as stage:
-            names = _write(runs, stage, kind)
+            names = _write(runs, stage, kind, width_mm)
     except WouldOverwriteError:
         raise
     except OSError as fault:
@@ -42,7 +51,7 @@ def write(
     return tuple(place / name for name in names)
 
 
-def _write(runs: Sequence[Run], folder: Path, kind: str) -> list[str]:
+def _write(runs: Sequence[Run], folder: Path, kind: str, width_mm: float) -> list[str]:
     """Draw every figure into a folder; the names of the files."""
     names = []
     summaries = [summarise(run) for run in runs]
@@ -50,9 +59,9 @@ def _write(runs: Sequence[Run], folder: Path, kind: str) -> list[str]:
         for figure in (*figure_specifications(run, summary), *of_pictures(run, summary)):
             names.append(f"{run.path.stem}-{figure.name}.{kind}")
             mark = _MARK * summary.simulated
-            drawing.save(figure.draw, figure.size, folder / names[-1], run, summary, mark=mark)
+            drawing.save(figure.draw, figure.print_size(width_mm), folder / names[-1], run, summary, mark=mark)
     mark = _MARK * any(summary.simulated for summary in summaries)
     for figure in comparison.comparison_figures(runs) if len(runs) > 1 else ():
         names.append(f"compared-{figure.name}.{kind}")
-        drawing.save(figure.draw, figure.size, folder / names[-1], runs, summaries, mark=mark)
+        drawing.save(figure.draw, figure.print_size(width_mm), folder / names[-1], runs, summaries, mark=mark)
     return names

@@ -68,7 +68,7 @@ def _trajectory(run: Run, summary: Summary) -> FigureSpecification | None:
         return FigureSpecification("trajectory", title, figures.trajectory, size, caption)
     if _leaves_axis(run):
         caption = f"In the rod-base frame: seen along the arm from its tip, and from its side. {Z_DOWN}"
-        return FigureSpecification("trajectory", "Tool centre point", figures.around, (9, 4.4), caption)
+        return FigureSpecification("trajectory", "Tool centre point", figures.around, (9, 4.4), caption, beside=2)
     return None
 
 
@@ -77,7 +77,7 @@ def _backbones(run: Run, summary: Summary) -> FigureSpecification | None:
         return None
     measured = " and measured tip" if summary.frames_measured else ""
     caption = f"The modelled arm{measured.replace('measured', 'the measured')}. {Z_DOWN}"
-    return FigureSpecification("backbones", f"Backbone{measured}", figures.backbones, (9, 4.8), caption)
+    return FigureSpecification("backbones", f"Backbone{measured}", figures.backbones, (9, 4.8), caption, beside=2)
 
 
 def _steps(run: Run, summary: Summary) -> FigureSpecification | None:
@@ -87,7 +87,9 @@ def _steps(run: Run, summary: Summary) -> FigureSpecification | None:
         "Marks: measured, with 95 % of one frame. Positive z points from the base along the hanging arm. Normalised by "
         "the distance of the measured tip from its position at rest without pressure."
     )
-    return FigureSpecification("steps", "Settled tip and error, step by step", figures.steps, (9, 3.6), caption)
+    return FigureSpecification(
+        "steps", "Settled tip and error, step by step", figures.steps, (9, 3.6), caption, beside=2
+    )
 
 
 def _tip(run: Run, summary: Summary) -> FigureSpecification | None:
@@ -114,7 +116,7 @@ def _reference(run: Run, summary: Summary) -> FigureSpecification | None:
     )
     if len(periods) > 1:
         caption += f" Rms of each period: {listed(periods, 3)} mm."
-    return FigureSpecification("reference", "Tip and reference", reference_figure.draw, (9, 4.6), caption)
+    return FigureSpecification("reference", "Tip and reference", reference_figure.draw, (9, 4.6), caption, beside=2)
 
 
 def _adaptation(run: Run, summary: Summary) -> FigureSpecification | None:
@@ -136,7 +138,7 @@ def _timing(run: Run, summary: Summary) -> FigureSpecification | None:
         f"{plain(summary.lateness_p99_us, 1)} us; the latest {plain(summary.lateness_max_us / 1e3, 2)} ms. "
         f"{summary.missed_deadlines} deadlines missed, {summary.ring_overflows} rows lost between processes."
     )
-    return FigureSpecification("timing", "Timing of the control loop", figures.timing, (9, 2.8), caption)
+    return FigureSpecification("timing", "Timing of the control loop", figures.timing, (9, 2.8), caption, beside=2)
 
 
 FIGURES: tuple[Callable[[Run, Summary], FigureSpecification | None], ...] = (

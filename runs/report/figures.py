@@ -16,12 +16,14 @@ from runs.columns import Pressure, Tip
 from runs.periods import last_period
 from runs.records import DetectionStatus
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
-from runs.report.drawing import POINTS, decimated, decimated_indices, legend, no_data, panels, path_indices
+from runs.report.drawing import POINTS, decimated, decimated_indices, legend, narrow, no_data, panels, path_indices
 from runs.report.gaps import pressure_with_gaps, tip_with_gaps, with_gaps
 from runs.run import Run
 from runs.summary import BAND_BAR, MOVED_MM, Z_95, StepSummary, Summary, in_plane, rest_mm, settled_steps
 
 SHAPES = 12
+LABEL_SPACING, LABEL_SPACING_NARROW = 0.06, 0.15
+"""Distance between labels of a path, as a part of the motion."""
 Floats = NDArray[np.float64]
 
 
@@ -75,7 +77,7 @@ def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
         at = project(np.array([step.model_mm for step in dwells]))
         axes.plot(*settled.T, "o", ms=6, mfc="white", mec=MEASURED, mew=1.3, label="measured, settled")
         axes.plot(*at.T, "x", ms=5.5, color=MODEL, mew=1.4, label="model, settled")
-        for step, (x, z) in _labelled(dwells, settled):
+        for step, (x, z) in _labelled(dwells, settled, LABEL_SPACING_NARROW if narrow(figure) else LABEL_SPACING):
             text = f"{max(step.level_bar):.2f}" if max(step.level_bar) > 0 else f"{step.weight_g:.0f} g"
             axes.annotate(text, (x, z), (0, 9), textcoords="offset points", ha="center", fontsize=7.5, color=MUTED)
     axes.set_aspect("equal", adjustable="datalim")
@@ -358,11 +360,11 @@ def _abscissa(dwells: Sequence[StepSummary]) -> tuple[Floats, str]:
     return np.arange(1.0, len(dwells) + 1), "step"
 
 
-def _labelled(dwells: Sequence[StepSummary], settled: Floats) -> list[tuple[StepSummary, Floats]]:
-    """Return the steps whose labels fit: first, last, and those far enough from the one before."""
+def _labelled(dwells: Sequence[StepSummary], settled: Floats, spacing: float) -> list[tuple[StepSummary, Floats]]:
+    """Return the steps whose labels fit: those that are farther from all before than this part of the motion."""
     chosen: list[tuple[StepSummary, Floats]] = []
     reach = max(float(np.ptp(settled, axis=0).max()), 1e-9)
     for step, at in zip(dwells, settled, strict=True):
-        if all(np.linalg.norm(at - other) > 0.06 * reach for _, other in chosen):
+        if all(np.linalg.norm(at - other) > spacing * reach for _, other in chosen):
             chosen.append((step, at))
     return chosen

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from runs.records import DetectionStatus
 from runs.report.colours import BOARD, MEASURED, MODEL
+from runs.report.drawing import narrow
 from runs.report.numbers import plain
 from runs.run import Run
 from runs.summary import Summary, settled_steps
@@ -23,7 +24,7 @@ from runs.summary import Summary, settled_steps
 MOST_STEPS = 5
 MOST_LOSSES = 2
 EVENLY = 4
-COLUMNS = 3
+COLUMNS, NARROW_COLUMNS = 3, 2
 NEAR_S = 0.5
 """A picture shows a moment when it was taken no farther from it."""
 _MARGIN = 0.12
@@ -110,7 +111,7 @@ def grid(figure: Figure, run: Run, summary: Summary) -> None:
     """Draw the same pictures for a paper."""
     chosen = moments(run, summary)
     sizes = {run.frames.camera[moment.k]: size(run, moment.k) for moment in chosen}
-    columns = min(len(chosen), COLUMNS)
+    columns = min(len(chosen), NARROW_COLUMNS if narrow(figure) else COLUMNS)
     panels = figure.subplots(-(-len(chosen) // columns), columns, squeeze=False).ravel()
     for panel in panels:
         panel.set_axis_off()
@@ -125,7 +126,11 @@ def grid(figure: Figure, run: Run, summary: Summary) -> None:
         panel.plot(*frames.model_px[k], "x", ms=5, mew=1.4, color=MODEL, path_effects=edge)
         panel.set_xlim(part.left - 0.5, part.left + part.width - 0.5)
         panel.set_ylim(part.top + part.height - 0.5, part.top - 0.5)
-        panel.set_title("\n".join(textwrap.wrap(caption(run, moment), 42)), fontsize=7.5, parse_math=False)
+        panel.set_title(
+            "\n".join(textwrap.wrap(caption(run, moment), 27 if narrow(figure) else 42)),
+            fontsize=6.5 if narrow(figure) else 7.5,
+            parse_math=False,
+        )
 
 
 def grid_size(run: Run, summary: Summary) -> tuple[float, float]:

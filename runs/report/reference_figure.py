@@ -26,16 +26,18 @@ def draw(figure: Figure, run: Run, summary: Summary) -> None:
     wanted = target[np.isfinite(on_path)]
     sizes = [float(np.ptp(column)) if len(column) and np.isfinite(column).all() else -1.0 for column in wanted.T]
     first, second = sorted(sorted(range(3), key=sizes.__getitem__)[-2:])
-    left, right = figure.subplots(1, 2, width_ratios=[1, 1.6])
+    left, right = drawing.panels(figure, columns=2, width_ratios=[1, 1.6])[0]
     truth = None if run.simulated is None else with_gaps(run.simulated.tip_mm, gaps)
     if truth is not None:
         left.plot(*(truth * shown)[:, [first, second]].T, color=TRUTH, lw=0.9)
     if np.isfinite(tip.measured_mm).any():
         left.plot(*(tip.measured_mm * shown)[:, [first, second]].T, color=MEASURED, lw=0.7)
     left.plot(*(target * shown)[:, [first, second]].T, color=INK, lw=0.8, ls=(0, (4, 2)))
-    left.set_aspect("equal", adjustable="box")
+    left.set_aspect("equal", adjustable="datalim")
+    if second == 2:
+        left.invert_yaxis()
     left.set_xlabel(MM.format(AXES[first]))
-    left.set_ylabel(MM.format(AXES[second]))
+    left.set_ylabel("z, along the arm [mm]" if second == 2 else MM.format(AXES[second]))
     if np.isfinite(tip.measured_mm).any():
         error = with_gaps(reference.error_mm, gaps)
         right.plot(*drawing.decimated(tip.time_s, error), color=MEASURED, lw=0.8, label="measured to reference")

@@ -10,6 +10,8 @@ import resource
 import signal
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import matplotlib as mpl
@@ -24,7 +26,7 @@ from runs.archive.writer import finalise
 from runs.export.exporters import ExportError
 from runs.journal.journal import JournalWriter
 from runs.records import DetectionStatus, Event, Level, RunFooter, Status
-from runs.report import figure_export, figure_specifications, pictures
+from runs.report import drawing, figure_export, figure_specifications, pictures, reference_figure
 from runs.report import page as report
 from runs.report.comparison import by_axis, by_model
 from runs.report.drawing import STYLE
@@ -98,8 +100,8 @@ def test_every_figure_is_a_sound_drawing_with_ids_of_its_own(text: str) -> None:
     drawings = re.findall(r"<svg(?! viewBox).*?</svg>", text, re.DOTALL)
     assert len(drawings) == 7
     ids: list[str] = []
-    for drawing in drawings:
-        root = ET.fromstring(drawing)
+    for shown in drawings:
+        root = ET.fromstring(shown)
         assert root.attrib["aria-label"]
         ids += re.findall(r'<(?:clipPath|path) id="([^"]+)"', drawing)
     assert len(ids) == len(set(ids)), "figures on one page share their ids"
@@ -318,9 +320,66 @@ def test_the_data_of_a_figure_lie_beside_it(archive: Path, tmp_path: Path) -> No
     assert {path.with_suffix(".csv") for path in written} == set(tmp_path.glob("*.csv"))
     figure = next(path for path in written if path.stem.endswith("-tip"))
     rows = list(csv.reader(figure.with_suffix(".csv").read_text().splitlines()))
-    drawn = np.array([float(row[-1]) for row in rows if (row[0], row[2]) == ("1", "measured, 95 % band")])
+    head, *points = rows
+    table = [dict(zip(head, row, strict=True)) for row in points]
+    drawn = np.array([float(row["y"]) for row in table if (row["panel"], row["label"]) == ("1", "measured, 95 % band")])
     measured = runs.open(archive).tip.measured_mm[:, 0]
     np.testing.assert_allclose(drawn[np.isfinite(drawn)], measured[np.isfinite(measured)])
+
+
+def test_figures_for_print_are_as_wide_as_a_column_with_every_word_inside(
+    archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+    keep = figure_export.drawing.figure_data.write
+    monkeypatch.setattr(
+        "runs.report.figure_data.write", lambda figure, path: (drawn.append(figure), keep(figure, path))[0]
+    )
+    written = figure_export.write([archive], tmp_path)
+    for path, figure in zip(written, drawn, strict=True):
+        box = re.search(rb"/MediaBox \[ 0 0 ([\d.]+) ", path.read_bytes())
+        assert box is not None
+        assert float(box[1]) == pytest.approx(88 / 25.4 * 72, abs=0.1)
+        for axes in figure.axes:
+            if (legend := axes.get_legend()) is not None:
+                extent = legend.get_window_extent()
+                assert extent.x1 <= figure.bbox.width
+                assert extent.y1 <= figure.bbox.height
+
+
+@pytest.mark.parametrize("width_mm", [5.0, 4000.0, float("nan")])
+def test_figures_of_an_absurd_width_are_refused(archive: Path, tmp_path: Path, width_mm: float) -> None:
+    with pytest.raises(ExportError, match="60 to 300 mm"):
+        figure_export.write([archive], tmp_path, width_mm=width_mm)
+
+
+def test_the_data_beside_a_figure_have_its_bars_and_error_bars(tmp_path: Path) -> None:
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        axes.errorbar([1.0, 2.0], [3.0, 4.0], [0.5, 0.25], fmt="o", capsize=2, label="measured")
+        axes.bar([1.0, 2.0], [5.0, 6.0], label="error")
+        axes.fill_between([0.0, 1.0], [0.0, 1.0], [2.0, 3.0], label="band")
+
+    drawing.save(draw, (3.0, 2.0), tmp_path / "one.svg")
+    with (tmp_path / "one.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    found = {kind: [row for row in rows if row["kind"] == kind] for kind in ("error bar", "bar", "band", "line")}
+    bars = [tuple(float(row[name]) for name in ("x", "y", "low", "high")) for row in found["error bar"]]
+    assert bars == [(1.0, 3.0, 2.5, 3.5), (2.0, 4.0, 3.75, 4.25)]
+    assert [(float(row["x"]), float(row["y"])) for row in found["bar"]] == [(1.0, 5.0), (2.0, 6.0)]
+    assert {(float(row["x"]), float(row["y"])) for row in found["band"]} == {(0, 0), (1, 1), (0, 2), (1, 3)}
+    assert not found["line"]
+
+
+def test_z_points_down_in_the_figure_of_a_path_in_a_vertical_plane(archive: Path) -> None:
+    tip = runs.open(archive).tip
+    phase = np.linspace(0.0, 6.0, len(tip.time_s))
+    circle = np.column_stack((10 * np.cos(phase), 0 * phase, 170 + 10 * np.sin(phase)))
+    path = SimpleNamespace(reference_mm=circle, predicted_mm=circle, period=np.ones(len(phase)), error_mm=0 * phase)
+    figure = Figure()
+    run: Any = SimpleNamespace(reference=path, tip=tip, simulated=None)
+    reference_figure.draw(figure, run, summarise(runs.open(archive)))
+    assert figure.axes[0].yaxis_inverted()
 
 
 def test_figures_of_an_unknown_kind_are_refused(archive: Path, tmp_path: Path) -> None:
