@@ -160,7 +160,8 @@ def _shapes(run: Run, summary: Summary) -> tuple[list[int], list[float], str]:
         within = np.flatnonzero((tip.protocol_s >= step.start_s) & (tip.protocol_s < step.stop_s) & tip.model_ok)
         if len(within):
             ends[int(within[-1])] = step.weight_g if by_weight else max(step.level_bar)
-    if len(ends) > 1:
+    # Rest before and after a motion is no step.
+    if len(set(ends.values())) > 1:
         return [*ends], [*ends.values()], "weight [g]" if by_weight else "pressure [bar]"
     solved = np.flatnonzero(tip.model_ok)
     if (period := backbone_period(run, summary)) is not None:

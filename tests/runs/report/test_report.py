@@ -103,7 +103,7 @@ def test_every_figure_is_a_sound_drawing_with_ids_of_its_own(text: str) -> None:
     for shown in drawings:
         root = ET.fromstring(shown)
         assert root.attrib["aria-label"]
-        ids += re.findall(r'<(?:clipPath|path) id="([^"]+)"', drawing)
+        ids += re.findall(r'<(?:clipPath|path) id="([^"]+)"', shown)
     assert len(ids) == len(set(ids)), "figures on one page share their ids"
 
 
