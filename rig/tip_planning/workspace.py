@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from contourpy import LineType, contour_generator
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 
 from model.inverse.reachable import reachable_tips
 from rig.config.arm_model import model_arm
@@ -27,16 +29,22 @@ RADII, ANGLES = 48, 36
 CUBE = ((0, 1, 3, 7), (0, 1, 5, 7), (0, 2, 3, 7), (0, 2, 6, 7), (0, 4, 5, 7), (0, 4, 6, 7))
 """Corners of the tetrahedra of a cube of pressures (Kuhn), corner k = 4 i + 2 j + l."""
 EDGE = -1e-9
+FINE = 8
+"""Points of an outline for each level of a pressure."""
 
 
 @dataclass(frozen=True, eq=False)
 class WorkspaceSection:
-    """What is reached at a height [mm]: at radii (R,) [mm] and angles (A,) [rad] about the axis, reached (R, A)."""
+    """What is reached at a height [mm]: at radii (R,) [mm] and angles (A,) [rad] about the axis, reached (R, A).
+
+    The outline is in lines (n, 2) of x and y [mm], whose ends meet.
+    """
 
     height_mm: float
     radii_mm: Array
     angles_rad: Array
     reached: NDArray[np.bool_]
+    outline_mm: tuple[Array, ...]
 
     @property
     def farthest_mm(self) -> float:
@@ -102,13 +110,36 @@ def _sections(tips: Array, levels: int) -> tuple[WorkspaceSection, ...]:
     radii = np.linspace(0.0, float(np.linalg.norm(cells[:, :, :2], axis=2).max()), RADII)
     angles: Array = 2 * np.pi * np.arange(0.0, ANGLES) / ANGLES
     plane = np.stack([np.outer(radii, np.cos(angles)), np.outer(radii, np.sin(angles))], axis=-1).reshape(-1, 2)
+    faces = [_refined(face) for axis in range(3) for face in (grid.take(0, axis), grid.take(-1, axis))]
     found = []
     for height in np.linspace(low, high, SECTIONS + 2)[1:-1].tolist():
         crossing = cells[(heights.min(axis=1) <= height) & (heights.max(axis=1) >= height)]
         points = np.column_stack([plane, np.full(len(plane), height)])
         reached = _inside(crossing, points).reshape(RADII, ANGLES)
-        found.append(WorkspaceSection(height, radii, angles, reached))
+        outline = tuple(line for face in faces for line in _level_lines(face, height))
+        found.append(WorkspaceSection(height, radii, angles, reached, outline))
     return tuple(found)
+
+
+def _refined(face: Array) -> Array:
+    """Return tips of a face of the cube of pressures at more levels, by cubic splines: (n, n, 3) as (m, m, 3)."""
+    if not np.isfinite(face).all():
+        return face
+    levels = np.arange(len(face))
+    between = np.linspace(0, len(face) - 1, FINE * (len(face) - 1) + 1)
+    for axis in (0, 1):
+        face = make_interp_spline(levels, face, axis=axis)(between)
+    return face
+
+
+def _level_lines(face: Array, height_mm: float) -> list[Array]:
+    """Return lines (n, 2) of x and y [mm] along which the tips (m, m, 3) of a face are at a height.
+
+    The pressures map the surface of their cube to the surface of what is reached, as long as no two give the same tip.
+    """
+    x_mm, y_mm, z_mm = np.moveaxis(face, 2, 0)
+    drawn = contour_generator(x_mm, y_mm, np.ma.masked_invalid(z_mm), line_type=LineType.Separate)
+    return [np.asarray(line) for line in drawn.lines(height_mm)]
 
 
 def _inside(cells: Array, points: Array) -> NDArray[np.bool_]:
@@ -132,10 +163,8 @@ def draw(figure: Figure, space: TipWorkspace) -> None:
     if not space.sections:
         above.plot(space.tip_mm[:, 0], space.tip_mm[:, 1], ".", ms=1.2, color=MEASURED)
     for section, colour in zip(space.sections, RUNS, strict=False):
-        angles = np.r_[section.angles_rad, 2 * np.pi]
-        reached = np.column_stack([section.reached, section.reached[:, 0]]).astype(float)
-        x, y = np.outer(section.radii_mm, np.cos(angles)), np.outer(section.radii_mm, np.sin(angles))
-        above.contour(x, y, reached, levels=[0.5], colors=[colour], linewidths=1.1)
+        for line in section.outline_mm:
+            above.plot(*line.T, color=colour, lw=1.1)
         above.plot([], [], color=colour, lw=1.1, label=f"z {section.height_mm:.0f}")
         beside.axhline(section.height_mm, color=colour, lw=0.7)
     above.plot(0, 0, "+", color=INK)

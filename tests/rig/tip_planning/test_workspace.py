@@ -38,6 +38,23 @@ def test_sections_agree_with_the_nearest_reachable_points() -> None:
         assert distance < 1e-3 if section.reached[i, k] else distance > 1e-5
 
 
+def test_the_outline_of_a_section_encloses_what_the_cells_of_the_pressures_reach() -> None:
+    for section in workspace(RIG).sections:
+        ends = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in section.outline_mm])
+        (x0, y0), (x1, y1) = ends[:, 0].T, ends[:, 1].T
+        angles = section.angles_rad
+        x = np.outer(section.radii_mm, np.cos(angles)).reshape(-1, 1)
+        y = np.outer(section.radii_mm, np.sin(angles)).reshape(-1, 1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            right = x0 + (y - y0) * (x1 - x0) / (y1 - y0) > x
+        inside = (((y0 > y) != (y1 > y)) & right).sum(axis=1) % 2 == 1
+        # The cells are straight and the outline is smooth: near it a point may be on either side.
+        distance = np.hypot(x - (x0 + x1) / 2, y - (y0 + y1) / 2).min(axis=1)
+        clear = distance > 2.5
+        assert clear.mean() > 0.7
+        assert (inside == section.reached.reshape(-1))[clear].all()
+
+
 def test_a_rig_with_two_valves_has_a_surface_and_no_sections() -> None:
     space = workspace(load("mock"))
     assert space.sections == ()
@@ -72,7 +89,9 @@ def test_margins_are_those_of_the_set_points_and_a_stated_uncertainty_lowers_the
 def test_the_legend_of_the_drawing_is_inside_the_figure(tmp_path: Path) -> None:
     radii, angles = np.linspace(0.0, 80.0, 5), np.linspace(0.0, 6.0, 12)
     inside = np.tile(radii[:, None] < 50.0, (1, len(angles)))
-    sections = tuple(WorkspaceSection(height, radii, angles, inside) for height in (174.0, 184.0, 194.0, 204.0, 214.0))
+    ring = (50.0 * np.column_stack([np.cos(angles), np.sin(angles)]),)
+    heights = (174.0, 184.0, 194.0, 204.0, 214.0)
+    sections = tuple(WorkspaceSection(height, radii, angles, inside, ring) for height in heights)
     space = TipWorkspace(np.array([[-80.0, 0.0, 160.0], [80.0, 0.0, 220.0]]), sections)
 
     def draw_and_measure(figure: Figure) -> None:
