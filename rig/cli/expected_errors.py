@@ -19,6 +19,9 @@ class PlainErrors(HelpGroup):
             return super().invoke(ctx)
         except (typer.Exit, typer.Abort):
             raise
+        except typer.BadParameter as error:
+            error.message = _with_value(error)
+            raise
         except KeyboardInterrupt:
             fail("interrupted", INTERRUPTED)
         except Exception as error:
@@ -55,6 +58,27 @@ EXPECTED_ERRORS = {
     "builtins.OSError": FAULT,
 }
 """Exit status by class. Names, because an import here costs time and fails where memory is short."""
+
+
+_EXPECTED = {
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_parsing": "a number",
+    "finite_number": "a finite number",
+    "greater_than_equal": "at least {ge}",
+    "less_than_equal": "at most {le}",
+}
+"""What is expected of the value of an option, by the kind of pydantic's error."""
+
+
+def _with_value(error: typer.BadParameter) -> str:
+    """Return the message about an invalid value; a number is checked by pydantic, whose message leaves it out."""
+    cause = error.__cause__
+    if cause is None or not hasattr(cause, "errors"):
+        return error.message
+    (first, *_) = cause.errors()
+    expected = _EXPECTED.get(first["type"], "").format(**first.get("ctx", {})) or error.message
+    return f"found {first['input']}, expected {expected}"
 
 
 def _message(error: Exception) -> str:

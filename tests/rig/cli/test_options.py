@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import typer
 
-from rig.cli.app import app
+from rig.cli.app import app, main
 
 REFERENCE = Path(__file__).parents[3] / "docs" / "reference" / "command-line.md"
 _CLICK_OWN = {"--help", "--install-completion", "--show-completion"}
@@ -82,3 +82,22 @@ def test_help_fits_the_terminal_and_cuts_no_sentence_off(
         assert max(map(len, shown.splitlines())) <= columns, shown
         assert "..." not in shown.partition("\n\n")[2]
     assert "against a rig, without touching hardware." in texts[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run", "ramp-a", "--seed", "-1"], "'--seed': found -1, expected at least 0"),
+        (["run", "ramp-a", "--seed", "0.5"], "'--seed': found 0.5, expected a whole number"),
+        (["run", "ramp-a", "--port", "65536"], "'--port': found 65536, expected at most 65535"),
+        (["identify", "last", "--every", "0"], "'--every': found 0, expected at least 1"),
+        (["runs", "--error-above-mm", "much"], "'--error-above-mm': found much, expected a number"),
+    ],
+)
+def test_an_invalid_number_is_shown_with_what_was_expected(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(arguments)
+    assert left.value.code == 2
+    assert said in capsys.readouterr().err
