@@ -17,8 +17,11 @@ from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.likelihood import Weights, huber, outlying
 from calibration.identify.nuisance import nuisance_parameters, stated_values
 from calibration.identify.orientation import Orientations
+from calibration.identify.pressure_course import PressureCourse
 from calibration.identify.simulated_experiments import MeasurementErrors, coverage, perform, plan
 from calibration.identify.tip_predictor import Predictor
+from model.dynamics import Dynamics
+from model.material import MaxwellBranch
 
 Array = NDArray[np.float64]
 
@@ -200,3 +203,65 @@ def test_a_mounting_relative_to_another_one_measures_the_same_point_and_orientat
     point_m = base.inv().apply(point_m - np.array(baseline.base_translation_m)) - turned @ baseline.tool_offset_m
     np.testing.assert_allclose(turned, own.oriented(rotation)[0], atol=1e-12)
     np.testing.assert_allclose(point_m, own.measured(tip_m, rotation)[0], atol=1e-12)
+
+
+def on_a_course(truth: Setup) -> Poses:
+    """Poses of an arm that remembers: one chamber is pressed, held, and released; four poses have an orientation."""
+    rows = np.concatenate([np.linspace(0.0, 0.6, 8), np.full(12, 0.6), np.linspace(0.6, 0.1, 8)])[:, None] * BAR
+    at = np.array([2, 7, 13, 19, 23, 27])
+    pressure = rows * [1, 0.3, 0]
+    empty = plan("course", pressure[at], errors=WITH)
+    course = PressureCourse(0.25, pressure, np.zeros(len(rows)), np.zeros((len(rows), 6)), at)
+    poses = perform(replace(empty, course=course), truth, np.random.default_rng(5), WITH)
+    assert poses.orientation is not None
+    return replace(poses, orientation=poses.orientation.without(np.isin(np.arange(6), [1, 4])))
+
+
+RELAXING = replace(
+    LEANING, arm=replace(LEANING.arm, material=replace(LEANING.arm.material, branches=(MaxwellBranch(0.3, 1.0),)))
+)
+
+
+def test_orientations_of_an_arm_that_remembers_are_those_of_its_course() -> None:
+    poses = on_a_course(RELAXING)
+    assert poses.course is not None
+    predicted = Predictor(poses).rotations(RELAXING)
+    # The same course as a motion, stepped through by the time scheme of the live model.
+    still = replace(RELAXING.arm, inertia=False)
+    dynamics = Dynamics(still, poses.course.period_s)
+    turned = [dynamics.start(poses.course.pressure_pa[0]).tip_rotation]
+    turned += list(dynamics.run(poses.course.pressure_pa[1:]).tip_rotation)
+    np.testing.assert_allclose(predicted, RELAXING.oriented(np.array(turned)[poses.course.at]), atol=1e-7)
+    # At one pressure the walls relax, so the tip turns on.
+    relaxed_deg = math.degrees(Rotation.from_matrix(predicted[3] @ predicted[1].T).magnitude())
+    assert relaxed_deg > 1.0
+
+
+def test_on_a_course_only_poses_with_an_orientation_are_compared_by_it() -> None:
+    poses = on_a_course(RELAXING)
+    gap = Predictor(poses).gap(RELAXING)
+    assert np.isfinite(gap[:, 3:]).all(axis=1).tolist() == [True, False, True, True, False, True]
+    assert np.nanmax(np.abs(gap[:, 3:])) < 4 * math.radians(0.5)
+
+
+def test_slopes_of_orientations_on_a_course_are_the_finite_differences_of_the_gaps() -> None:
+    poses = on_a_course(RELAXING)
+    names = ("a1_per_n", "branch_1_modulus", "branch_1_time_s", "base", "tool_rotation", "sensor_offsets")
+    problem = LeastSquaresProblem([poses], RELAXING, named(names, 3))
+    z = np.linspace(-0.2, 0.2, len(problem.unknowns))
+    slopes, known_rows = problem.slopes(z, range(len(z)))[0], poses.has_orientation
+    for i, step in enumerate(np.eye(len(z)) * 1e-4):
+        numerical = (problem.gaps(z - step)[0] - problem.gaps(z + step)[0])[known_rows] / 2e-4
+        np.testing.assert_allclose(
+            slopes[known_rows, :, i], numerical, atol=2e-5 * max(1.0, np.abs(numerical).max()), err_msg=str(i)
+        )
+
+
+def test_entries_spread_over_the_rows_of_a_course_keep_their_orientation() -> None:
+    orientation = run_of(LEANING, WITH).orientation
+    assert orientation is not None
+    part = orientation.only(np.arange(3))
+    spread = part.spread(np.array([1, 4, 5]), 7)
+    np.testing.assert_array_equal(np.isfinite(spread.rotation).all(axis=(1, 2)), [0, 1, 0, 0, 1, 1, 0])
+    for name in ("rotation", "covariance_rad2", "cross_m_rad"):
+        np.testing.assert_array_equal(getattr(spread, name)[[1, 4, 5]], getattr(part, name))
