@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,8 +176,8 @@ class Bench:
             card.close()
 
 
-def open_bench(config: RigConfig) -> Bench:
-    """Open every card of the rig.
+def open_bench(config: RigConfig, *, by_instruction: bool = False) -> Bench:
+    """Open every card of the rig; with `by_instruction` a card that could sample by its own clock does not.
 
     Raises:
         CardError: a card cannot be opened.
@@ -185,7 +185,8 @@ def open_bench(config: RigConfig) -> Bench:
     cards: dict[str, Card] = {}
     try:
         for name, card in config.cards.items():
-            cards[name] = open_card(card, card_setup(config, name))
+            setup = card_setup(config, name)
+            cards[name] = open_card(card, replace(setup, acquisition="instruction") if by_instruction else setup)
     except BaseException:
         for opened in cards.values():
             opened.close()

@@ -40,10 +40,14 @@ LOOK_S = 0.005
 
 @dataclass(frozen=True)
 class VentOutcome:
-    """Whether the pressures confirm the safe state, and the sentence that says so or says what is not known."""
+    """Whether the pressures confirm the safe state, and the sentence that says so or says what is not known.
+
+    `answered` is false where no pressure could be read.
+    """
 
     confirmed: bool
     sentence: str
+    answered: bool = True
 
 
 class PressureScans(Protocol):
@@ -122,7 +126,7 @@ class VentVerification:
                 if now - began >= max(LONGEST_VENTING_S, self._patience_s) or not self._falls(excess_pa):
                     break
                 window_s, excess_pa = now, self._excess_pa()
-        return VentOutcome(False, f"{UNCONFIRMED}: {self._reason(now - began)}")
+        return VentOutcome(False, f"{UNCONFIRMED}: {self._reason(now - began)}", self._answers())
 
     def _read(self) -> None:
         scans = self._bench.read()
@@ -227,7 +231,8 @@ class _OpenedBench:
 
     def read(self) -> PressureScans:
         if self._bench is None:
-            bench = open_bench(self._config)
+            # A card whose interrupts are lost still answers.
+            bench = open_bench(self._config, by_instruction=True)
             try:
                 bench.start()
             except BaseException:

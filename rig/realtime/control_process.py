@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import signal
-import sys
 import time
 from itertools import takewhile
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from rig.control.control_loop import ControlLoop
 from rig.hardware.bench import Bench, open_bench
 from rig.hardware.cards.base import CardError
-from rig.hardware.vent_verification import VentVerification, real_time
+from rig.hardware.vent_verification import VentOutcome, VentVerification, real_time, report_unconfirmed
 from rig.realtime import sampling_clocks
 from rig.realtime.child_process import ChildJob, await_turn, leave, receive, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
@@ -71,10 +70,12 @@ def main() -> int:
         except CardError as error:
             fault = f"{fault}; then {error}".removeprefix("; then ")
         else:
-            if trouble := _verify_venting(job, memory, bench):
-                if supervisor.exited:
-                    print(trouble, file=sys.stderr, flush=True)
-                fault = f"{fault}; then {trouble}".removeprefix("; then ")
+            vented = _verify_venting(job, memory, bench)
+            if supervisor.exited:
+                report_unconfirmed(vented)
+            # Pressures that cannot be read here may be readable by the supervisor, which opens the cards anew.
+            if not vented.confirmed and vented.answered and not memory.watchdog_trip_ns:
+                fault = f"{fault}; then {vented.sentence}".removeprefix("; then ")
     memory.publish_stage("control", Stage.FAILED if fault else Stage.DONE, fault)
     bench.close()
     disable_realtime_scheduling()
@@ -83,8 +84,8 @@ def main() -> int:
     return 1 if fault else 0
 
 
-def _verify_venting(job: ChildJob, memory: SharedState, bench: Bench) -> str:
-    """Watch the chambers vent, publish what confirms the safe state; return what does not confirm it, else empty."""
+def _verify_venting(job: ChildJob, memory: SharedState, bench: Bench) -> VentOutcome:
+    """Watch the chambers vent and publish what confirms the safe state."""
     patience_s = timing_limits(job.plan.config, memory.granted).vented_s
     venting = VentVerification(
         job.plan.config, bench, vent=memory.vents, patience_s=patience_s, since_ns=memory.safe_ns
@@ -94,7 +95,7 @@ def _verify_venting(job: ChildJob, memory: SharedState, bench: Bench) -> str:
     outcome = venting.outcome(takewhile(lambda _: not memory.watchdog_trip_ns, clock))
     if outcome.confirmed:
         memory.confirmation = outcome.sentence
-    return "" if outcome.confirmed or memory.watchdog_trip_ns else outcome.sentence
+    return outcome
 
 
 class NullOutputs:

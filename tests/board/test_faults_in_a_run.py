@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -10,11 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.board.board_run import SHORT_S, BoardRun
+from rig.hardware.vent_verification import UNCONFIRMED
+from tests.board.board_run import LONG_S, SHORT_S, BoardRun
 from tests.board.conftest import samples_by_its_own_clock
 from tests.board.monitor import Monitor
-from tests.hardware.forked_run import wait_until
+from tests.hardware.forked_run import forked, wait_until
 
+CONFIRMED = "the valves are in their safe state; the pressures confirm it"
 DRIVER = Path("/sys/bus/pci/drivers/adv_pci1710")
 UNBOUND_RESETS = {"pci1716": True, "pci1711": False}[os.environ.get("SOFTRIG_BOARD", "pci1716")]
 """Linux-Comedi resets the board when it lets it go; the kernel's driver leaves the outputs."""
@@ -61,17 +64,42 @@ def test_a_run_without_interrupts_ends_in_the_safe_state(run: BoardRun, bench: M
     if not samples_by_its_own_clock():
         pytest.skip("this build of the driver refuses every command: the run needs no interrupt")
     bench.set("irq-lost", value=True)
-    assert "no pressure sample" in ended(run)
+    said = ended(run)
+    assert "no pressure sample" in said
+    assert CONFIRMED in said
     assert run.safe()
 
 
-def test_a_run_whose_board_answers_all_ones_ends_and_leaves_the_outputs(run: BoardRun, bench: Monitor) -> None:
-    """No write arrives. The read-back comes from the memory of the driver, so the end of the run cannot show it."""
+def test_a_run_whose_interrupt_line_is_stuck_ends_in_the_safe_state(run: BoardRun, bench: Monitor) -> None:
+    """The kernel switches the interrupt off; what is written and read by instruction still arrives."""
+    bench.set("irq-stuck", value=True)
+    said = ended(run)
+    assert CONFIRMED in said
+    assert run.safe()
+
+
+def test_a_run_whose_board_answers_all_ones_says_that_its_outputs_may_not_have_moved(
+    run: BoardRun, bench: Monitor
+) -> None:
+    """No write arrives. The read-back comes from the memory of the driver: only a pressure can show it."""
     stood = bench.outputs_v
     bench.set("hung", value=True)
-    ended(run)
+    said = ended(run)
     np.testing.assert_allclose(bench.outputs_v, stood, atol=1.0)
     assert not run.safe()
+    assert UNCONFIRMED in said
+    assert CONFIRMED not in said
+
+
+def test_venting_a_board_that_answers_all_ones_fails(run: BoardRun, bench: Monitor) -> None:
+    os.kill(run.members["control"], signal.SIGKILL)
+    assert CONFIRMED in ended(run)
+    bench.set("hung", value=True)
+    with forked(["rig", "vent", "--rig", run.rig_file]) as command:
+        said = command.communicate(timeout=LONG_S)[0].decode()
+    print(said)
+    assert command.returncode == 1
+    assert UNCONFIRMED in said
 
 
 def test_a_run_whose_driver_lets_the_board_go_ends_and_says_what_could_not_be_written(
