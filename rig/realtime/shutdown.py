@@ -92,6 +92,13 @@ class Shutdown:
             alive=lambda: memory.heartbeat("supervisor", time.monotonic_ns()),
         )
 
+    def unconfirmed(self, timing: TimingLimits) -> str:
+        """What the pressures do not confirm of a safe state that was written; empty if they do, or if none was."""
+        if not (self._memory.safe_ns or self._memory.watchdog_trip_ns):
+            return ""
+        vented = self.confirm(timing)
+        return "" if vented.confirmed else vented.sentence
+
     def force(self) -> str:
         """Write the safe state; return why it could not be written, empty on success."""
         failure = force_safe_state(self._config, self._memory)

@@ -51,7 +51,9 @@ def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> 
         try:
             outcome = supervisor.run(open_record)
         except BaseException as error:
-            failure = supervisor.end() or supervisor.control_failure
+            failure = (
+                supervisor.end() or supervisor.control_failure or supervisor.shutdown.unconfirmed(supervisor.timing)
+            )
             if failure and failure not in str(error) and isinstance(error, Exception):
                 raise CardError(f"{error}; {failure}") from error
             raise

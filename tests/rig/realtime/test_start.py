@@ -24,6 +24,7 @@ from rig.experiment import run as experiment
 from rig.hardware import runtime_folder
 from rig.hardware.bench import BenchScans
 from rig.hardware.cards.base import CardError
+from rig.hardware.vent_verification import UNCONFIRMED
 from rig.realtime import child_process, control_process, process_group, shutdown, supervisor
 from rig.realtime.child_process import ChildJob
 from rig.realtime.control_socket import ControlSocket, socket_of, socket_paths
@@ -397,13 +398,13 @@ def test_remaining_air_is_reported_beside_another_fault_that_ended_the_run(
 
     def supervise() -> tuple[Status, str]:
         own_parent.memory.safe_ns = 1
-        own_parent.memory.publish_stage("control", Stage.FAILED, "the air stays")
+        own_parent.memory.publish_stage("control", Stage.FAILED, UNCONFIRMED)
         return Status.ABORTED, "the camera is gone"
 
     monkeypatch.setattr(own_parent, "supervise", supervise)
     outcome = own_parent.run(lambda t_ns: Unwritten())
     assert outcome.status is Status.ABORTED
-    assert outcome.message == "the camera is gone; the air stays"
+    assert outcome.message == f"the camera is gone; {UNCONFIRMED}"
     own_parent.end()
 
 
@@ -460,15 +461,15 @@ def test_a_process_stopped_while_it_starts_is_reported(plan: RunPlan, monkeypatc
 @pytest.mark.parametrize(
     ("error", "told"),
     [
-        (JournalError("the disk is full"), "the disk is full; the air stays"),
-        (StartError("the air stays"), "the air stays"),
+        (JournalError("the disk is full"), f"the disk is full; {UNCONFIRMED}"),
+        (StartError(UNCONFIRMED), UNCONFIRMED),
     ],
 )
 def test_remaining_air_is_reported_whatever_ends_a_run(
     plan: RunPlan, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
 ) -> None:
     def supervised(parent: supervisor.Supervisor, _: object) -> Outcome:
-        parent.memory.publish_stage("control", Stage.FAILED, "the air stays")
+        parent.memory.publish_stage("control", Stage.FAILED, UNCONFIRMED)
         raise error
 
     monkeypatch.setattr(supervisor, "started", lambda *_: nullcontext())
