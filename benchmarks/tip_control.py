@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
+from model.inverse.static_map import StaticMap
 from rig.config.loader import load
 from rig.simulator.arm_effects.base import ArmEffect
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.learning import DisturbanceLearner, Repetition
 from rig.tip_control.registry import CONTROLLERS, FEED_FORWARD, controller_class
 from rig.tip_control.simulation import CYCLE_S, ClosedLoop, Task, Truth, simulate
-from rig.tip_control.static_map import StaticMap
 from rig.tip_control.tip_dynamics import TipDynamics
 
 Array = NDArray[np.float64]

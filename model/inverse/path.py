@@ -13,6 +13,7 @@ from model.arm import Arm
 from model.dynamics import Dynamics
 from model.inverse.drive import Drive
 from model.inverse.limited_step import limited_step
+from model.inverse.static_map import StaticMap
 from model.loads import Loads
 from model.variation import Variation
 
@@ -60,11 +61,19 @@ class SecondOrderResponse:
 class PathInverse:
     """The inverse of one arm with its drive and a weight on the tip, on a grid of times `dt_s` apart."""
 
-    def __init__(self, arm: Arm, drive: Drive, dt_s: float, loads: Loads | None = None, weight_kg: float = 0.0) -> None:
-        """`loads` is what `weight_kg` exerts on the tip."""
+    def __init__(
+        self,
+        arm: Arm,
+        drive: Drive,
+        dt_s: float,
+        loads: Loads | None = None,
+        weight_kg: float = 0.0,
+        static_map: StaticMap | None = None,
+    ) -> None:
+        """`loads` is what `weight_kg` exerts on the tip; `static_map` is that of the arm with it, if there is one."""
         self._arm, self._drive, self._dt_s = arm, drive, dt_s
         self._loads, self._weight_kg = loads, weight_kg
-        self._matrix = drive.matrix()
+        self._matrix, self._map = drive.matrix(), static_map
 
     def begin(self, before_pa: Array) -> tuple[Array, Array]:
         """Tip and velocity (3,) [m, m/s] after pressures before_pa (k, N) every `dt_s`, from rest under the first."""
@@ -137,6 +146,9 @@ class PathInverse:
         return pressure, _interpolated(places, rows, gradient)
 
     def _gradients(self, pressure: Array, axes: list[int]) -> tuple[Array, Array]:
+        if self._map is not None:
+            mapped, slopes = self._map.combined_slopes(pressure, self._map.payload_terms(0.0)[0])
+            return mapped[:, axes], slopes[:, axes]
         rows = pressure @ self._matrix.T
         changes = [
             Variation(GRADIENT_STEP_PA, self._arm, rows + GRADIENT_STEP_PA * column) for column in self._matrix.T

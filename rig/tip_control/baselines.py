@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from model.inverse.static_map import StaticMap
 from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory, SetPointPlan, TipControlSettings
-from rig.tip_control.static_map import StaticMap
 from runs.interpolation import interpolated
 
 Array = NDArray[np.float64]

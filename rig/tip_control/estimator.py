@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from model.inverse.static_map import LARGEST_PAYLOAD_KG, StaticMap
 from rig.tip_control.interface import PayloadEstimate
-from rig.tip_control.static_map import LARGEST_PAYLOAD_KG, StaticMap, payload_terms
 
 Array = NDArray[np.float64]
 
@@ -115,7 +115,9 @@ class TipEstimator:
     def _load(self, state: EstimatorState) -> Array:
         """Terms of the payload, which pulls a soft arm farther than the model's: (1 + softness) of its effect."""
         softness = float(state.z[self._soft])
-        load: Array = (1 + softness) * payload_terms(self.payload_kg(state))[0] - softness * payload_terms(0.0)[0]
+        load: Array = (1 + softness) * self._map.payload_terms(self.payload_kg(state))[
+            0
+        ] - softness * self._map.payload_terms(0.0)[0]
         return load
 
     def predict(
@@ -123,14 +125,14 @@ class TipEstimator:
         period_s: float | None,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Predicted measurement (3,) and its slope (3, n) by z, for the model's tip, velocity and pressures (V,)."""
-        gain, (hung, by_payload) = 1 + self.gains(state), payload_terms(self.payload_kg(state))
+        gain, (hung, by_payload) = 1 + self.gains(state), self._map.payload_terms(self.payload_kg(state))
         strong, softness = (pressure_pa * gain)[None], float(state.z[self._soft])
         driven, loaded = self._map.combined_slopes(strong, self._load(state))
         shift = driven[0] - self._map.tips(pressure_pa[None])[0]
         known = self._regressors(np.array([time_s]), period_s)[0]
         slope = np.zeros((3, self._size))
         slope[:, : self._valves] = loaded[0] * pressure_pa
-        sag = self._map.combined(strong, hung - payload_terms(0.0)[0])[0]
+        sag = self._map.combined(strong, hung - self._map.payload_terms(0.0)[0])[0]
         slope[:, self._soft] = slope[:, : self._valves].sum(axis=1) + sag
         slope[:, self._lag] = -velocity_m_s
         slope[:, self._payload] = (1 + softness) * self._map.combined(strong, by_payload)[0]

@@ -13,6 +13,7 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
+from model.inverse.static_map import StaticMap
 from rig.tip_control.estimator import EstimatorState, TipEstimator
 from rig.tip_control.interface import (
     ControllerMeasurement,
@@ -22,7 +23,6 @@ from rig.tip_control.interface import (
     SolveStatus,
     TipControlSettings,
 )
-from rig.tip_control.static_map import StaticMap
 from rig.tip_control.tip_dynamics import TipDynamics
 from runs.interpolation import interpolated
 
@@ -84,8 +84,8 @@ class _Program(NamedTuple):
     def of(cls, valves: int, frame_s: float) -> _Program:
         knots = np.array(KNOTS, dtype=np.float64)
         blocks = _hat(np.arange(HORIZON + 1, dtype=np.float64), knots)
-        rates = (np.eye(len(KNOTS)) - np.eye(len(KNOTS), k=-1))[1:] / (frame_s * np.diff(knots)[:, None])
-        costly: Array = SETTLING_WEIGHT * np.kron(rates, np.eye(valves))
+        changes = np.diff(np.eye(len(KNOTS)), axis=0) / (frame_s * np.diff(knots)[:, None])
+        costly: Array = SETTLING_WEIGHT * np.asarray(np.kron(changes, np.eye(valves)), np.float64)
         free = np.concatenate([blocks[1:, 1:], np.diff(blocks[:, 1:], axis=0)])
         return cls(blocks, np.kron(free, np.eye(valves)), costly[:, valves:], costly[:, :valves])
 

@@ -16,8 +16,8 @@ from scipy.fft import dct, idct
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
+from model.inverse.static_map import StaticMap
 from rig.tip_control.interface import TipControlSettings
-from rig.tip_control.static_map import StaticMap
 from rig.tip_control.tip_dynamics import TipDynamics
 from runs.interpolation import interpolated
 

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
+from model import sensitivities
 from model.inverse.drive import Drive
 from model.inverse.path import PathFollowing, PathInverse
+from model.inverse.static_map import MOST_VALVES, StaticMap
 from protocols.tip_inverse import HISTORY_S, HISTORY_STEP_S, TipRequest
 from protocols.tip_paths import ScaledPath, TipPath, TipStart, fade
 from rig.config.arm_model import TipLoad, model_arm
@@ -28,6 +30,8 @@ SETTLED_S = 1.5
 """Time after which a periodic path has periodic pressures."""
 RATE_SHARE = 0.995
 """Share of the rate limit that a solution uses: its times are rounded."""
+MAP_SAMPLES, MAP_ACCURACY_M = 50, 5e-5
+"""How often a static map is compared with the rod, and how far it may be off."""
 NO_SOLUTION = (ArithmeticError, model.NotConverged)
 
 
@@ -36,6 +40,21 @@ def drive_of(config: RigConfig) -> Drive:
     groups = tuple(tuple(actuator - 1 for actuator in valve.actuators) for valve in config.valves)
     limits = config.limits
     return Drive(groups, limits.pressure_bar * PA_PER_BAR, RATE_SHARE * limits.rate_bar_per_s * PA_PER_BAR)
+
+
+def static_map_of(arm: model.Arm, drive: Drive, weight_kg: float) -> StaticMap | None:
+    """The map of an arm with a weight, if it agrees with the rod at pressures drawn at random within the limit."""
+    if drive.valves > MOST_VALVES:
+        return None
+    valve_of = np.argmax(drive.matrix(), axis=1)
+    try:
+        found = StaticMap.of(arm, tuple(valve_of.tolist()), drive.highest_pa, weight_kg, terms=1)
+    except model.NotConverged:
+        return None
+    pressure = np.random.default_rng(0).uniform(0.0, drive.highest_pa, (MAP_SAMPLES, drive.valves))
+    rod = sensitivities.statics(arm, pressure[:, valve_of], weight_kg=np.full(MAP_SAMPLES, weight_kg)).tip_m
+    off_m = np.linalg.norm(found.tips(pressure) - rod, axis=1)
+    return found if bool((off_m <= MAP_ACCURACY_M).all()) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +76,7 @@ class PathFollower:
         self.arm = model_arm(config, variant)
         self.drive = drive_of(config)
         self._loads = TipLoad(config)
+        self._maps: dict[float, StaticMap | None] = {}
 
     def follow(self, request: TipRequest, path: TipPath, slowed: float = 1.0, enough_m: float = 0.0) -> TimedFollowing:
         """The pressures of `path`, whether within the tolerance or not; `slowed` is its share of the asked speed.
@@ -69,7 +89,10 @@ class PathFollower:
         longest = min(max(STEP_S / slowed, STEP_S), LONGEST_STEP_S)
         whole = path.period_s or path.duration_s
         dt_s = whole / max(1, math.ceil(whole / longest - 1e-9))
-        inverse = PathInverse(self.arm, self.drive, dt_s, self._loads.carrying(request.weight_kg), request.weight_kg)
+        weight_kg = request.weight_kg
+        inverse = PathInverse(
+            self.arm, self.drive, dt_s, self._loads.carrying(weight_kg), weight_kg, self._static_map(weight_kg)
+        )
         before = _resampled(request.before_pa, dt_s)
         position, velocity = inverse.begin(before)
         start = TipStart(position, velocity)
@@ -78,6 +101,12 @@ class PathFollower:
         target, _ = fade(start, path, lead * dt_s, times)
         following = inverse.follow(target, request.coordinates, before, enough_m)
         return TimedFollowing(times, target, start, following, following.error_m(target, request.coordinates))
+
+    def _static_map(self, weight_kg: float) -> StaticMap | None:
+        """The map of the arm with a weight; None where the rod itself has to be solved."""
+        if weight_kg not in self._maps:
+            self._maps[weight_kg] = static_map_of(self.arm, self.drive, weight_kg)
+        return self._maps[weight_kg]
 
     def within(self, request: TipRequest, found: TimedFollowing) -> bool:
         """True if the tip of the model stays within the tolerance."""

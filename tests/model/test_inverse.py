@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from model import Arm, Loads, batch, statics
 from model.dynamics import Dynamics
@@ -143,3 +144,26 @@ def test_the_nearest_reachable_point_is_that_of_a_dense_search(target_mm: tuple[
     assert found.distance_m == pytest.approx(dense, abs=1e-5)
     assert found.distance_m <= dense + 1e-7
     assert np.linalg.norm(np.array(statics.statics(ARM, found.pressure_pa).tip_m) - found.tip_m) < 1e-8
+
+
+def test_the_nearest_reachable_point_is_that_of_another_optimiser() -> None:
+    # A quasi-Newton method with numerical derivatives of the rod, from the best points of a grid.
+    levels, steps_bar = 9, np.vstack([np.zeros(3), 1e-4 * np.eye(3), -1e-4 * np.eye(3)])
+    grid, reached = reachable_tips(ARM, THREE, levels)
+    rng = np.random.default_rng(7)
+    for target in np.column_stack([rng.uniform(-0.1, 0.1, (6, 2)), rng.uniform(0.12, 0.26, 6)]):
+
+        def cost(pressure_bar: Array, target: Array = target) -> tuple[float, Array]:
+            gap_mm = 1e3 * (batch.statics(ARM, 1e5 * np.maximum(pressure_bar + steps_bar, 0)).tip_m - target)
+            square = (gap_mm**2).sum(axis=1)
+            return float(square[0]), (square[1:4] - square[4:]) / 2e-4
+
+        distances = np.linalg.norm(reached - target, axis=1)
+        searches = [
+            minimize(cost, grid[start] / 1e5, jac=True, method="L-BFGS-B", bounds=[(0, 0.7)] * 3)
+            for start in np.argsort(distances)[:9:4]
+        ]
+        best = min(searches, key=lambda search: float(search.fun))
+        found = nearest_reachable(ARM, THREE, target)
+        assert found.distance_m <= 1e-3 * np.sqrt(best.fun) + 1e-6
+        assert np.linalg.norm(found.tip_m - statics.statics(ARM, 1e5 * best.x).tip_m) < 1e-4

@@ -12,6 +12,7 @@ from scipy.linalg import expm
 
 import model
 from model.dynamics import Dynamics
+from model.inverse.static_map import StaticMap
 from model.statics import statics
 from rig.tip_control import horizon
 from rig.tip_control.estimator import TipEstimator
@@ -20,7 +21,6 @@ from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory
 from rig.tip_control.plan_follower import LONGEST_S, PlanFollower, SetPointSource
 from rig.tip_control.registry import CONTROLLERS, UnknownControllerError, controller_class
 from rig.tip_control.simulation import Task, Truth, simulate
-from rig.tip_control.static_map import StaticMap
 from rig.tip_control.tip_dynamics import TipDynamics
 
 LIMIT_PA, RATE_PA_S = 0.7e5, 1e5

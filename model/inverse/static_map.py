@@ -15,8 +15,8 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-import model
 from model import sensitivities
+from model.arm import Arm
 from model.errors import NotConverged
 
 Array = NDArray[np.float64]
@@ -33,7 +33,8 @@ _DAMPING = 1e-6
 class StaticMap:
     """Tip (3,) [m] at rest under the valves' pressures (V,) from 0 to `limit_pa` and a payload [kg].
 
-    The payload hangs on the tip, from minus to plus LARGEST_PAYLOAD_KG. `coefficients` (8, .., 4, 3).
+    The payload hangs on the tip, from minus to plus LARGEST_PAYLOAD_KG. `coefficients` (8, .., n, 3): n terms of the
+    payload.
     """
 
     limit_pa: float
@@ -41,8 +42,17 @@ class StaticMap:
     coefficients: Array
 
     @classmethod
-    def of(cls, arm: model.Arm, valve_of: tuple[int, ...], limit_pa: float) -> StaticMap:
-        """The map of an arm whose actuators share valves.
+    def of(
+        cls,
+        arm: Arm,
+        valve_of: tuple[int, ...],
+        limit_pa: float,
+        weight_kg: float = 0.0,
+        terms: int = PAYLOAD_TERMS,
+    ) -> StaticMap:
+        """The map of an arm whose actuators share valves; `weight_kg` hangs on the tip beside the payload.
+
+        With one of the `terms` of the payload the map is that of the weight alone.
 
         Raises:
             ValueError: more than three valves.
@@ -50,36 +60,42 @@ class StaticMap:
         """
         valves = max(valve_of) + 1
         if valves > MOST_VALVES:
-            raise ValueError(f"tip control needs at most {MOST_VALVES} valves, the rig has {valves}")
+            raise ValueError(f"a map of the tip has at most {MOST_VALVES} valves, the rig has {valves}")
         nodes, weights = _nodes(PRESSURE_TERMS)
-        payload_nodes, payload_weights = _nodes(PAYLOAD_TERMS)
+        payload_nodes, payload_weights = _nodes(terms)
         grid = np.array(list(product(*[nodes] * valves, payload_nodes)))
         pressure = 0.5 * limit_pa * (1 + grid[:, :valves])
         found = sensitivities.statics(
-            arm, pressure[:, list(valve_of)], weight_kg=LARGEST_PAYLOAD_KG * grid[:, valves], workers=1
+            arm, pressure[:, list(valve_of)], weight_kg=weight_kg + LARGEST_PAYLOAD_KG * grid[:, valves], workers=1
         )
         if not found.ok.all():
             raise NotConverged.at(pressure[int(np.argmin(found.ok))][list(valve_of)])
-        values = found.tip_m.reshape(*[PRESSURE_TERMS] * valves, PAYLOAD_TERMS, 3)
+        values = found.tip_m.reshape(*[PRESSURE_TERMS] * valves, terms, 3)
         for axis, transform in enumerate([weights] * valves + [payload_weights]):
             values = np.moveaxis(np.tensordot(transform, values, axes=(1, axis)), 0, axis)
         return cls(limit_pa, valves, values)
 
     def tips(self, pressure_pa: Array, payload_kg: float = 0.0) -> Array:
         """Tips (K, 3) [m] of pressures (K, V) [Pa]."""
-        return self.combined(pressure_pa, payload_terms(payload_kg)[0])
+        return self.combined(pressure_pa, self.payload_terms(payload_kg)[0])
 
     def jacobians(self, pressure_pa: Array, payload_kg: float = 0.0) -> Array:
         """d tip / d pressure (K, 3, V) [m/Pa]."""
-        return self.combined_slopes(pressure_pa, payload_terms(payload_kg)[0])[1]
+        return self.combined_slopes(pressure_pa, self.payload_terms(payload_kg)[0])[1]
 
     def by_payload(self, pressure_pa: Array, payload_kg: float) -> Array:
         """d tip / d payload (3,) [m/kg] at pressures (V,)."""
-        found: Array = self.combined(pressure_pa[None], payload_terms(payload_kg)[1])[0]
+        found: Array = self.combined(pressure_pa[None], self.payload_terms(payload_kg)[1])[0]
         return found
 
+    def payload_terms(self, payload_kg: float) -> tuple[Array, Array]:
+        """Polynomials (n,) of the payload, and their derivatives [1/kg]."""
+        terms = self.coefficients.shape[-2]
+        (values, slopes), powers = _monomials(terms), _powers(np.array(payload_kg / LARGEST_PAYLOAD_KG), terms)
+        return powers @ values, powers @ slopes / LARGEST_PAYLOAD_KG
+
     def combined(self, pressure_pa: Array, terms: Array) -> Array:
-        """Tips (K, 3) with the terms (4,) of the payload: a sum of tips under several payloads is one evaluation."""
+        """Tips (K, 3) with terms (n,) of the payload: a sum of tips under several payloads is one evaluation."""
         powers = self._powers(pressure_pa)
         return _contracted(self._loaded(terms), powers @ _monomials(PRESSURE_TERMS)[0])
 
@@ -97,7 +113,7 @@ class StaticMap:
         weight = np.isfinite(tip_m).astype(float)
         target = np.nan_to_num(tip_m)
         pressure = np.array(np.broadcast_to(np.clip(start_pa, 0.0, self.limit_pa), (len(tip_m), self.valves)))
-        identity, terms = np.eye(self.valves), payload_terms(payload_kg)[0]
+        identity, terms = np.eye(self.valves), self.payload_terms(payload_kg)[0]
         for _ in range(_INVERSE_STEPS):
             tips, by_pressure = self.combined_slopes(pressure, terms)
             slope, gap = weight[:, :, None] * by_pressure * self.limit_pa, weight * (target - tips)
@@ -124,15 +140,6 @@ class StaticMap:
         """Powers (V, K, 8) of the scaled pressures; pressures are held within the limits."""
         scaled = np.minimum(np.maximum(2 / self.limit_pa * pressure_pa.T - 1, -1.0), 1.0)
         return _powers(scaled, PRESSURE_TERMS)
-
-
-def payload_terms(payload_kg: float) -> tuple[Array, Array]:
-    """Polynomials (4,) of the payload, and their derivatives [1/kg]."""
-    powers, (values, slopes) = (
-        _powers(np.array(payload_kg / LARGEST_PAYLOAD_KG), PAYLOAD_TERMS),
-        _monomials(PAYLOAD_TERMS),
-    )
-    return powers @ values, powers @ slopes / LARGEST_PAYLOAD_KG
 
 
 def _nodes(terms: int) -> tuple[Array, Array]:
