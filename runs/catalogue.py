@@ -19,6 +19,7 @@ from pydantic import TypeAdapter
 from runs import annotation_file
 from runs.archive.checked import ArchiveError, opened_in_part
 from runs.archive.writer import SUFFIX
+from runs.data_folder import DATA
 from runs.pressure_cycles import pressure_cycles
 from runs.records import MODEL_ALONE
 
@@ -84,7 +85,7 @@ class _Index:
 _INDEX = TypeAdapter(_Index)
 
 
-def catalogue(folder: Path | str) -> tuple[Entry, ...]:
+def catalogue(folder: Path | str = DATA) -> tuple[Entry, ...]:
     """Return the archives of a folder, newest first, unreadable ones last; none if the folder does not exist."""
     place = Path(folder)
     known = _load(place / INDEX)

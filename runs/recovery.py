@@ -10,6 +10,7 @@ from pathlib import Path
 
 from runs.archive import writer as archive
 from runs.archive.writer import ArchiveError, ArchiveInUseError
+from runs.data_folder import DATA
 from runs.export import foxglove
 from runs.file_lock import lock
 from runs.journal import journal
@@ -48,7 +49,7 @@ def orphans(folder: Path | str) -> tuple[Path, ...]:
     return tuple(path for path in _journals(Path(folder)) if not _archive_of(path).exists() and not _held(path))
 
 
-def recover(folder: Path | str) -> tuple[RecoveryOutcome, ...]:
+def recover(folder: Path | str = DATA) -> tuple[RecoveryOutcome, ...]:
     """Make archives of the journals in a folder that have none, and remove the remainders of interrupted attempts.
 
     Safe to call again, and while runs are being recorded. An archive that cannot be opened is set aside under

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cached_property
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from runs.archive.checked import ArchiveError
 from runs.archive.reader import ArchiveReader
+from runs.run_names import resolve
 from runs.summary import Summary, summarise
 from runs.table import TABLES, segments, table
 
@@ -40,6 +43,15 @@ class Run(ArchiveReader):
         return _optional("xarray").open_dataset(
             self.path, group=f"entry/{group}", engine="h5netcdf", drop_variables=drop
         )
+
+
+def paths_of(named: Iterable[Run | Path | str]) -> list[Path]:
+    """Return the archives of runs that are given as objects, paths, run ids or parts of one, or `last`.
+
+    Raises:
+        ArchiveError: no archive matches, or several do.
+    """
+    return [run.path if isinstance(run, Run) else resolve(Path(run)) for run in named]
 
 
 def _optional(package: str) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from calibration.camera import CameraCalibration, calibrate, calibrate_views
@@ -24,16 +24,16 @@ _PICTURE = ".png"
 class CameraCalibrationRequest:
     """Options of the procedure."""
 
-    views: tuple[str, ...]
-    corners: str
-    square_mm: float
-    capture: bool
-    rig: str | None
-    camera: str | None
-    count: int
-    every: int
-    seed: int
-    output: OutputFile
+    views: tuple[str, ...] = ()
+    corners: str = ""
+    square_mm: float = 0.0
+    capture: bool = False
+    rig: str | None = None
+    camera: str | None = None
+    count: int = 20
+    every: int = 1
+    seed: int = 0
+    output: OutputFile = field(default_factory=OutputFile)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -30,18 +30,18 @@ _WIDEST_MM = 1e6
 class DLTCalibrationRequest:
     """Options of the procedure."""
 
-    given: tuple[str, ...]
-    corners: str
-    square_mm: float
-    calibrations: tuple[Path, ...]
-    rig: str | None
-    size: str
-    points_std_mm: float
-    bundle: bool
-    world_view: str
-    base: str
-    every: int
-    output: OutputFile
+    given: tuple[str, ...] = ()
+    corners: str = ""
+    square_mm: float = 0.0
+    calibrations: tuple[Path, ...] = ()
+    rig: str | None = None
+    size: str = ""
+    points_std_mm: float = 0.0
+    bundle: bool = True
+    world_view: str = ""
+    base: str = ""
+    every: int = 1
+    output: OutputFile = field(default_factory=OutputFile)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -32,17 +32,17 @@ class PressureCalibrationRequest:
     """Options of the procedure."""
 
     rig: str
-    readings: Path | None
-    sensors: bool
-    valves: bool
-    fast: bool
-    gauge: str
-    gauge_std_bar: float
-    volume_ml: float | None
-    volume_std_ml: float | None
-    yes: bool
-    seed: int
-    output: OutputFile
+    readings: Path | None = None
+    sensors: bool = True
+    valves: bool = True
+    fast: bool = False
+    gauge: str = ""
+    gauge_std_bar: float = 0.002
+    volume_ml: float | None = None
+    volume_std_ml: float | None = None
+    yes: bool = False
+    seed: int = 0
+    output: OutputFile = field(default_factory=OutputFile)
 
     @property
     def by_gauge(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -41,14 +41,14 @@ class ToolCalibrationRequest:
     """Options of the procedure."""
 
     rig: str
-    camera: str | None
-    straight: Path | None
-    turned: Path | None
-    capture: bool
-    tip_std_mm: float
-    tip_std_deg: float
-    seed: int
-    output: OutputFile
+    camera: str | None = None
+    straight: Path | None = None
+    turned: Path | None = None
+    capture: bool = False
+    tip_std_mm: float = 0.1
+    tip_std_deg: float = 0.2
+    seed: int = 0
+    output: OutputFile = field(default_factory=OutputFile)
 
 
 @dataclass(frozen=True)

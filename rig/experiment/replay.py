@@ -26,6 +26,7 @@ from rig.hardware.cameras.base import Frame, FrameSet
 from rig.observation.observer import Observer
 from rig.observation.tip_force import MeasuredTipForce
 from runs.archive.writer import ArchiveError, finalise
+from runs.data_folder import DATA
 from runs.journal.journal import SUFFIX, JournalWriter
 from runs.records import RunFooter, blank, sample_dtype
 from runs.run import Run
@@ -33,7 +34,7 @@ from runs.run import Run
 
 def replay(
     run: Run,
-    folder: Path,
+    folder: Path | str = DATA,
     rig: str | None = None,
     variant: Variant | None = None,
     parameters: Path | None = None,
@@ -59,6 +60,7 @@ def replay(
     rows = np.array(list(_referred(run, _observed(run, config, chosen))))
     now = datetime.now(UTC)
     commit, diff = git_state()
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     header = replace(
         run.header,

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
 
     from calibration.identify import Prior
     from rig.identify.from_archives import Identification
+    from rig.identify.model_comparison import RunComparison
     from runs.run import Run
 
 
@@ -19,6 +20,7 @@ def identify(
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
     start: Sequence[str] = (),
+    per_run: Sequence[str] = (),
     starts: int | None = None,
     quasi_static: bool = False,
     every: int = 1,
@@ -33,14 +35,36 @@ def identify(
         BadInputError: an option or a prior is invalid.
     """
     from rig.identify.from_archives import from_data, open_runs, read_data
-    from runs.run import Run
-    from runs.run_names import resolve
+    from runs.run import paths_of
 
-    def paths(named: Sequence[Run | Path | str]) -> list[Path]:
-        from pathlib import Path
-
-        return [run.path if isinstance(run, Run) else resolve(Path(run)) for run in named]
-
-    opened = open_runs(paths(runs), paths(leave_out), one_arm=bool(start))
+    opened = open_runs(paths_of(runs), paths_of(leave_out), one_arm=bool(start))
     data = read_data(opened, start=start, quasi_static=quasi_static, every=every, split_s=split_s)
-    return from_data(data, free=free, priors=priors or {}, starts=starts)
+    return from_data(data, free=free, priors=priors or {}, per_run=per_run, starts=starts)
+
+
+def compare(
+    runs: Sequence[Run | Path | str],
+    *,
+    free: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+    quasi_static: bool = False,
+    scheduler: str | None = None,
+    store: Path | None = None,
+    between: tuple[str, str] | None = None,
+) -> RunComparison:
+    """Compare the models of an arm on runs as `rig identify compare` does, with its options and defaults.
+
+    Raises:
+        ArchiveError, NoDataError: a run cannot be read, or has no usable data.
+        UnknownParameter: a name is unknown.
+        BadInputError: a prior is implausible, or a law is unknown.
+    """
+    from rig.identify import initial_setup, model_comparison
+    from rig.identify.estimation import read_poses
+    from rig.identify.from_archives import open_runs
+    from runs.run import paths_of
+
+    seen = open_runs(paths_of(runs)).seen
+    start, data = initial_setup.setup_of(seen[0]), read_poses(seen, quasi_static)
+    config = initial_setup.rig_of(seen[0]) if between else None
+    return model_comparison.compare(start, data, free, priors or {}, scheduler, store, between=between, config=config)

@@ -30,6 +30,7 @@ from rig.importing.tracker_frames import PlacedTips, placed, wrench
 from rig.importing.units import KILOGRAMS, PASCALS, VOLTS, PressureUnit
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from runs.archive.writer import finalise
+from runs.data_folder import DATA
 from runs.export.exporters import SIMULATED
 from runs.interpolation import interpolated
 from runs.journal.journal import SUFFIX, JournalWriter
@@ -71,7 +72,9 @@ NOISE_PA = 5e3
 """Tolerance for sensor noise below the lowest pressure."""
 
 
-def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "", notes: str = "") -> ImportResult:
+def import_table(
+    data: Path, mapping_file: Path, folder: Path | str = DATA, operator: str = "", notes: str = ""
+) -> ImportResult:
     """Write the archive of a foreign table.
 
     A fault that leaves the data usable becomes a warning, stored as an event of the archive.
@@ -99,6 +102,7 @@ def import_table(data: Path, mapping_file: Path, folder: Path, operator: str = "
 
     now = datetime.now(UTC)
     commit, diff = git_state()
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     source = f"{data.name}, SHA-256 {sha256_of(data)}"
     rate_hz = 1e9 / float(np.median(np.diff(t_ns)))

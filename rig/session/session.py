@@ -24,7 +24,7 @@ from rig.session.prompts import Answer, FunctionOperator
 from rig.session.study import FunctionStudyOperator, run_study
 from rig.study.study import load as load_study
 from runs.records import Status
-from runs.run import Run
+from runs.run import Run, paths_of
 from runs.run_names import DATA
 
 
@@ -96,6 +96,8 @@ class Session:
         yes: bool = False,
         report: bool = True,
         adapt: bool | Sequence[str] = False,
+        controller: str | None = None,
+        learn_from: Sequence[Run | Path | str] = (),
         answer: Answer | None = None,
     ) -> Run:
         """Run a protocol as `rig run` does; return its archive.
@@ -123,6 +125,8 @@ class Session:
             operator=operator,
             notes=note,
             metadata=meta or {},
+            controller=controller,
+            learn_from=paths_of(learn_from),
             report=report,
         )
         plan = experiment.plan(request)

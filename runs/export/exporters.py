@@ -35,7 +35,7 @@ class ExportWriteError(ExportError):
 
 
 def export(
-    archive: Path | str, to: str, folder: Path | str | None = None, *, replace: bool = False
+    archive: Path | str, to: str = "csv", folder: Path | str | None = None, *, replace: bool = False
 ) -> tuple[Path, ...]:
     """Write an archive in another format (`csv`, `mat`, `nc`, `mcap` or `yaml`) and return what was written.
 
