@@ -11,21 +11,23 @@ from runs.columns import (
     ADAPTATIONS,
     AUXILIARY,
     BACKBONE_POINTS,
+    DATAGRAM_COUNTS,
     OBSERVATIONS,
     PLAN_AHEAD_S,
     SAMPLES,
     STREAMED,
     TIP_CONTROL,
+    TRACKED,
 )
 from runs.columns.declaration import Table
 
 _ZERO = {
     c.record
-    for t in (*SAMPLES, *AUXILIARY, *OBSERVATIONS, *ADAPTATIONS, *TIP_CONTROL, *STREAMED)
+    for t in (*SAMPLES, *AUXILIARY, *OBSERVATIONS, *TRACKED, *ADAPTATIONS, *TIP_CONTROL, *STREAMED)
     for c in t.columns()
     if c.record and c.missing == 0
 }
-_SIZES = {"axis": 3, "turn": 3, "ahead": len(PLAN_AHEAD_S), "station": BACKBONE_POINTS}
+_SIZES = {"axis": 3, "turn": 3, "ahead": len(PLAN_AHEAD_S), "station": BACKBONE_POINTS, "count": len(DATAGRAM_COUNTS)}
 
 
 def sample_dtype(actuators: int, valves: int, inputs: int = 0) -> np.dtype[np.void]:
@@ -37,13 +39,15 @@ def sample_dtype(actuators: int, valves: int, inputs: int = 0) -> np.dtype[np.vo
     return _dtype((*SAMPLES, *(AUXILIARY if inputs else ())), actuator=actuators, valve=valves, input=inputs)
 
 
-def observation_dtype(actuators: int, cameras: int = 1) -> np.dtype[np.void]:
+def observation_dtype(actuators: int, cameras: int = 1, tracker: bool = False) -> np.dtype[np.void]:
     """One frame of every camera: `Tip`, `Backbone`, `Simulated`, `Reference` and `Learning`, in the rod-base frame.
+
+    With a tracker: one reading, with `TrackerClock`.
 
     `seen` is a `DetectionStatus`; where it is not MEASURED the measured columns are NaN. `truth_m` is NaN on a real
     rig. `age_ns` is the time from exposure to the end of the computation.
     """
-    return _dtype(OBSERVATIONS, actuator=actuators, camera=cameras)
+    return _dtype((*OBSERVATIONS, *(TRACKED if tracker else ())), actuator=actuators, camera=cameras)
 
 
 def adaptation_dtype(parameters: int) -> np.dtype[np.void]:

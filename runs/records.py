@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from runs.columns import BACKBONE_POINTS as BACKBONE_POINTS
+from runs.columns import DATAGRAM_COUNTS as DATAGRAM_COUNTS
 from runs.columns import DetectionStatus as DetectionStatus
 from runs.columns import SolveStatus as SolveStatus
 from runs.record_dtypes import adaptation_dtype as adaptation_dtype
@@ -226,10 +227,17 @@ class RunHeader:
     camera_hz: float = 30.0
     cameras: tuple[str, ...] = ("camera",)
     """By name, in the order of the observations' columns."""
+    tracker: str = ""
+    """Name of the tracker that measures the tip; empty without one."""
     auxiliary: tuple[AuxiliaryChannel, ...] = ()
     """Auxiliary inputs, in the order of the samples' columns."""
     study: StudyRun | None = None
     """None for a run that belongs to no study."""
+
+    @property
+    def measures_tip(self) -> bool:
+        """True if a camera or a tracker measures the tip; without, the run has pressures and the model only."""
+        return bool(self.cameras or self.tracker)
 
     @property
     def protocol_parameters(self) -> tuple[Quantity, ...]:

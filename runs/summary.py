@@ -125,7 +125,7 @@ class Summary:
     lateness_p99_us: float
     lateness_max_us: float
     camera: bool
-    """The rig has a camera; without one every row is a prediction of the model, and there are no frames."""
+    """A camera or tracker measures the tip; without, every row is a prediction of the model and there are no frames."""
     frames: int
     """Recorded frames, with or without a measured tip."""
     frames_measured: int
@@ -186,7 +186,7 @@ def summarise(run: ArchiveReader) -> Summary:
         lateness_p50_us=_percentile(late, 50),
         lateness_p99_us=_percentile(late, 99),
         lateness_max_us=_percentile(late, 100),
-        camera=bool(run.header.cameras),
+        camera=run.header.measures_tip,
         frames=len(tip.time_s),
         frames_measured=int(measured.sum()),
         frames_dropped=timing.dropped_frames,

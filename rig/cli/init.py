@@ -37,6 +37,7 @@ EXPLAINED = {
     "see: set it before the first run.",
     "control": "The pressure regulator: its rate, the closed loop's bandwidth, the integration time, and "
     "the volume of one chamber with its tube.",
+    "trackers": "Optional, in place of cameras: a device that gives the pose of the tip itself.",
     "cameras": "Optional: cameras that see the board at the arm's tip. `lens` comes from `rig calibrate camera`. "
     "`placement` is the camera (x right, y down, z forward) in the rod-base frame, "
     "`rotation_deg` a rotation vector. Drivers: opencv, realsense, mock.",
@@ -71,6 +72,7 @@ class Template(StrEnum):
     MOCK_IDEAL = "mock-ideal"
     MOCK_NO_CAMERA = "mock-no-camera"
     MOCK_STEREO = "mock-stereo"
+    MOCK_TRACKER = "mock-tracker"
     PCI1716 = "pci1716"
     PCI1716_2 = "pci1716-2"
 

@@ -67,7 +67,7 @@ def check_screen(request: RunRequest, plan: RunPlan) -> Group:
     facts.add_row("limits", f"{held}; at most {limits.rate_bar_per_s:g} bar/s")
     facts.add_row("rig", f"{config.name}{_how_simulated(config)}, chosen by {request.rig_source}")
     facts.add_row("model", f"{request.variant}, {config.model.mode}")
-    if not config.cameras:
+    if not config.measures_tip:
         facts.add_row("tip", "not measured: the rig has no camera; the run has pressures and the model only")
     if not request.fast:
         granted = obtainable()

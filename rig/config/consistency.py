@@ -20,11 +20,13 @@ if TYPE_CHECKING:
     from rig.config.input_sections import AuxiliaryInput, EmergencyStop
     from rig.config.sections import BoardConfig, CameraConfig, Control, GeometryConfig, Limits, Sensor
     from rig.config.simulator_sections import Simulator
+    from rig.config.tracker_sections import TrackerConfig
     from rig.valves.base import ValveSection
 
     Cards = Mapping[str, CardConfig | None]
     Inputs = Mapping[str, AuxiliaryInput | None]
     Cameras = Mapping[str, CameraConfig | None]
+    Trackers = Mapping[str, TrackerConfig | None]
     Valves = Sequence[ValveSection | None]
     Sensors = Sequence[Sensor | None]
 
@@ -51,8 +53,9 @@ def check(parts: Mapping[str, Any]) -> list[ValidationFault]:
         (_cameras, ("cameras",)),
         (_least_cameras, ("cameras", "limits")),
         (_board, ("cameras", "board")),
+        (_trackers, ("cameras", "trackers", "limits")),
         (_arm, ("arm",)),
-        (_simulator, ("cards", "cameras", "simulator")),
+        (_simulator, ("cards", "cameras", "trackers", "simulator")),
         (_simulated_parts, ("valves", "sensors", "simulator")),
         (_simulated_cameras, ("cameras", "simulator")),
         (_simulated_arm, ("arm", "simulator")),
@@ -271,6 +274,19 @@ def _least_cameras(cameras: Cameras, limits: Limits) -> Iterator[ValidationFault
         yield ValidationFault(("limits", "least_cameras"), f"at most {len(cameras)}: so many cameras has this rig")
 
 
+def _trackers(cameras: Cameras, trackers: Trackers, limits: Limits) -> Iterator[ValidationFault]:
+    if cameras and trackers:
+        yield ValidationFault(("trackers",), "no such section in a rig with cameras: one or the other measures the tip")
+    for name in tuple(trackers)[1:]:
+        yield ValidationFault(("trackers", name), "one tracker at most: the tip is measured by one")
+    for name, tracker in _named(trackers):
+        if limits.no_tip_s < 2 / tracker.rate_hz:
+            expected = f"at least two poses of tracker '{name}', {2 / tracker.rate_hz:g} s"
+            yield ValidationFault(("limits", "no_tip_s"), expected)
+        if tracker.latest_ms < tracker.delay_ms:
+            yield ValidationFault(("trackers", name, "latest_ms"), f"more than delay_ms, {tracker.delay_ms:g} ms")
+
+
 def _board(cameras: Cameras, board: BoardConfig | None) -> Iterator[ValidationFault]:
     if cameras and board is None:
         yield ValidationFault(("board",), "is missing: the cameras measure the tip by a board on it")
@@ -299,14 +315,17 @@ def _geometry(geometry: GeometryConfig) -> Iterator[ValidationFault]:
             yield ValidationFault(("actuator_angles_deg", j), expected + "less than 2 outer_radius_mm")
 
 
-def _simulator(cards: Cards, cameras: Cameras, simulator: Simulator | None) -> Iterator[ValidationFault]:
+def _simulator(
+    cards: Cards, cameras: Cameras, trackers: Trackers, simulator: Simulator | None
+) -> Iterator[ValidationFault]:
     mocks = [f"cards, {name}" for name, card in _named(cards) if card.is_mock]
     mocks += [f"cameras, {name}" for name, camera in _named(cameras) if camera.is_mock]
+    mocks += [f"trackers, {name}" for name, tracker in _named(trackers) if tracker.is_mock]
     if mocks and simulator is None:
         yield ValidationFault(
             ("simulator",), f"is missing: a mock device ({mocks[0]}) needs the block that says what it simulates"
         )
-    if simulator is not None and not mocks and None not in (*cards.values(), *cameras.values()):
+    if simulator is not None and not mocks and None not in (*cards.values(), *cameras.values(), *trackers.values()):
         yield ValidationFault(("simulator",), "no such block, because no device of this rig is a mock")
 
 

@@ -24,8 +24,9 @@ class Plugin:
     """A driver of another package: the object that its entry point names.
 
     `section` is the model of the device's section in the rig file, a subclass of the one of its kind (`CardConfig`,
-    `CameraConfig`). `open` opens a device: that of a card takes a `CardSetup`, that of a camera returns a
-    `CameraDriver`. `about` says in one line what it drives, `safe_state` what the outputs do once the program is dead.
+    `CameraConfig`, `TrackerConfig`). `open` opens a device: that of a card takes a `CardSetup`, that of a camera
+    returns a `CameraDriver`, that of a tracker a `TrackerDriver`. `about` says in one line what it drives, `safe_state`
+    what the outputs do once the program is dead.
     A run with a `simulated` device is marked as simulated. `examine` takes the name and the section of a device and
     returns the findings for `rig doctor`; it must not write to the device.
     """
@@ -164,4 +165,3 @@ CAMERA_DRIVERS = DriverRegistry(
     Driver("realsense", "rig.hardware.cameras.realsense", "Intel RealSense by librealsense (softrig[realsense])"),
     Driver("mock", "rig.hardware.cameras.mock", "a camera of the simulated bench", simulated=True),
 )
-TRACKER_DRIVERS = DriverRegistry("trackers")

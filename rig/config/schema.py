@@ -19,6 +19,7 @@ from rig.config.metadata import Metadata
 from rig.config.sections import (
     AnyCamera,
     BoardConfig,
+    CameraConfig,
     Control,
     Limits,
     ModelConfig,
@@ -32,6 +33,7 @@ from rig.config.sections import (
 )
 from rig.config.simulator_sections import Simulator
 from rig.config.tip_control_section import TipControl
+from rig.config.tracker_sections import AnyTracker, TrackerConfig
 from rig.config.uncertainties import Uncertainties
 from rig.valves.registry import Valve
 
@@ -60,6 +62,9 @@ class RigConfig(Section):
     cameras: Named[AnyCamera] = Field(
         default_factory=dict, description="none: the tip is not measured, a run has pressures and the model only"
     )
+    trackers: NamedOrNone[AnyTracker] = Field(
+        default_factory=dict, description="a device that gives the pose of the tip itself, in place of cameras"
+    )
     board: BoardConfig | SkipJsonSchema[None] = None
     arm: ArmConfig
     uncertainties: Uncertainties = Field(default_factory=Uncertainties)
@@ -85,26 +90,41 @@ class RigConfig(Section):
 
     @property
     def observation_hz(self) -> float:
-        """Observations per second: the rate of the cameras, without any the rate of the model."""
-        return next((camera.rate_hz for camera in self.cameras.values()), self.model.rate_hz)
+        """Observations per second: the rate of the cameras or the tracker, without both the rate of the model."""
+        return next((source.rate_hz for source in self.tip_sources), self.model.rate_hz)
+
+    @property
+    def tracker(self) -> TrackerConfig | None:
+        """The tracker that measures the tip; None without one."""
+        return next(iter(self.trackers.values()), None)
+
+    @property
+    def measures_tip(self) -> bool:
+        """True with a camera or a tracker."""
+        return bool(self.tip_sources)
+
+    @property
+    def tip_sources(self) -> tuple[CameraConfig | TrackerConfig, ...]:
+        """Cameras and trackers."""
+        return (*self.cameras.values(), *self.trackers.values())
 
     @property
     def simulated(self) -> bool:
         """True when any device of the rig is simulated."""
         cards = any(card.bench_is_simulated for card in self.cards.values())
-        return cards or any(camera.simulated for camera in self.cameras.values())
+        return cards or any(source.simulated for source in self.tip_sources)
 
     @property
     def has_simulated_drivers(self) -> bool:
         """True when a driver of the rig simulates its device, with random numbers from the seed of the run."""
         cards = any(card.simulated for card in self.cards.values())
-        return cards or any(camera.simulated for camera in self.cameras.values())
+        return cards or any(source.simulated for source in self.tip_sources)
 
     @property
     def has_mocks(self) -> bool:
         """True when a device of the rig belongs to the simulated bench."""
         cards = any(card.is_mock for card in self.cards.values())
-        return cards or any(camera.is_mock for camera in self.cameras.values())
+        return cards or any(source.is_mock for source in self.tip_sources)
 
     @property
     def as_built(self) -> RigConfig:

@@ -29,11 +29,11 @@ def expected_poses(name: str, trajectory: SetPointTrajectory, config: RigConfig,
     Raises:
         BadInputError: the rig has no camera, so that no tip would be measured.
     """
-    if not config.cameras:
+    if not config.measures_tip:
         raise BadInputError(
             [Problem(config.name, 0, 0, "cameras", "none", "a camera: a design is about measured tips")]
         )
-    rate_hz = next(iter(config.cameras.values())).rate_hz
+    rate_hz = config.observation_hz
     frames = int(trajectory.duration_s * rate_hz)
     plateaus = [s for s in trajectory.segments if s.still and s.stop_s - s.start_s > SETTLE_S]
     counts = np.array([int((s.stop_s - s.start_s - SETTLE_S) * rate_hz) for s in plateaus], np.int64)

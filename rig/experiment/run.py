@@ -171,8 +171,10 @@ def request(
 
 def _estimated_online(config: RigConfig, variant: Variant, names: Sequence[str]) -> tuple[Quantity, ...]:
     """The parameters that are estimated during the run; the default ones without names. Raises as `request` does."""
-    if not config.cameras:
-        expected = f"a rig with a camera: rig {config.name} has none, so there is no measured tip to estimate from"
+    if not config.measures_tip:
+        expected = (
+            f"a rig with a camera or tracker: rig {config.name} has none, so there is no measured tip to estimate from"
+        )
         raise BadInputError([Problem("--adapt", 0, 0, "", "an online estimation", expected)])
     measured = [name for name, one in config.inputs.items() if one.tip_force_direction is not None]
     if measured:
@@ -369,6 +371,7 @@ def header(request: RunRequest, decided: RunPlan, t_ns: int, ahead_ns: int = 0) 
         control_hz=config.control.rate_hz,
         camera_hz=config.observation_hz,
         cameras=tuple(config.cameras),
+        tracker=next(iter(config.trackers), ""),
         auxiliary=decided.auxiliary,
         study=request.study,
     )

@@ -37,8 +37,10 @@ def tip_controller(config: RigConfig, rig_file: Path, chosen: str | None, moves_
         controller_class(name)
     except UnknownControllerError as error:
         raise BadInputError([Problem(stated[0], 0, 0, stated[1], name, str(error))]) from None
-    if not config.cameras:
-        raise BadInputError([Problem(stated[0], 0, 0, stated[1], name, "feed-forward: the rig has no camera")])
+    if not config.measures_tip:
+        raise BadInputError(
+            [Problem(stated[0], 0, 0, stated[1], name, "feed-forward: the rig has no camera or tracker")]
+        )
     return name
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from rig.config.card_sections import CARD_DRIVERS, CardConfig
-from rig.config.drivers import CAMERA_DRIVERS, TRACKER_DRIVERS, InstalledDriver
+from rig.config.drivers import CAMERA_DRIVERS, InstalledDriver
 from rig.config.plugins import PluginError, package_of
-from rig.config.sections import CameraConfig, Section
+from rig.config.sections import CameraConfig
+from rig.config.tracker_sections import TRACKER_DRIVERS, TrackerConfig
 from rig.valves.base import ValveSection
 from rig.valves.registry import BUILT_IN, VALVE_PLUGINS
 
@@ -16,7 +17,7 @@ def installed_drivers() -> Iterator[InstalledDriver]:
     """The drivers of softrig and of plug-ins, a broken plug-in with its fault; imports every plug-in."""
     yield from CARD_DRIVERS.installed(CardConfig)
     yield from CAMERA_DRIVERS.installed(CameraConfig)
-    yield from TRACKER_DRIVERS.installed(Section)
+    yield from TRACKER_DRIVERS.installed(TrackerConfig)
     for name, valve in BUILT_IN.items():
         yield _valve(name, "softrig", valve)
     for entry in VALVE_PLUGINS.entries():

@@ -82,7 +82,7 @@ class ArchivedRun:
             simulated=header.simulated,
             variant=header.model_variant,
             actuators=header.actuators,
-            measured=bool(header.cameras),
+            measured=header.measures_tip,
             duration_s=self.duration_s,
             limit_bar=config.limits.pressure_bar if config else highest_bar,
             length_mm=config.arm.geometry.length_mm if config else UNKNOWN_LENGTH_MM,
@@ -182,7 +182,7 @@ class ArchivedRun:
     def _timing(self, cycle: int, frame: int) -> TimingView:
         run = self.run
         missed = int(run.timing.overruns[: cycle + 1].sum())
-        dropped = int(run.tip.dropped[: frame + 1].sum()) if run.header.cameras else None
+        dropped = int(run.tip.dropped[: frame + 1].sum()) if run.header.measures_tip else None
         if cycle < 0:
             return TimingView(missed, dropped)
         recent = run.timing.lateness_us[max(0, cycle + 1 - lateness_cycles(run.header.control_hz)) : cycle + 1]

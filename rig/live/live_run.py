@@ -84,7 +84,7 @@ class LiveRun:
             simulated=plan.config.simulated,
             variant=plan.variant,
             actuators=plan.config.actuators,
-            measured=bool(plan.config.cameras),
+            measured=plan.config.measures_tip,
             duration_s=plan.trajectory.duration_s,
             limit_bar=plan.config.limits.pressure_bar,
             length_mm=plan.config.arm.geometry.length_mm,
@@ -229,7 +229,7 @@ class LiveRunViewer:
             ),
             timing=TimingView(
                 missed=source.missed,
-                dropped=source.dropped if plan.config.cameras else None,
+                dropped=source.dropped if plan.config.measures_tip else None,
                 lateness_us=None if sample is None else float(sample["lateness_ns"]) * 1e-3,
                 lateness_max_us=source.lateness_max_us,
             ),

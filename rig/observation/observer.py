@@ -19,6 +19,7 @@ from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from rig.hardware.cameras.base import FrameSet
+from rig.hardware.trackers.base import TrackerReading
 from rig.observation.motion_model import motion_model
 from rig.observation.multi_camera import MultiCameraTipEstimator
 from rig.observation.overlay import backbone
@@ -54,10 +55,28 @@ class _TipEstimator(Protocol):
 
 
 class _NoTip:
-    """The tip estimator of a rig without cameras: it measures nothing."""
+    """The tip estimator of a rig without cameras and tracker: it measures nothing."""
 
     def measure(self, frame_set: FrameSet) -> TipMeasurement:
         return TipMeasurement.none(DetectionStatus.NO_CAMERA, ())
+
+
+class _TrackedTip:
+    """The tip estimator of a rig with a tracker, which gives the pose itself."""
+
+    def measure(self, frame_set: FrameSet) -> TipMeasurement:
+        reading = frame_set.reading
+        if reading is None or not reading.seen:
+            return TipMeasurement.none(DetectionStatus.NO_MESSAGE if reading is None else DetectionStatus.NO_POSE, ())
+        return TipMeasurement(
+            DetectionStatus.MEASURED, reading.position_m, reading.rotation, reading.covariance, float("nan"), None, ()
+        )
+
+
+def _tip_estimator(config: RigConfig) -> _TipEstimator:
+    if config.trackers:
+        return _TrackedTip()
+    return MultiCameraTipEstimator(config) if config.cameras else _NoTip()
 
 
 class PressureInterpolator:
@@ -193,7 +212,7 @@ class Observer:
         """
         # The pictures are small; a second thread only takes CPU time from the control process.
         cv2.setNumThreads(1)
-        self._tip_estimator: _TipEstimator = MultiCameraTipEstimator(config) if config.cameras else _NoTip()
+        self._tip_estimator: _TipEstimator = _tip_estimator(config)
         rate_hz = config.observation_hz
         arm = model_arm(config, variant)
         dynamics = motion_model(arm, 1 / rate_hz, config.model.mode == "static")
@@ -204,7 +223,7 @@ class Observer:
         self._pressures = PressureInterpolator(config.actuators)
         self._tip_force, self._forces = MeasuredTipForce(config), PressureInterpolator(3)
         self._reference, self._protocol_times = reference, PressureInterpolator(1)
-        self._blank = blank((), observation_dtype(config.actuators, len(config.cameras)))
+        self._blank = blank((), observation_dtype(config.actuators, len(config.cameras), bool(config.trackers)))
         self._model_m = np.full(3, np.nan)
         self.measurement: TipMeasurement | None = None
         """Measurement of the last frame set; `shape` is the model's. For overlays."""
@@ -264,6 +283,8 @@ class Observer:
         row["truth_m"] = np.nan if frame_set.truth_m is None else frame_set.truth_m
         row["camera_seen"] = seen.cameras
         row["camera_skew_s"] = [np.nan if f is None else (f.t_ns - frame_set.t_ns) * 1e-9 for f in frame_set.frames]
+        if frame_set.reading is not None:
+            _describe_clock(row, frame_set.reading)
         if self._reference and sample_protocol_s is not None:
             self._refer(row, sample_t_ns, sample_protocol_s)
         if self._adapting is not None:
@@ -278,3 +299,10 @@ class Observer:
         row["predicted_m"] = self._reference.predicted_m([t_s])[0]
         row["learned_m"] = self._reference.learned_m([t_s])[0]
         row["tip_motion"], row["tip_period"] = self._reference.place(t_s)
+
+
+def _describe_clock(row: NDArray[np.void], reading: TrackerReading) -> None:
+    """Set the columns of `TrackerClock`."""
+    row["clock_offset_s"], row["clock_drift"] = reading.clock.offset_s, reading.clock.drift
+    row["clock_std_s"], row["time_std_s"] = reading.clock.std_s, reading.time_std_s
+    row["datagrams"] = reading.counts

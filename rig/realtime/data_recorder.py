@@ -32,8 +32,8 @@ class DataRecorder:
 
     @property
     def dropped(self) -> int | None:
-        """Camera frames without a row; None without a camera."""
-        return self._dropped if self._config.cameras else None
+        """Camera frames without a row; None without camera and tracker."""
+        return self._dropped if self._config.measures_tip else None
 
     def poll(self) -> None:
         """Record what the processes have written since the last call, and check the supervisor and the disk."""

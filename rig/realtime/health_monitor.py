@@ -30,6 +30,8 @@ _SEEN = {
     DetectionStatus.AMBIGUOUS: "the board's orientation is ambiguous (half a turn), or the board is cut off",
     DetectionStatus.POOR_FIT: "the board's corners do not fit a plane board",
     DetectionStatus.NO_FRAME: "the camera repeats the same picture bit for bit: it is frozen, or delivers old pictures",
+    DetectionStatus.NO_POSE: "the tracker does not see the body: is it covered or out of its range?",
+    DetectionStatus.NO_MESSAGE: "no message of the tracker comes in time: does the sender run?",
     DetectionStatus.DISAGREE: "the cameras contradict each other: was one moved, or is its calibration another's?",
 }
 

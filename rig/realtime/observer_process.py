@@ -8,12 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.hardware.cameras.base import CameraError, FrameSet
+from rig.config.schema import RigConfig
+from rig.hardware.cameras.base import FrameSet
 from rig.hardware.cameras.synchroniser import CameraSynchroniser
+from rig.hardware.tip_source import TipSourceError
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
 from rig.observation.prediction_clock import PredictionClock
 from rig.observation.tip_force import auxiliary_values
+from rig.observation.tracker_source import TrackerSource
 from rig.realtime.child_process import ChildJob, await_turn, leave, receive, supervisor_monitor
 from rig.realtime.failsafe import FailsafeThread
 from rig.realtime.preview import PreviewPublisher
@@ -33,7 +36,7 @@ def main() -> int:
     failsafe = FailsafeThread(job, memory)
     try:
         _observe(job, memory)
-    except CameraError as error:
+    except TipSourceError as error:
         memory.publish_stage("observer", Stage.FAILED, str(error))
         return 1
     except Exception as error:
@@ -54,18 +57,18 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
     supervisor = supervisor_monitor(job)
     if not await_turn(memory, supervisor, lambda: not memory.simulator_starting):
         return
-    cameras = CameraSynchroniser(config, job.plan.seed) if config.cameras else PredictionClock(config)
+    source = _source(config, job.plan.seed)
     try:
-        # A camera without pictures is detected before the run is armed.
-        cameras.await_all(max(FIRST_PICTURE_S, frame_s))
-        _warm_up(job, [cameras.read(FIRST_PICTURE_S) for _ in range(REHEARSED_FRAMES)])
+        # A camera without pictures or a silent tracker is detected before the run is armed.
+        source.await_all(max(FIRST_PICTURE_S, frame_s))
+        _warm_up(job, [source.read(FIRST_PICTURE_S) for _ in range(REHEARSED_FRAMES)])
         memory.publish_stage("observer", Stage.READY)
         previous: int | None = None
         while memory.stop_request == Stop.NONE and not supervisor.exited:
             memory.heartbeat("observer", time.monotonic_ns())
             try:
-                frame_set = cameras.read(frame_s)
-            except CameraError:
+                frame_set = source.read(frame_s)
+            except TipSourceError:
                 if memory.stop_request != Stop.NONE:
                     break
                 raise
@@ -79,7 +82,13 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
             for picture in album.pictures(frame_set, observer):
                 memory.push_picture(picture, names.index(picture.camera))
     finally:
-        cameras.close()
+        source.close()
+
+
+def _source(config: RigConfig, seed: int) -> CameraSynchroniser | TrackerSource | PredictionClock:
+    if config.trackers:
+        return TrackerSource(config, seed)
+    return CameraSynchroniser(config, seed) if config.cameras else PredictionClock(config)
 
 
 def _observer(job: ChildJob) -> Observer:

@@ -120,6 +120,7 @@ class StateLayout:
     picture_bytes: int
     corners: int
     cameras: int = 1
+    tracker: bool = False
     adapted: int = 0
     inputs: int = 0
 
@@ -135,6 +136,7 @@ class StateLayout:
             picture_bytes=largest * 3 + 4096,
             corners=corners,
             cameras=len(config.cameras),
+            tracker=bool(config.trackers),
             adapted=adapted,
             inputs=len(config.inputs),
         )
@@ -229,7 +231,7 @@ class SharedState:
         self.fd = fd
         self.layout = layout
         sample = sample_dtype(layout.actuators, layout.valves, layout.inputs)
-        observation = observation_dtype(layout.actuators, layout.cameras)
+        observation = observation_dtype(layout.actuators, layout.cameras, layout.tracker)
         streamed = streamed_dtype(layout.actuators)
         sizes = (
             -(-_BOARD.itemsize // 64) * 64,

@@ -84,7 +84,7 @@ def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
     if valves_at_stake(config):
         hung_s = max(STRICT_HUNG_S, min(limits.stale_s, ORDINARY_HUNG_S))
         return TimingLimits(TimingProfile.ORDINARY, round(hung_s * 1e9), frame_s=limits.no_tip_s)
-    real_cameras = any(not camera.is_mock for camera in config.cameras.values())
+    real_sources = any(not source.is_mock for source in config.tip_sources)
     silent_ns = round(SIMULATED_HUNG_S * 1e9)
     return TimingLimits(
         TimingProfile.SIMULATED,
@@ -97,7 +97,7 @@ def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
         failsafe_supervisor_ns=3 * silent_ns,
         supervised_control_s=2 * SIMULATED_HUNG_S,
         supervised_watchdog_s=2 * SIMULATED_HUNG_S,
-        frame_s=limits.no_tip_s if real_cameras else max(limits.no_tip_s, 2 * SIMULATED_HUNG_S),
+        frame_s=limits.no_tip_s if real_sources else max(limits.no_tip_s, 2 * SIMULATED_HUNG_S),
         disk_s=60.0,
         vented_s=10.0,
         ending_s=20.0,

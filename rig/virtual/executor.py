@@ -21,17 +21,21 @@ from rig.config.schema import RigConfig
 from rig.control.control_loop import ControlLoop
 from rig.execution.plan import OpenRecord, OperatorInterface, Outcome, Progress, Recorder, RunPlan, StartError
 from rig.hardware.bench import Bench
-from rig.hardware.cameras.base import CameraError
+from rig.hardware.cameras.base import CameraError, FrameSet
 from rig.hardware.cameras.mock import Exposure, MockCamera
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import armed_sentence, failure_of
+from rig.hardware.tip_source import TipSourceError
+from rig.hardware.trackers.mock import LEAD_S, MockTracker
 from rig.hardware.vent_verification import VentOutcome, VentVerification
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
+from rig.observation.reading_sequence import ReadingSequence
+from rig.observation.tracker_source import silence
 from rig.realtime.health_monitor import HealthMonitor
 from rig.simulator.plant import Plant
 from rig.tip_control.monitor import SOURCE, TipControlMonitor, failure_message
-from rig.virtual.frame_pipeline import FramePipeline, FrameProcessError, FrameSamples, FrameStages
+from rig.virtual.frame_pipeline import MOST_IN_FLIGHT, FramePipeline, FrameProcessError, FrameSamples, FrameStages
 from runs.records import (
     Event,
     Level,
@@ -65,6 +69,7 @@ def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> 
     config = plan.config
     real = [name for name, card in config.cards.items() if not card.is_mock]
     real += [name for name, camera in config.cameras.items() if not camera.is_mock]
+    real += [name for name, tracker in config.trackers.items() if not tracker.is_mock]
     if real:
         raise StartError(f"virtual time needs a simulated rig, and {', '.join(real)} of rig {config.name} is real")
     virtual = _VirtualRun(plan, operator)
@@ -86,6 +91,11 @@ class _VirtualRun:
         self._cameras = {
             name: MockCamera(config, self._plant, name, plan.seed, self._plant.faults) for name in config.cameras
         }
+        self._tracker: MockTracker | None = None
+        for name in config.trackers:
+            before_ns = START_NS - round(LEAD_S * 1e9)
+            self._tracker = MockTracker(config, self._plant, name, plan.seed, self._plant.faults, before_ns)
+        self._sequence: ReadingSequence | None = None
         scene = config.simulator.scene if config.simulator else None
         skew_ms = scene.skew_ms if scene else 0.0
         self._skews_ns = [round(k * skew_ms * 1e6) for k in range(len(self._cameras))]
@@ -94,7 +104,8 @@ class _VirtualRun:
         self._lost_scans = 0
         self._frame_ns = round(1e9 / config.observation_hz)
         self._delay_ns = round(config.tip_control.delay_ms * 1e6)
-        self._frame = 0
+        self._frame = -1 if config.trackers else 0
+        self._dropped = 0
         self._answered = 0
         self._unseen = 0
         rate_hz = config.control.rate_hz
@@ -102,7 +113,9 @@ class _VirtualRun:
         self._history_ticks = max(1, round(HISTORY_S * rate_hz))
         self._sample_rows = sample_dtype(config.actuators, len(config.valves), len(config.inputs))
         self._samples = _RecentRows(self._sample_rows, self._history_ticks)
-        self._observations = _RecentRows(observation_dtype(config.actuators, len(config.cameras)), self._history_ticks)
+        self._observations = _RecentRows(
+            observation_dtype(config.actuators, len(config.cameras), bool(config.trackers)), self._history_ticks
+        )
         self._adaptations = _RecentRows(adaptation_dtype(len(plan.adapted)), self._history_ticks)
         self._plans = _RecentRows(tip_control_dtype(len(config.valves)), self._history_ticks)
         self._tip_control = _tip_control(plan)
@@ -140,8 +153,8 @@ class _VirtualRun:
                 if ending is not None:
                     break
                 cycle += 1
-        except (CardError, CameraError) as error:
-            self._event(now, Level.FAULT, "observer" if isinstance(error, CameraError) else "control", str(error))
+        except (CardError, TipSourceError) as error:
+            self._event(now, Level.FAULT, "observer" if isinstance(error, TipSourceError) else "control", str(error))
             ending = Status.ABORTED, str(error)
         except FrameProcessError as error:
             self._event(now, Level.FAULT, "observer", str(error))
@@ -158,8 +171,8 @@ class _VirtualRun:
             ending = Status.ABORTED, f"{ending[1]}; then {unsafe}".removeprefix("; then ")
         else:
             self._event(now, Level.INFO, "control", f"the valves are in their safe state; {vented.sentence}")
-        counters = {"missed_deadlines": 0, "dropped_frames": 0, "lost_scans": self._lost_scans}
-        if not self._cameras:
+        counters = {"missed_deadlines": 0, "dropped_frames": self._dropped, "lost_scans": self._lost_scans}
+        if not self._plan.config.measures_tip:
             del counters["dropped_frames"]
         return Outcome(*ending, now, counters)
 
@@ -180,8 +193,13 @@ class _VirtualRun:
         row, trip = self._loop.cycle(cycle, now, 1, self._answered, False, 0, 0)
         self._samples.add(row)
         self._unseen = min(self._unseen + 1, self._history_ticks)
+        if self._tracker is not None:
+            self._follow(self._tracker, now)
         # A frame is processed once there are samples before and after it, and the last camera has exposed.
-        while (t_ns := START_NS + (self._frame + 1) * self._frame_ns) + max(self._skews_ns, default=0) <= now:
+        while (
+            self._tracker is None
+            and (t_ns := START_NS + (self._frame + 1) * self._frame_ns) + max(self._skews_ns, default=0) <= now
+        ):
             self._frame += 1
             self._observe(self._frame, t_ns, float(row["protocol_s"]))
             if self._tip_control is not None:
@@ -210,6 +228,40 @@ class _VirtualRun:
                     return Status.INTERRUPTED, reason
                 self._operator.show(self._progress(row))
         return None
+
+    def _follow(self, tracker: MockTracker, now: int) -> None:
+        """Pass the tracker's readings on as they arrive, and the times at which it is silent."""
+        if self._sequence is None:
+            # What the sender sent before the run has given its clock.
+            tracker.readings(now - 1)
+            self._sequence = ReadingSequence(self._plan.config, now)
+        readings = [reading for reading in tracker.readings(now) if reading.t_ns >= START_NS]
+        frame_sets = [self._sequence.take(reading, now) for reading in readings]
+        while (empty := self._sequence.overdue(now)) is not None:
+            tracker.pass_over(empty.t_ns)
+            frame_sets.append(empty)
+        for frame_set in frame_sets:
+            self._submit_reading(frame_set)
+        if self._sequence.silent_s(now) > self._plan.config.limits.no_tip_s:
+            (name,) = self._plan.config.trackers
+            raise silence(name, self._plan.config.limits.no_tip_s, tracker.counts())
+
+    def _submit_reading(self, frame_set: FrameSet) -> None:
+        """Pass a frame set of the tracker to the pipeline, with the protocol time of the cycle before it."""
+        dropped = max(0, frame_set.index - self._frame - 1)
+        self._dropped += dropped
+        self._frame = frame_set.index
+        history = self._samples.recent(self._history_ticks)
+        latest = history[max(0, int(history["t_ns"].searchsorted(frame_set.t_ns, side="right")) - 1)]
+        protocol_s = float(latest["protocol_s"])
+        while self._pipeline.in_flight >= MOST_IN_FLIGHT:
+            self._receive()
+        cycles, self._unseen = self._samples.recent(self._unseen), 0
+        weight_kg = self._plan.trajectory.weight_kg(protocol_s)
+        samples = FrameSamples(cycles.tobytes(), protocol_s, weight_kg, frame_set.reading, dropped)
+        self._pipeline.submit(frame_set.index, frame_set.t_ns, (), samples)
+        if self._tip_control is not None:
+            self._exposed.append((frame_set.t_ns, protocol_s))
 
     def _observe(self, frame: int, t_ns: int, protocol_s: float) -> None:
         """Expose a frame here, in the order of cycles, and pass it to the pipeline that renders and measures it."""
@@ -278,7 +330,7 @@ class _VirtualRun:
             sample=row,
             observation=last[0] if len(last) else None,
             missed=0,
-            dropped=0 if self._cameras else None,
+            dropped=0 if self._plan.config.measures_tip else None,
             prompt=None,
             adapted=self._plan.adapted,
             adaptation=estimate[0] if len(estimate) else None,

@@ -11,7 +11,7 @@ import traceback
 import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkProcess
 from queue import SimpleQueue
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from rig.hardware.cameras.base import Frame, FrameSet
 from rig.hardware.cameras.mock import Exposure, MockCamera
+from rig.hardware.trackers.base import TrackerReading
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
 from rig.observation.tip_force import auxiliary_values
@@ -42,12 +43,15 @@ _CLOSED = (EOFError, OSError)
 @dataclass(frozen=True)
 class FrameSamples:
     """What the observer needs beside the pictures: the samples since the last frame set as bytes of the rows that the
-    run records, the protocol time of the newest one and the weight on the end cap.
+    run records, the protocol time of the newest one and the weight on the end cap. With a tracker its `reading`, None
+    where it was silent, and the readings `dropped` before.
     """
 
     rows: bytes
     protocol_s: float
     weight_kg: float
+    reading: TrackerReading | None = None
+    dropped: int = 0
 
 
 @dataclass(frozen=True)
@@ -124,8 +128,9 @@ class FrameStages:
     def measure(self, frame_set: FrameSet, samples: FrameSamples) -> FrameResult:
         """Measure the next frame set."""
         rows = np.frombuffer(samples.rows, self._sample_rows)
+        frame_set = replace(frame_set, reading=samples.reading)
         row = self._observer.step(
-            frame_set, rows["t_ns"], rows["measured_pa"], samples.protocol_s, 0, samples.weight_kg,
+            frame_set, rows["t_ns"], rows["measured_pa"], samples.protocol_s, samples.dropped, samples.weight_kg,
             rows["protocol_s"], auxiliary_values(rows),
         )  # fmt: skip
         adaptation = self._observer.adaptation

@@ -35,6 +35,14 @@ def tip(journal: Journal) -> Group:
     return _group(journal, columns.Tip, journal.observations)
 
 
+def tracker(journal: Journal) -> Group | None:
+    """Return the clock and the counts of the tracker; None without one."""
+    if not journal.header.tracker:
+        return None
+    name = Field("name", journal.header.tracker, about="of the tracker in the rig file")
+    return _group(journal, columns.TrackerClock, journal.observations, (name,))
+
+
 def backbone(journal: Journal) -> Group | None:
     """Return the model's centre lines; None if there are none."""
     rows = journal.observations
@@ -137,6 +145,7 @@ def _scale(journal: Journal, axis: str) -> Field:
         "actuator": np.arange(1, header.actuators + 1),
         "valve": np.arange(1, header.valves + 1),
         "input": [one.name for one in header.auxiliary],
+        "count": list(columns.DATAGRAM_COUNTS),
         "camera": list(header.cameras),
         "station": np.linspace(0, 1, columns.BACKBONE_POINTS),
         "parameter": [q.name for q in header.adapted],

@@ -54,6 +54,7 @@ def groups(journal: Journal) -> tuple[Group, ...]:
             column_groups.pressure(journal),
             column_groups.auxiliary(journal),
             column_groups.tip(journal),
+            column_groups.tracker(journal),
             column_groups.adaptation(journal),
             column_groups.tip_control(journal),
             column_groups.stream(journal),
@@ -135,13 +136,22 @@ def _timing(journal: Journal) -> Group:
     dropped = sum(int(chunk["dropped"].sum()) for chunk in row_chunks(journal.observations))
     losses = (
         *(
-            [Field("dropped_frames", np.int64(dropped), about="camera frames lost, over the run", limits=COUNT)]
-            if journal.header.cameras
+            [
+                Field(
+                    "dropped_frames",
+                    np.int64(dropped),
+                    about="camera frames or messages of the tracker lost, over the run",
+                    limits=COUNT,
+                )
+            ]
+            if journal.header.measures_tip
             else []
         ),
         Field("ring_overflows", np.int64(overflows), about="rows lost in shared memory, over the run", limits=COUNT),
         Field("control_rate", journal.header.control_hz, "Hz", "nominal"),
-        Field("camera_rate", journal.header.camera_hz, "Hz", "nominal; without cameras that of the model"),
+        Field(
+            "camera_rate", journal.header.camera_hz, "Hz", "nominal; that of the tracker or, without both, of the model"
+        ),
     )
     return column_groups.timing(journal, losses)
 

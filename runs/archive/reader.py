@@ -26,6 +26,7 @@ from runs.columns import (
     Timing,
     Tip,
     TipControl,
+    TrackerClock,
 )
 from runs.columns.declaration import Table, Values
 from runs.records import AuxiliaryChannel, Event, Interval, Level, Quantity, RecordedFile, RunHeader, Status
@@ -103,6 +104,7 @@ class ArchiveReader:
             control_hz=float(self._group("entry/timing")["control_rate"]),
             camera_hz=float(self._group("entry/timing")["camera_rate"]),
             cameras=self._cameras,
+            tracker=str(self._group("entry/tracker").get("name", "")),
             study=study_run(self._group("entry/study")),
             auxiliary=_auxiliary(self._group("entry/aux", without="value")),
         )
@@ -187,6 +189,12 @@ class ArchiveReader:
         """What was learned from earlier runs; None for a run that did not learn."""
         values = self._values(Learning)
         return Learning(values, self.header.learned_from) if values else None
+
+    @cached_property
+    def tracker(self) -> TrackerClock | None:
+        """Clock and message counts of the tracker; None for a run without one."""
+        values = self._values(TrackerClock)
+        return TrackerClock(values) if values else None
 
     @cached_property
     def backbone(self) -> Backbone | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from runs.columns import ADAPTATIONS, AUXILIARY, AXES, OBSERVATIONS, SAMPLES, STREAMED, TIP_CONTROL
+from runs.columns import ADAPTATIONS, AUXILIARY, AXES, OBSERVATIONS, SAMPLES, STREAMED, TIP_CONTROL, TRACKED
 from runs.columns.declaration import Table
 
 
@@ -31,7 +31,7 @@ def page(text: str) -> str:
     Raises:
         ValueError: the page has no place for a table.
     """
-    for kind in (*SAMPLES, *AUXILIARY, *OBSERVATIONS, *ADAPTATIONS, *TIP_CONTROL, *STREAMED):
+    for kind in (*SAMPLES, *AUXILIARY, *OBSERVATIONS, *TRACKED, *ADAPTATIONS, *TIP_CONTROL, *STREAMED):
         before, after = f"<!-- columns: {kind.group} -->\n", "<!-- end -->"
         found = text.count(before)
         if found != 1:

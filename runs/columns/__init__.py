@@ -14,6 +14,7 @@ from runs.columns.declaration import Column, Table
 from runs.columns.observations import BACKBONE_POINTS, Backbone, DetectionStatus, Simulated, Tip
 from runs.columns.streamed import StreamedSetPoints, StreamStatus
 from runs.columns.tip_control import PLAN_AHEAD_S, Learning, Reference, SolveStatus, TipControl
+from runs.columns.tracker import DATAGRAM_COUNTS, TrackerClock
 
 __all__ = [
     "ADAPTATIONS",
@@ -21,12 +22,14 @@ __all__ = [
     "AXES",
     "BACKBONE_POINTS",
     "COUNT",
+    "DATAGRAM_COUNTS",
     "OBSERVATIONS",
     "PLAN_AHEAD_S",
     "SAMPLES",
     "SECONDS",
     "STREAMED",
     "TIP_CONTROL",
+    "TRACKED",
     "Adaptation",
     "Auxiliary",
     "Backbone",
@@ -43,6 +46,7 @@ __all__ = [
     "Timing",
     "Tip",
     "TipControl",
+    "TrackerClock",
 ]
 
 AXES = {
@@ -53,6 +57,7 @@ AXES = {
     "actuator": ("A", "1, 2, .."),
     "valve": ("V", "1, 2, .."),
     "input": ("I", "names of the auxiliary inputs in the rig file"),
+    "count": (str(len(DATAGRAM_COUNTS)), "names of the counts"),
     "camera": ("C", "names of the cameras in the rig file"),
     "station": ("L", "0 to 1, share of the length of the arm at rest"),
     "parameter": ("P", "its name, as in `rig identify --free`"),
@@ -62,6 +67,7 @@ AXES = {
 SAMPLES: tuple[type[Table], ...] = (Pressure, Timing)
 AUXILIARY: tuple[type[Table], ...] = (Auxiliary,)
 OBSERVATIONS: tuple[type[Table], ...] = (Tip, Backbone, Simulated, Reference, Learning)
+TRACKED: tuple[type[Table], ...] = (TrackerClock,)
 ADAPTATIONS: tuple[type[Table], ...] = (Adaptation,)
 TIP_CONTROL: tuple[type[Table], ...] = (TipControl,)
 STREAMED: tuple[type[Table], ...] = (StreamedSetPoints,)

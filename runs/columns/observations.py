@@ -27,7 +27,7 @@ _FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
 class DetectionStatus(IntEnum):
-    """Result of the tip measurement in a frame."""
+    """Result of the tip measurement in a frame; NO_POSE and NO_MESSAGE are those of a tracker."""
 
     MEASURED = 0
     NO_BOARD = 1
@@ -36,6 +36,8 @@ class DetectionStatus(IntEnum):
     NO_FRAME = 4
     DISAGREE = 5
     NO_CAMERA = 6
+    NO_POSE = 7
+    NO_MESSAGE = 8
 
     @property
     def words(self) -> str:
@@ -56,7 +58,7 @@ class Tip(Table):
     group, rows, signal = "tip", "M", "error_mm"
     about = "one row per camera frame; NaN where nothing was measured"
 
-    time_s = time_column("middle of the exposure")
+    time_s = time_column("middle of the exposure; of a tracker: time of the pose")
     frame = Column("frame", "<i8", about="number of the camera's frame")
     protocol_s = protocol_time_column()
     seen = Column("seen", "<i4", about=_STATUSES, among=tuple(DetectionStatus))
@@ -88,7 +90,7 @@ class Tip(Table):
         missing=0,
     )
     measured_mm = Column(
-        "measured_m", axes=("axis",), unit="mm", about="tool centre point measured by the camera", convert=to_mm
+        "measured_m", axes=("axis",), unit="mm", about="tool centre point measured by camera or tracker", convert=to_mm
     )
     uncertainty_mm = Column(
         of=lambda rows: deviation(rows["covariance_m2"]) * MM_PER_M,

@@ -65,7 +65,9 @@ class JournalWriter:
         """
         self.path = Path(path)
         self._samples = _TopicRows(SAMPLES, sample_dtype(header.actuators, header.valves, len(header.auxiliary)))
-        self._observations = _TopicRows(OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras)))
+        self._observations = _TopicRows(
+            OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras), bool(header.tracker))
+        )
         self._adaptations = _TopicRows(ADAPTATIONS, adaptation_dtype(len(header.adapted)))
         self._plans = _TopicRows(PLANS, tip_control_dtype(header.valves))
         self._streamed = _TopicRows(STREAMED, streamed_dtype(header.actuators))
@@ -269,7 +271,9 @@ class _Contents:
             header=header,
             footer=self.footer,
             samples=rows(SAMPLES, sample_dtype(header.actuators, header.valves, len(header.auxiliary))),
-            observations=rows(OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras))),
+            observations=rows(
+                OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras), bool(header.tracker))
+            ),
             adaptations=rows(ADAPTATIONS, adaptation_dtype(len(header.adapted))),
             plans=rows(PLANS, tip_control_dtype(header.valves)),
             streamed=rows(STREAMED, streamed_dtype(header.actuators)),

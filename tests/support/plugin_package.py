@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from rig.config.card_sections import CARD_DRIVERS
-from rig.config.drivers import CAMERA_DRIVERS, TRACKER_DRIVERS
+from rig.config.drivers import CAMERA_DRIVERS
+from rig.config.tracker_sections import TRACKER_DRIVERS
 
 
 def install(

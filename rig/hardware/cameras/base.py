@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
+from rig.hardware.tip_source import TipSourceError
+from rig.hardware.trackers.base import TrackerReading
 
 
-class CameraError(Exception):
+class CameraError(TipSourceError):
     """The camera could not be opened or has failed; the message contains the remedy."""
 
 
@@ -35,13 +37,14 @@ class Frame:
 class FrameSet:
     """One frame of each camera at one time, in the order of the rig file; None for a camera without a frame.
 
-    The first frame present gives the time; `index` counts frame sets, so that a gap is a dropped one. The empty set of
-    a rig without cameras has the time `due_ns` of the model's prediction.
+    The first frame present gives the time; `index` counts frame sets, so that a gap is a dropped one. The set of a
+    rig without cameras is empty and has the time `due_ns`: of its tracker's `reading`, or of the model's prediction.
     """
 
     index: int
     frames: tuple[Frame | None, ...]
     due_ns: int = 0
+    reading: TrackerReading | None = None
 
     @classmethod
     def of(cls, frame: Frame) -> FrameSet:
@@ -65,8 +68,10 @@ class FrameSet:
 
     @property
     def truth_m(self) -> NDArray[np.float64] | None:
-        """The simulator's tool centre point at the leading frame; None without one."""
-        return self.lead.truth_m if self.frames else None
+        """The simulator's tool centre point at this time; None without one."""
+        if self.frames:
+            return self.lead.truth_m
+        return None if self.reading is None else self.reading.truth_m
 
 
 class CameraDriver(Protocol):

@@ -49,7 +49,10 @@ def completed(folder: Path, line: str) -> list[str]:
     [
         ("rig run sine-", ["sine-1", "sine-2"]),
         ("rig check mi", ["mine.yaml"]),
-        ("rig check ramp-a --rig moc", ["mock", "mock-3", "mock-ideal", "mock-no-camera", "mock-stereo"]),
+        (
+            "rig check ramp-a --rig moc",
+            ["mock", "mock-3", "mock-ideal", "mock-no-camera", "mock-stereo", "mock-tracker"],
+        ),
         ("rig show la", ["last"]),
         ("rig show 20261122-1015", ["20261122-101500-sine-1"]),
         ("rig show data/20261122-1015", ["data/20261122-101500-sine-1.h5"]),

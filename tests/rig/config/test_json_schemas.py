@@ -24,7 +24,16 @@ def test_committed_schemas_are_up_to_date(name: str) -> None:
     [(protocols.load(name).path, "protocol") for name, _ in protocols.named()]
     + [
         (loader.path_of(name), "rig")
-        for name in ("mock", "mock-3", "mock-ideal", "mock-no-camera", "mock-stereo", "pci1716", "pci1716-2")
+        for name in (
+            "mock",
+            "mock-3",
+            "mock-ideal",
+            "mock-no-camera",
+            "mock-stereo",
+            "mock-tracker",
+            "pci1716",
+            "pci1716-2",
+        )
     ],
     ids=lambda value: Path(value).stem,
 )

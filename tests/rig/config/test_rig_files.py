@@ -71,7 +71,7 @@ def test_inputs_and_stops_are_checked_with_their_lines() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["mock", "mock-3", "mock-ideal", "mock-no-camera", "mock-stereo", "pci1716", "pci1716-2"]
+    "name", ["mock", "mock-3", "mock-ideal", "mock-no-camera", "mock-stereo", "mock-tracker", "pci1716", "pci1716-2"]
 )
 def test_a_rig_loads_by_name_and_by_path(name: str) -> None:
     config = load(name)
@@ -247,7 +247,7 @@ def test_an_unknown_rig_gets_the_names(name: str, meant: str) -> None:
         load(name)
     (problem,) = caught.value.problems
     assert problem.suggestion == meant
-    assert "mock, mock-3, mock-ideal, mock-no-camera, mock-stereo, pci1716, pci1716-2" in problem.expected
+    assert "mock, mock-3, mock-ideal, mock-no-camera, mock-stereo, mock-tracker, pci1716, pci1716-2" in problem.expected
 
 
 def test_a_real_file_is_read_by_its_path(tmp_path: Path) -> None:

@@ -1,0 +1,197 @@
+"""Receiver of datagrams: sorts out those that cannot be used, estimates the sender's clock, gives tip poses.
+
+It uses no clock and no socket: bytes, sender and time of arrival come from the caller, in real and in virtual time.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.rotation_vectors import cross_matrix
+from calibration.vision.transforms import RigidTransform
+from rig.config.optics import rigid
+from rig.config.schema import RigConfig
+from rig.hardware.trackers.base import TrackerReading
+from rig.hardware.trackers.datagram import Datagram, DatagramError, decode
+from rig.hardware.trackers.sender_clock import SenderClock
+from runs.records import DATAGRAM_COUNTS
+
+Floats = NDArray[np.float64]
+
+REMEMBERED = 1024
+"""Sequence numbers in which a doubled or reordered message is recognised."""
+FURTHEST = 10_000
+"""A sequence number that is farther ahead is not that of the next messages."""
+RESTART_MESSAGES = 10
+"""Messages in a row that continue each other, but not those before: the sender was started anew."""
+_LENGTHS = 3.0
+_SPEED_SPAN_S = 0.5
+"""The tip's speed comes from poses at most this far apart."""
+
+
+def rotation_of(quaternion: Floats) -> Floats:
+    """Rotation matrix (3, 3) of a quaternion (w, x, y, z), which is normalised here."""
+    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_of(rotation: Floats) -> Floats:
+    """Quaternion (w, x, y, z), w >= 0, of a rotation matrix (Shepperd's method by the largest eigenvector)."""
+    r = rotation
+    k = np.array(
+        [
+            [r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2]],
+            [r[0, 2] - r[2, 0], r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2]],
+            [r[1, 0] - r[0, 1], r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1]],
+        ]
+    )
+    found = np.linalg.eigh(k)[1][:, -1]
+    return np.asarray(found if found[0] >= 0 else -found)
+
+
+class TrackerReceiver:
+    """The messages of one tracker, in the order of their arrival."""
+
+    def __init__(self, config: RigConfig, name: str, sender: tuple[str, int | None] = ("", None)) -> None:
+        """`sender` is the address and port whose messages are used; port None is any."""
+        section = config.trackers[name]
+        self._sender = sender
+        self._placement, self._body = rigid(section.placement), rigid(section.body)
+        self._delay_ns, self._delay_std_s = round(section.delay_ms * 1e6), section.delay_std_ms * 1e-3
+        self._latest_ns = round(section.latest_ms * 1e6)
+        self._reach_m = (section.reach_mm or _LENGTHS * config.arm.geometry.length_mm) * 1e-3
+        self._largest_drift = section.largest_drift_ppm * 1e-6
+        self._clock = SenderClock(self._largest_drift)
+        self._counts = dict.fromkeys(DATAGRAM_COUNTS, 0)
+        self._newest: int | None = None
+        self._first = 0
+        self._recent: OrderedDict[int, int] = OrderedDict()
+        self._anew: list[tuple[int, int, int]] = []
+        self._given_ns: int | None = None
+        self._index = -1
+        self._before: tuple[int, Floats] | None = None
+
+    @property
+    def ready(self) -> bool:
+        """True once the sender's clock is known."""
+        return self._clock.ready
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """`DATAGRAM_COUNTS` so far."""
+        return tuple(self._counts.values())
+
+    def pass_over(self, t_ns: int) -> None:
+        """State that a time has been given as one without a measurement: messages of earlier poses are late."""
+        self._given_ns = t_ns if self._given_ns is None else max(self._given_ns, t_ns)
+
+    def receive(self, data: bytes, sender: tuple[str, int], arrived_ns: int) -> TrackerReading | None:
+        """Take one datagram; return its reading, None where it gives none."""
+        if self._sender[0] and (sender[0] != self._sender[0] or self._sender[1] not in (None, sender[1])):
+            return self._reject("foreign")
+        try:
+            message = decode(data)
+        except DatagramError:
+            return self._reject("malformed")
+        if not message.plausible:
+            return self._reject("implausible")
+        tip, covariance = self._tip(message)
+        if message.sees and np.linalg.norm(tip.translation_m) > self._reach_m:
+            return self._reject("implausible")
+        if not self._follows(message, arrived_ns):
+            return None
+        if not self._clock.add(message.sent_ns, arrived_ns):
+            self._counts["clock_steps"] = self._steps()
+            return self._reject("implausible")
+        if not self._clock.ready:
+            return None
+        t_ns = self._clock.ours_ns(message.sent_ns) - self._delay_ns
+        if arrived_ns - t_ns > self._latest_ns or (self._given_ns is not None and t_ns <= self._given_ns):
+            return self._reject("late")
+        self._given_ns = t_ns
+        return self._reading(message, t_ns, tip, covariance)
+
+    def _reject(self, reason: str) -> None:
+        self._counts[reason] += 1
+
+    def _steps(self) -> int:
+        return self._first + self._clock.steps
+
+    def _follows(self, message: Datagram, arrived_ns: int) -> bool:
+        """Whether a message is the next one of its sender; counts those that were lost before it."""
+        number, newest = message.sequence, self._newest
+        if newest is None or newest < number <= newest + FURTHEST:
+            self._anew = []
+            self._index += 1 if newest is None else number - newest
+            self._counts["lost"] += 0 if newest is None else number - newest - 1
+            self._newest = number
+            self._remember(number, message.sent_ns)
+            return True
+        if self._recent.get(number) == message.sent_ns:
+            self._reject("doubled")
+        elif number < newest and min(self._recent.values()) < message.sent_ns < self._recent[newest]:
+            self._remember(number, message.sent_ns)
+            self._counts["lost"] -= 1 if self._counts["lost"] else 0
+            self._reject("reordered")
+        else:
+            self._start_anew(message, arrived_ns)
+        return False
+
+    def _remember(self, number: int, sent_ns: int) -> None:
+        self._recent[number] = sent_ns
+        if len(self._recent) > REMEMBERED:
+            self._recent.popitem(last=False)
+
+    def _start_anew(self, message: Datagram, arrived_ns: int) -> None:
+        """Follow a sender that was started anew, once several of its messages continue each other."""
+        self._reject("implausible")
+        here = message.sequence, message.sent_ns, arrived_ns
+        if self._anew and not (self._anew[-1][0] < here[0] <= self._anew[-1][0] + REMEMBERED):
+            self._anew = []
+        self._anew.append(here)
+        if len(self._anew) < RESTART_MESSAGES:
+            return
+        self._first = self._steps() + 1
+        self._counts["clock_steps"] = self._first
+        self._clock = SenderClock(self._largest_drift)
+        for _, sent_ns, at_ns in self._anew:
+            self._clock.add(sent_ns, at_ns)
+        self._newest, self._before = here[0], None
+        self._recent = OrderedDict((number, sent_ns) for number, sent_ns, _ in self._anew)
+        self._index += 1
+        self._anew = []
+
+    def _tip(self, message: Datagram) -> tuple[RigidTransform, Floats]:
+        """The tip in the rod-base frame with its covariance (6, 6); NaN where the tracker sees nothing."""
+        if not message.sees:
+            return RigidTransform(np.full((3, 3), np.nan), np.full(3, np.nan)), np.full((6, 6), np.nan)
+        pose = RigidTransform(rotation_of(message.quaternion), message.position_m)
+        tip = pose @ self._body.inverse()
+        lever_m = tip.translation_m - pose.translation_m
+        by_pose = np.block([[np.eye(3), -cross_matrix(lever_m)], [np.zeros((3, 3)), np.eye(3)]])
+        covariance = by_pose @ message.covariance @ by_pose.T + self._body.error_covariance(lever_m)
+        return self._placement.transport_pose(tip, covariance)
+
+    def _reading(self, message: Datagram, t_ns: int, tip: RigidTransform, covariance: Floats) -> TrackerReading:
+        clock = self._clock.estimate(message.sent_ns)
+        std_s = float(np.hypot(clock.std_s, self._delay_std_s))
+        if message.sees:
+            before, self._before = self._before, (t_ns, tip.translation_m)
+            if before is not None and t_ns - before[0] < _SPEED_SPAN_S * 1e9:
+                # An error of the time is an error of the position along the motion.
+                step_m = (tip.translation_m - before[1]) / ((t_ns - before[0]) * 1e-9) * std_s
+                covariance = covariance.copy()
+                covariance[:3, :3] += np.outer(step_m, step_m)
+        return TrackerReading(
+            self._index, t_ns, message.sees, tip.translation_m, tip.rotation, covariance, clock, std_s, self.counts
+        )

@@ -1,0 +1,177 @@
+"""Offset and drift of a sender's clock from the one-way delays of its messages.
+
+The delay of a message is at least the constant part of the delay. The differences of the times of arrival and of
+sending therefore lie above a line, whose slope is the drift. The line is an edge of their lower convex hull: that which
+makes the sum of the distances smallest (Moon, Skelly, Towsley, INFOCOM 1999; Zhang, Liu, Xia, INFOCOM 2002). One-way
+delays cannot tell the constant part of the delay from the offset: the line contains it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.hardware.trackers.base import ClockEstimate
+
+WINDOW_S = 60.0
+"""Time over which the drift is taken as constant."""
+BIN_S = 0.1
+"""Of the messages in a bin only the one with the smallest delay is kept."""
+STEP_S = 2e-3
+"""Smallest step of the sender's clock that is told from jitter; a smaller one that makes delays longer stays unseen."""
+STEP_SPAN_S = 0.5
+"""Time with longer delays after which the sender's clock has been set back."""
+STEP_MESSAGES, LONGER_MESSAGES = 10, 20
+"""Messages with an earlier, or longer, delay that make a step."""
+LEAST_MESSAGES, LEAST_SPAN_S = 20, 0.4
+"""Messages and time before the estimate is used."""
+LARGEST_DRIFT = 200e-6
+"""Quartz clocks drift by less."""
+_ORDER = 8
+_COVERAGE_FACTOR = 6.0
+"""The distance between the smallest excess delays times this is the standard uncertainty; see the validation page."""
+_PLAUSIBLE_STDS = 6.0
+_LONGER = 5.0
+
+
+@dataclass(frozen=True)
+class _Line:
+    """y = intercept + slope x, with the standard uncertainty at the newest x."""
+
+    intercept: float
+    slope: float
+    std: float
+
+    def at(self, x: float) -> float:
+        return self.intercept + self.slope * x
+
+
+class SenderClock:
+    """Recursive estimate over the last minute; it uses no clock of its own."""
+
+    def __init__(self, largest_drift: float = LARGEST_DRIFT) -> None:
+        self._largest = largest_drift
+        self._origin: tuple[int, int] | None = None
+        self._bins: deque[tuple[int, float, float]] = deque(maxlen=round(WINDOW_S / BIN_S))
+        self._recent: deque[tuple[int, float, float]] = deque()
+        self._below: list[tuple[int, int]] = []
+        self._messages = 0
+        self._line: _Line | None = None
+        self.steps = 0
+        """Steps of the sender's clock so far."""
+
+    def add(self, sent_ns: int, arrived_ns: int) -> bool:
+        """Take a message into account; False while its time contradicts those before it.
+
+        Several such messages in a row, or longer delays for `STEP_SPAN_S`, count as a step: the estimate begins anew.
+        """
+        if self._origin is None:
+            self._origin = sent_ns, arrived_ns - sent_ns
+        x = (sent_ns - self._origin[0]) * 1e-9
+        y = (arrived_ns - sent_ns - self._origin[1]) * 1e-9
+        line = self._line
+        if line is not None and self.ready and y < line.at(x) - max(STEP_S, _PLAUSIBLE_STDS * line.std):
+            self._below.append((sent_ns, arrived_ns))
+            if len(self._below) >= STEP_MESSAGES:
+                self._restart(self._below)
+            return False
+        self._below = []
+        self._recent.append((arrived_ns, x, y))
+        while len(self._recent) > LONGER_MESSAGES and self._recent[1][0] < arrived_ns - STEP_SPAN_S * 1e9:
+            self._recent.popleft()
+        if self._set_back():
+            origin_ns = self._origin[0]
+            self._restart([(origin_ns + round(a * 1e9), at_ns) for at_ns, a, _ in self._recent])
+            return False
+        self._keep(x, y)
+        return True
+
+    @property
+    def ready(self) -> bool:
+        """True once there are messages enough for an estimate."""
+        return (
+            self._line is not None
+            and self._messages >= LEAST_MESSAGES
+            and self._bins[-1][1] - self._bins[0][1] >= LEAST_SPAN_S
+        )
+
+    def estimate(self, sent_ns: int) -> ClockEstimate:
+        """The estimate at a time of the sender; only while `ready`."""
+        assert self._origin is not None
+        assert self._line is not None
+        x = (sent_ns - self._origin[0]) * 1e-9
+        return ClockEstimate(self._origin[1] * 1e-9 + self._line.at(x), self._line.slope, self._line.std)
+
+    def ours_ns(self, sent_ns: int) -> int:
+        """Our time of a time of the sender, later by the constant part of the delay; only while `ready`."""
+        assert self._origin is not None
+        assert self._line is not None
+        x = (sent_ns - self._origin[0]) * 1e-9
+        return sent_ns + self._origin[1] + round(self._line.at(x) * 1e9)
+
+    def _restart(self, messages: list[tuple[int, int]]) -> None:
+        steps = self.steps + 1
+        self.__init__(self._largest)  # type: ignore[misc]
+        self.steps = steps
+        for sent_ns, arrived_ns in messages:
+            self.add(sent_ns, arrived_ns)
+
+    def _set_back(self) -> bool:
+        """True where every delay of the last second is longer than any smallest delay of a second before."""
+        line = self._line
+        if line is None or not self.ready or len(self._recent) < LONGER_MESSAGES:
+            return False
+        if self._recent[-1][0] - self._recent[0][0] < STEP_SPAN_S * 1e9:
+            return False
+        smallest = min(b - line.at(a) for _, a, b in self._recent)
+        if smallest <= STEP_S:
+            return False
+        recent = {a for _, a, _ in self._recent}
+        by_second: dict[int, float] = {}
+        for _, a, b in self._bins:
+            if a not in recent:
+                by_second[int(a)] = min(by_second.get(int(a), np.inf), b - line.at(a))
+        return bool(by_second) and smallest > _LONGER * max(by_second.values())
+
+    def _keep(self, x: float, y: float) -> None:
+        self._messages += 1
+        slope = self._line.slope if self._line is not None else 0.0
+        number = int(x // BIN_S)
+        if self._bins and self._bins[-1][0] >= number:
+            if y - slope * x >= self._bins[-1][2] - slope * self._bins[-1][1]:
+                return
+            self._bins[-1] = (self._bins[-1][0], x, y)
+            # A message in an open bin changes the estimate only if it lies below the line.
+            if self._line is not None and y >= self._line.at(x):
+                return
+        else:
+            self._bins.append((number, x, y))
+        self._line = self._fit()
+
+    def _fit(self) -> _Line:
+        points = [(x, y) for _, x, y in self._bins]
+        hull: list[tuple[float, float]] = []
+        for point in points:
+            while len(hull) > 1 and _clockwise(hull[-2], hull[-1], point):
+                hull.pop()
+            hull.append(point)
+        x, y = np.array(points).T
+        middle, slope = float(x.mean()), 0.0
+        for (x0, y0), (x1, y1) in itertools.pairwise(hull):
+            slope = (y1 - y0) / (x1 - x0)
+            if x1 >= middle:
+                break
+        slope = float(np.clip(slope, -self._largest, self._largest))
+        above = y - slope * x
+        intercept = float(above.min())
+        excess = np.sort(above - intercept)
+        k = min(_ORDER, len(excess)) - 1
+        spacing = float(excess[k]) / k if k > 0 else np.inf
+        return _Line(intercept, slope, _COVERAGE_FACTOR * spacing)
+
+
+def _clockwise(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
+    return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])

@@ -1,0 +1,100 @@
+"""The UDP tracker: poses that another program sends in datagrams."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+
+from rig.config.schema import RigConfig
+from rig.config.tracker_sections import UdpTrackerConfig
+from rig.hardware.trackers.base import TrackerError, TrackerReading
+from rig.hardware.trackers.datagram import BYTES
+from rig.hardware.trackers.receiver import TrackerReceiver
+
+_SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
+"""Linux: the kernel's time of arrival comes with the message. Python names the option since 3.14 only."""
+_TIMESPEC = 16
+_BUFFER = 1 << 18
+
+
+def driver() -> type[UdpTrackerDriver]:
+    """The driver `udp`."""
+    return UdpTrackerDriver
+
+
+class UdpTrackerDriver:
+    """Opens the socket of a UDP tracker."""
+
+    @staticmethod
+    def open(config: RigConfig, name: str, seed: int) -> UdpTracker:
+        """Open a tracker of the rig.
+
+        Raises:
+            TrackerError: the address is not this machine's, or the port is taken.
+        """
+        return UdpTracker(config, name)
+
+
+class UdpTracker:
+    """A socket that receives the datagrams of one sender."""
+
+    def __init__(self, config: RigConfig, name: str) -> None:
+        section = config.trackers[name]
+        assert isinstance(section, UdpTrackerConfig)
+        self._receiver = TrackerReceiver(config, name, (section.sender, section.sender_port))
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            with contextlib.suppress(OSError):
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+            with contextlib.suppress(OSError):
+                self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+            self._socket.bind((section.address, section.port))
+        except OSError as error:
+            self._socket.close()
+            place = f"{section.address}:{section.port}"
+            raise TrackerError(
+                f"tracker {name} cannot listen at UDP {place}: {error.strerror}; "
+                "is the address this machine's, and does another program use the port?"
+            ) from error
+
+    def read(self, timeout_s: float) -> TrackerReading | None:
+        """Wait for the next reading; None without one within the time-out."""
+        until = time.monotonic() + timeout_s
+        while True:
+            self._socket.settimeout(max(until - time.monotonic(), 1e-6))
+            try:
+                data, ancillary, _, sender = self._socket.recvmsg(BYTES + 1, 64)
+            except TimeoutError:
+                return None
+            except OSError as error:
+                raise TrackerError(f"the socket of the tracker failed: {error}") from error
+            reading = self._receiver.receive(data, sender, _arrival_ns(ancillary))
+            if reading is not None:
+                return reading
+            if time.monotonic() > until:
+                return None
+
+    def counts(self) -> tuple[int, ...]:
+        """`DATAGRAM_COUNTS` since the tracker was opened."""
+        return self._receiver.counts
+
+    def pass_over(self, t_ns: int) -> None:
+        """State that a time has been given as one without a measurement."""
+        self._receiver.pass_over(t_ns)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+def _arrival_ns(ancillary: list[tuple[int, int, bytes]]) -> int:
+    """Time of arrival on CLOCK_MONOTONIC: the kernel's, which is on CLOCK_REALTIME, else the time of reading."""
+    now_ns = time.monotonic_ns()
+    for level, kind, data in ancillary:
+        if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(data) >= _TIMESPEC:
+            seconds, nanoseconds = (int.from_bytes(data[i : i + 8], "little", signed=True) for i in (0, 8))
+            age_ns = time.time_ns() - (seconds * 1_000_000_000 + nanoseconds)
+            # CLOCK_REALTIME may be set between arrival and reading.
+            return now_ns - age_ns if 0 <= age_ns < 1_000_000_000 else now_ns
+    return now_ns

@@ -1,0 +1,71 @@
+"""The tracker of a rig in real time, in place of the cameras."""
+
+from __future__ import annotations
+
+import time
+
+from rig.config.schema import RigConfig
+from rig.hardware.cameras.base import FrameSet
+from rig.hardware.trackers.base import TrackerError
+from rig.hardware.trackers.registry import open_tracker
+from rig.observation.reading_sequence import ReadingSequence
+from runs.records import DATAGRAM_COUNTS
+
+
+class TrackerSource:
+    """Gives the readings of the rig's tracker as frame sets."""
+
+    def __init__(self, config: RigConfig, seed: int) -> None:
+        """Open the tracker.
+
+        Raises:
+            TrackerError: it cannot be opened.
+        """
+        self._config = config
+        self._name = next(iter(config.trackers))
+        self._tracker = open_tracker(config, self._name, seed)
+        self._sequence: ReadingSequence | None = None
+
+    def await_all(self, timeout_s: float) -> None:
+        """Wait for the first pose, which needs the sender's clock.
+
+        Raises:
+            TrackerError: there is none.
+        """
+        reading = self._tracker.read(timeout_s)
+        if reading is None:
+            raise self._silence(timeout_s)
+        self._sequence = ReadingSequence(self._config, reading.t_ns)
+
+    def read(self, timeout_s: float) -> FrameSet:
+        """Wait for the next frame set: a reading, or an empty one where the tracker is silent.
+
+        Raises:
+            TrackerError: the tracker was silent for `timeout_s`.
+        """
+        assert self._sequence is not None
+        while True:
+            reading = self._tracker.read(self._sequence.overdue_in_s(time.monotonic_ns()))
+            now = time.monotonic_ns()
+            if reading is not None:
+                return self._sequence.take(reading, now)
+            if self._sequence.silent_s(now) > timeout_s:
+                raise self._silence(timeout_s)
+            empty = self._sequence.overdue(now)
+            if empty is not None:
+                self._tracker.pass_over(empty.t_ns)
+                return empty
+
+    def close(self) -> None:
+        """Close the tracker."""
+        self._tracker.close()
+
+    def _silence(self, timeout_s: float) -> TrackerError:
+        return silence(self._name, timeout_s, self._tracker.counts())
+
+
+def silence(name: str, timeout_s: float, counts: tuple[int, ...]) -> TrackerError:
+    """The error of a tracker that gave no pose for a time, with what it did receive."""
+    unused = ", ".join(f"{n} {what.replace('_', ' ')}" for what, n in zip(DATAGRAM_COUNTS, counts, strict=True) if n)
+    why = f"not used were {unused}" if unused else "nothing arrived: does the sender run, and send here?"
+    return TrackerError(f"tracker {name}: no pose within {timeout_s:g} s; {why}")
