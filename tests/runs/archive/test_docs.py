@@ -17,6 +17,7 @@ from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
 from runs.records import (
     BACKBONE_POINTS,
+    DATAGRAM_COUNTS,
     AuxiliaryChannel,
     Quantity,
     RunFooter,
@@ -46,7 +47,7 @@ SIZES = {
     "I": 15,
     "R": 14,
     "T": 16,
-} | {str(n): n for n in (2, 3, 4, 6)}
+} | {str(n): n for n in (2, 3, 4, 6, len(DATAGRAM_COUNTS))}
 FREE = ("calibration", "model", "versions", "timing/counters")
 """Groups whose names come from elsewhere."""
 
@@ -77,6 +78,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
         actuators=SIZES["A"],
         valves=SIZES["V"],
         cameras=cameras,
+        tracker="pose",
         adapted=adapted,
         auxiliary=tuple(AuxiliaryChannel(f"input {k}", "N") for k in range(SIZES["I"])),
         tip_controller="horizon",
@@ -87,7 +89,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
     )
     writer = JournalWriter(source, header)
     writer.samples(np.zeros(SIZES["N"], sample_dtype(SIZES["A"], SIZES["V"], SIZES["I"])))
-    observations = np.zeros(SIZES["M"], observation_dtype(SIZES["A"], SIZES["C"]))
+    observations = np.zeros(SIZES["M"], observation_dtype(SIZES["A"], SIZES["C"], tracker=True))
     observations["tip_motion"] = 1
     writer.observations(observations)
     writer.adaptations(np.zeros(SIZES["M"], adaptation_dtype(SIZES["P"])))
