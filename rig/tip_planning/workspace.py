@@ -110,7 +110,7 @@ def _sections(tips: Array, levels: int) -> tuple[WorkspaceSection, ...]:
     radii = np.linspace(0.0, float(np.linalg.norm(cells[:, :, :2], axis=2).max()), RADII)
     angles: Array = 2 * np.pi * np.arange(0.0, ANGLES) / ANGLES
     plane = np.stack([np.outer(radii, np.cos(angles)), np.outer(radii, np.sin(angles))], axis=-1).reshape(-1, 2)
-    faces = [_refined(face) for axis in range(3) for face in (grid.take(0, axis), grid.take(-1, axis))]
+    faces = [_refined(np.take(grid, end, axis)) for axis in range(3) for end in (0, -1)]
     found = []
     for height in np.linspace(low, high, SECTIONS + 2)[1:-1].tolist():
         crossing = cells[(heights.min(axis=1) <= height) & (heights.max(axis=1) >= height)]

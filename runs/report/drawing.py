@@ -12,7 +12,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
@@ -257,7 +257,8 @@ def _legend(axes: Axes, columns: int) -> Legend:
 
 
 def _overflows(names: Legend, axes: Axes, figure: Figure) -> bool:
-    width = names.get_window_extent(FigureCanvasAgg(figure).get_renderer()).width
+    renderer: RendererAgg = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
+    width = names.get_window_extent(renderer).width
     return bool(width > figure.bbox.width - _NARROW_LABELS_IN * figure.dpi)
 
 
