@@ -1,0 +1,64 @@
+"""Error and stated interval of a tracker's time, for a sender whose clock drifts: `python benchmarks/tracker_clock.py`.
+
+Every trial sends messages with random one-way delays over a known minimum, and compares the time that `SenderClock`
+gives for the newest message with the true one. Times of look follow each other by a factor of 1.5.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.hardware.trackers.sender_clock import SenderClock
+
+Floats = NDArray[np.float64]
+MINIMUM_S, DRIFT, RATE_HZ, FIRST_LOOK_S, FACTOR = 2e-3, 100e-6, 100, 2.0, 1.5
+JITTERS: dict[str, Callable[[np.random.Generator, float, int], Floats]] = {
+    "exponential": lambda random, mean, n: random.exponential(mean, n),
+    "half normal": lambda random, mean, n: np.abs(random.normal(0, mean, n)),
+    "uniform": lambda random, mean, n: random.uniform(0, 2 * mean, n),
+    "gamma, shape 2": lambda random, mean, n: random.gamma(2, mean / 2, n),
+}
+
+
+def trial(random: np.random.Generator, delays_s: Floats) -> tuple[list[float], list[float], float]:
+    """Errors [s] and standard uncertainties [s] at each look, and the error of the drift at the end."""
+    clock, errors, stds, look_s = SenderClock(), [], [], FIRST_LOOK_S
+    phase_s = random.uniform(0, 1e6)
+    for k, delay_s in enumerate(delays_s):
+        t_s = k / RATE_HZ
+        sent_ns = round((phase_s + t_s * (1 + DRIFT)) * 1e9)
+        used = clock.add(sent_ns, round((t_s + MINIMUM_S + delay_s) * 1e9))
+        if t_s >= look_s and used and clock.ready:
+            look_s *= FACTOR
+            errors.append(clock.ours_ns(sent_ns) * 1e-9 - t_s - MINIMUM_S)
+            stds.append(clock.estimate(sent_ns).std_s)
+    return errors, stds, clock.estimate(sent_ns).drift + DRIFT
+
+
+def main() -> None:
+    """Print one row per distribution and mean jitter."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--trials", type=int, default=20)
+    options.add_argument("--seconds", type=float, default=60.0)
+    options.add_argument("--seed", type=int, default=0)
+    chosen = options.parse_args()
+    print("jitter | mean ms | rms us after 2 s | at the end | drift rms ppm | within 95 % interval")
+    for name, draw in JITTERS.items():
+        for mean_s in (1e-3, 10e-3):
+            random = np.random.default_rng(chosen.seed)
+            rows = [trial(random, draw(random, mean_s, round(chosen.seconds * RATE_HZ))) for _ in range(chosen.trials)]
+            least = min(len(errors) for errors, _, _ in rows)
+            error = np.array([errors[:least] for errors, _, _ in rows])
+            std = np.array([stds[:least] for _, stds, _ in rows])
+            rms_us = np.sqrt(np.mean(error**2, axis=0)) * 1e6
+            drift_ppm = np.sqrt(np.mean([drift**2 for _, _, drift in rows])) * 1e6
+            inside = np.mean(np.abs(error) <= 1.96 * std)
+            print(f"{name} | {mean_s * 1e3:g} | {rms_us[0]:.0f} | {rms_us[-1]:.1f} | {drift_ppm:.2f} | {inside:.1%}")
+
+
+if __name__ == "__main__":
+    main()
