@@ -34,7 +34,7 @@ def check_drivers(
     rig: Annotated[
         str,
         typer.Argument(
-            metavar="NAME|FILE", help="Rig whose cards and cameras to test.", autocompletion=completion.rigs
+            metavar="NAME|FILE", help="Rig whose cards, cameras and trackers to test.", autocompletion=completion.rigs
         ),
     ],
     supply_off: Annotated[

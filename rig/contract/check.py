@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Generic, TypeVar
 
-from rig.hardware.cameras.base import CameraError
+from rig.hardware.tip_source import TipSourceError
 from rig.hardware.cards.base import CardError
 
 Subject = TypeVar("Subject")
@@ -61,11 +61,11 @@ class Check(Generic[Subject]):
             verdict, found = CheckVerdict.SKIPPED, str(error)
         except BrokenContractError as error:
             verdict, found = CheckVerdict.FAIL, str(error)
-        except (CardError, CameraError) as error:
+        except (CardError, TipSourceError) as error:
             verdict, found = CheckVerdict.FAIL, f"{type(error).__name__}: {error}"
         except Exception as error:  # the code of another package may raise anything
             verdict, found = (
                 CheckVerdict.FAIL,
-                f"{type(error).__name__}: {error}; only CardError or CameraError may be raised",
+                f"{type(error).__name__}: {error}; only CardError, CameraError or TrackerError may be raised",
             )
         return CheckResult(device, self.name, verdict, found, self.expected)

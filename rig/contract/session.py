@@ -12,6 +12,7 @@ from rig.config.schema import RigConfig
 from rig.contract.camera_checks import CAMERA_CHECKS, CameraSubject
 from rig.contract.card_checks import CARD_CHECKS, CardSubject
 from rig.contract.check import CheckResult
+from rig.contract.tracker_checks import TRACKER_CHECKS, TrackerSubject
 from rig.hardware.lock import cards_locked
 from rig.simulator.plant_launcher import started
 from rig.simulator.registers import Registers
@@ -46,7 +47,7 @@ def card_subjects(config: RigConfig, rig_file: Path, unplug: Unplug | None = Non
 
 
 def results(config: RigConfig, rig_file: Path, unplug: Unplug | None = None) -> Iterator[CheckResult]:
-    """Check every card and camera of a rig, one result at a time; each check ends with the safe state.
+    """Check every card, camera and tracker of a rig, one result at a time; each check ends with the safe state.
 
     Raises:
         CardError: another run holds a card, or the simulator does not start.
@@ -55,6 +56,9 @@ def results(config: RigConfig, rig_file: Path, unplug: Unplug | None = None) -> 
         for camera in config.cameras:
             for look in CAMERA_CHECKS:
                 yield look.result(f"camera {camera}", CameraSubject(config, camera))
+        for tracker in config.trackers:
+            for test in TRACKER_CHECKS:
+                yield test.result(f"tracker {tracker}", TrackerSubject(config, tracker))
         for subject in card_subjects(config, rig_file, unplug):
             for check in CARD_CHECKS:
                 yield check.result(f"card {subject.name}", subject)

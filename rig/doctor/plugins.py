@@ -8,6 +8,7 @@ from rig.config.card_sections import CARD_DRIVERS, CardConfig
 from rig.config.drivers import CAMERA_DRIVERS, Driver
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
+from rig.config.tracker_sections import TRACKER_DRIVERS, TrackerConfig
 from rig.hardware.finding import Finding
 
 
@@ -19,9 +20,14 @@ def rig_devices(config: RigConfig) -> Iterator[Finding]:
     for name, camera in config.cameras.items():
         if (driver := CAMERA_DRIVERS[camera.driver]).plugin is not None:
             yield from _findings(f"rig's camera {name}", name, camera, driver)
+    for name, tracker in config.trackers.items():
+        if (driver := TRACKER_DRIVERS[tracker.driver]).plugin is not None:
+            yield from _findings(f"rig's tracker {name}", name, tracker, driver)
 
 
-def _findings(topic: str, name: str, section: CardConfig | CameraConfig, driver: Driver) -> Iterator[Finding]:
+def _findings(
+    topic: str, name: str, section: CardConfig | CameraConfig | TrackerConfig, driver: Driver
+) -> Iterator[Finding]:
     assert driver.plugin is not None
     behind = f"driver {driver.name} of {driver.package}: {driver.about}"
     if driver.safe_state:

@@ -1,0 +1,93 @@
+"""What softrig relies on in a tracker driver."""
+
+from __future__ import annotations
+
+import time
+from contextlib import closing
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.config.schema import RigConfig
+from rig.contract.check import BrokenContractError, Check
+from rig.hardware.trackers.base import TrackerReading
+from rig.hardware.trackers.registry import open_tracker
+
+READINGS = 50
+FIRST_S, NEXT_S = 5.0, 1.0
+LATEST_S = 2.0
+"""A time that is older than this at its arrival is on another clock."""
+_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class TrackerSubject:
+    """A tracker under test."""
+
+    config: RigConfig
+    name: str
+
+    def readings(self) -> list[tuple[TrackerReading, int]]:
+        """Some readings with the times of their arrival [ns]."""
+        found = []
+        with closing(open_tracker(self.config, self.name)) as tracker:
+            for k in range(READINGS):
+                reading = tracker.read(FIRST_S if k == 0 else NEXT_S)
+                if reading is None:
+                    raise BrokenContractError(f"no reading within {FIRST_S if k == 0 else NEXT_S:g} s")
+                found.append((reading, time.monotonic_ns()))
+        return found
+
+
+def poses(subject: TrackerSubject) -> str:
+    """A pose is a position, a rotation and a covariance that is positive definite."""
+    readings = [reading for reading, _ in subject.readings()]
+    seen = [reading for reading in readings if reading.seen]
+    for reading in seen:
+        if reading.position_m.shape != (3,) or not np.isfinite(reading.position_m).all():
+            raise BrokenContractError(f"a position is {reading.position_m}")
+        if not np.allclose(reading.rotation @ reading.rotation.T, np.eye(3), atol=_TOLERANCE):
+            raise BrokenContractError("a rotation is not orthogonal")
+        if reading.covariance.shape != (6, 6) or np.linalg.eigvalsh(reading.covariance)[0] <= 0:
+            raise BrokenContractError("a covariance is not positive definite")
+    std_mm = [np.sqrt(np.trace(reading.covariance[:3, :3])) * 1e3 for reading in seen]
+    return f"{len(seen)} of {len(readings)} readings have a pose" + (f", to {np.median(std_mm):.2f} mm" if seen else "")
+
+
+def times(subject: TrackerSubject) -> str:
+    """Readings are in order of time on CLOCK_MONOTONIC, at the stated rate."""
+    readings = subject.readings()
+    t_ns = np.array([reading.t_ns for reading, _ in readings])
+    index = np.array([reading.index for reading, _ in readings])
+    age_s = np.array([arrived - reading.t_ns for reading, arrived in readings]) * 1e-9
+    if np.any(np.diff(t_ns) <= 0) or np.any(np.diff(index) <= 0):
+        raise BrokenContractError("times or numbers of the readings do not increase")
+    if age_s.min() < -_early_s(readings) or age_s.max() > LATEST_S:
+        raise BrokenContractError(f"readings are {age_s.min():.3f} to {age_s.max():.3f} s old at their arrival")
+    rate = (index[-1] - index[0]) / ((t_ns[-1] - t_ns[0]) * 1e-9)
+    wanted = subject.config.trackers[subject.name].rate_hz
+    if not 0.8 * wanted <= rate <= 1.25 * wanted:
+        raise BrokenContractError(f"{rate:.1f} readings/s; the rig file says {wanted:g}")
+    return f"{rate:.1f} readings/s, {np.median(age_s) * 1e3:.0f} ms old at arrival"
+
+
+def reopening(subject: TrackerSubject) -> str:
+    """A closed tracker can be opened again."""
+    began = time.monotonic()
+    for _ in range(2):
+        with closing(open_tracker(subject.config, subject.name)) as tracker:
+            if tracker.read(FIRST_S) is None:
+                raise BrokenContractError(f"no reading within {FIRST_S:g} s of opening")
+    return f"opened twice in {time.monotonic() - began:.1f} s"
+
+
+def _early_s(readings: list[tuple[TrackerReading, int]]) -> float:
+    """How far ahead of its arrival a time may be: by its uncertainty."""
+    return 3 * max(reading.time_std_s for reading, _ in readings)
+
+
+TRACKER_CHECKS: tuple[Check[TrackerSubject], ...] = (
+    Check("poses", "position, rotation and positive definite covariance of the tip", poses),
+    Check("times", "CLOCK_MONOTONIC, increasing, at rate_hz", times),
+    Check("reopening", "a closed tracker can be opened again", reopening),
+)

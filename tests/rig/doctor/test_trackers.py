@@ -1,0 +1,42 @@
+"""`rig doctor`, `rig drivers` and `rig test-driver` know trackers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rig.config import loader
+from rig.contract.session import bench_of
+from rig.contract.tracker_checks import TRACKER_CHECKS, TrackerSubject
+from rig.doctor.trackers import rig_trackers
+from rig.hardware.installed_drivers import installed_drivers
+from tests.rig.hardware.test_udp_tracker import free_port
+from tests.rig.realtime.test_tracker import example, udp_rig
+
+
+def test_the_doctor_hears_a_sender_and_says_how_well_times_are_known(tmp_path: Path) -> None:
+    port = free_port()
+    with example(port):
+        (finding,) = rig_trackers(loader.load(udp_rig(tmp_path, port)))
+    assert finding.verdict == "ok", finding
+    assert f"poses at UDP 127.0.0.1:{port}" in finding.found
+
+
+def test_the_doctor_names_a_sender_that_is_not_heard(tmp_path: Path) -> None:
+    (finding,) = rig_trackers(loader.load(udp_rig(tmp_path, free_port())))
+    assert finding.verdict == "missing"
+    assert "must come from 127.0.0.1" in finding.remedy
+
+
+def test_the_shipped_trackers_are_listed() -> None:
+    assert {row.name for row in installed_drivers() if row.kind == "trackers"} == {"udp", "mock"}
+
+
+@pytest.mark.realtime
+def test_the_mock_tracker_keeps_the_contract() -> None:
+    rig_file = loader.path_of("mock-tracker")
+    config = loader.load(rig_file)
+    with bench_of(config, rig_file):
+        results = [check.result("tracker pose", TrackerSubject(config, "pose")) for check in TRACKER_CHECKS]
+    assert [(result.check, result.found) for result in results if result.failed] == []
