@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Generic, TypeVar
 
-from rig.hardware.tip_source import TipSourceError
 from rig.hardware.cards.base import CardError
+from rig.hardware.tip_source import TipSourceError
 
 Subject = TypeVar("Subject")
 

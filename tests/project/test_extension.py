@@ -18,6 +18,7 @@ from rig.config import loader
 from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.hardware.bench import open_bench
 from rig.hardware.cameras.registry import open_camera
+from rig.hardware.trackers.registry import open_tracker
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from scripts.faults import virtual
 from scripts.faults.catalogue import CATALOGUE
@@ -67,6 +68,15 @@ def test_the_example_card_and_camera_are_opened_by_their_names(
     assert [frame.index for frame in frames] == [0, 1]
     assert frames[1].image.shape == (config.cameras[name].height_px, config.cameras[name].width_px)
     assert frames[1].t_ns > frames[0].t_ns
+    tracked = loader.parse(
+        loader.text("mock-tracker")
+        .replace("pose: {driver: mock, rate_hz: 100, ", "pose: {driver: still, rate_hz: 100, ")
+        .replace(", drift_ppm: 50, jitter_ms: 1}", "}"),
+        "rig.yaml",
+    )
+    reading = open_tracker(tracked, "pose").read(1.0)
+    assert reading is not None
+    assert reading.position_m.tolist() == [0, 0, 0.17]
     camera.close()
 
 

@@ -36,8 +36,7 @@ def driver() -> type[MockTrackerDriver]:
 class MockTrackerDriver:
     """Opens the mock tracker of the plant behind the rig's mock card, from any process."""
 
-    @staticmethod
-    def open(config: RigConfig, name: str, seed: int) -> MockTracker:
+    def open(self, config: RigConfig, name: str, seed: int) -> MockTracker:
         """Open a tracker of the rig.
 
         Raises:

@@ -31,7 +31,7 @@ LEAST_MESSAGES, LEAST_SPAN_S = 20, 0.4
 LARGEST_DRIFT = 200e-6
 """Quartz clocks drift by less."""
 _ORDER = 8
-_COVERAGE_FACTOR = 6.0
+_COVERAGE_FACTOR = 8.0
 """The distance between the smallest excess delays times this is the standard uncertainty; see the validation page."""
 _PLAUSIBLE_STDS = 6.0
 _LONGER = 5.0

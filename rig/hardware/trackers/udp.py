@@ -26,8 +26,7 @@ def driver() -> type[UdpTrackerDriver]:
 class UdpTrackerDriver:
     """Opens the socket of a UDP tracker."""
 
-    @staticmethod
-    def open(config: RigConfig, name: str, seed: int) -> UdpTracker:
+    def open(self, config: RigConfig, name: str, seed: int) -> UdpTracker:
         """Open a tracker of the rig.
 
         Raises:
