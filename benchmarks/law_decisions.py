@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.stats import beta
 
 from calibration.identify.candidates import Candidate
-from calibration.identify.model_comparison import ComparisonFit, fit_all
+from calibration.identify.model_comparison import MIN_DECISIVE, ComparisonFit, fit_all
 from calibration.identify.parameters import Prior
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
@@ -85,21 +85,22 @@ def trials_of(rig: str, names: tuple[str, str], duration_s: float, count: int, s
     ]  # fmt: skip
 
 
-def told(bic: Array, names: tuple[str, str]) -> int:
-    """Print the share of right decisions (trials, 2) for each true law; return how many are right."""
+def told(bic: Array, names: tuple[str, str]) -> tuple[int, int]:
+    """Print the decisions by BIC (trials, 2) for each true law; return how many are right, and how many wrong."""
     half = len(bic) // 2
-    right = 0
+    right, wrong = 0, 0
     for which, name in enumerate(names):
         gain = bic[which * half : (which + 1) * half] @ (np.array([-1.0, 1.0]) * (1 if which == 0 else -1))
-        hits = int((gain > 0).sum())
+        hits, misses = int((gain >= MIN_DECISIVE).sum()), int((gain <= -MIN_DECISIVE).sum())
         right += hits
+        wrong += misses
         low = float(beta.ppf(0.025, hits, half - hits + 1)) if hits else 0.0
         print(
-            f"  {name} true: {hits} of {half} right (95 % interval from {100 * low:.0f} %); BIC lower by "
-            f"{np.median(gain):.0f} (median), {gain.min():.1f} at least",
+            f"  {name} true: {hits} of {half} right (95 % interval from {100 * low:.0f} %), {misses} wrong; "
+            f"BIC lower by {np.median(gain):.0f} (median), {gain.min():.1f} at least",
             flush=True,
         )
-    return right
+    return right, wrong
 
 
 def main() -> None:
@@ -113,13 +114,15 @@ def main() -> None:
     options.add_argument("--workers", type=int, default=2)
     options.add_argument("--store", type=Path, help="keep finished trials there, to resume")
     given = options.parse_args()
-    began, right, count = time.perf_counter(), 0, 0
+    began, right, wrong, count = time.perf_counter(), 0, 0, 0
     for first, second in given.laws or PAIRS:
         tasks = trials_of(given.rig, (first, second), given.duration_s, given.trials, given.seed)
         bic = np.array(parallel_map(run_trial, tasks, given.workers, store=given.store))
-        right += told(bic, (first, second))
+        hits, misses = told(bic, (first, second))
+        right, wrong = right + hits, wrong + misses
         count += len(bic)
-    print(f"{right} of {count} decisions are right, {100 * right / count:.1f} %; {time.perf_counter() - began:.0f} s")
+    took = f"{time.perf_counter() - began:.0f} s"
+    print(f"{right} of {count} decisions are right, {100 * right / count:.1f} %, and {wrong} wrong; {took}")
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from scipy.stats import binom, chi2, norm
 from calibration.design.exchange import choose, minimax
 from calibration.design.information import Unknowns
 from calibration.identify.least_squares import LeastSquaresProblem
+from calibration.identify.model_comparison import MIN_DECISIVE
 from calibration.identify.poses import Poses
 from calibration.identify.tip_predictor import Predictor
 
@@ -65,22 +66,23 @@ class Separation:
 
     @property
     def share(self) -> float:
-        """Expected share of right decisions by the lower BIC.
+        """Expected share of decisions for the true law: its BIC is lower by `MIN_DECISIVE`; else nothing is decided.
 
         The rival's fit takes its distance for a larger error. Where the rival contains the true law, only the penalty
         of its additional parameters decides, against a chi-squared variable; of a parameter at a bound half the errors
-        have no effect (Self and Liang 1987).
+        have no effect (Self and Liang 1987). Then the share is an upper bound: of a number that the data hardly
+        determine, the fit takes what suits the errors.
         """
         penalty = self.more * float(np.log(self.numbers))
         if not self.separable:
             if self.more <= 0:
-                return 0.5
+                return 0.0
             halved = min(self.at_bound, self.more)
             mixed = np.array([binom.pmf(k, halved, 0.5) for k in range(halved + 1)])
             freedom = self.more - halved + np.arange(halved + 1)
-            return float(mixed @ np.where(freedom > 0, chi2.cdf(penalty, np.maximum(freedom, 1)), 1.0))
+            return float(mixed @ np.where(freedom > 0, chi2.cdf(penalty - MIN_DECISIVE, np.maximum(freedom, 1)), 1.0))
         seen = self.numbers * float(np.log1p(self.distance2 / self.numbers))
-        return float(norm.cdf((seen + penalty) / (2 * np.sqrt(seen))))
+        return float(norm.cdf((seen + penalty - MIN_DECISIVE) / (2 * np.sqrt(seen))))
 
 
 def closest(law: RivalLaw, planned: Poses, tip_m: Array) -> RivalLaw:

@@ -46,6 +46,7 @@ def identify(
     stated: Mapping[str, Prior] | None = None,
     per_run: Iterable[str] = (),
     progress: Progress = lambda text: None,
+    hold_undetermined: bool = True,
 ) -> Fit:
     """Maximum likelihood of the free parameters over all runs, static and moving ones together.
 
@@ -55,7 +56,8 @@ def identify(
     `LeastSquaresProblem`. stated: value and uncertainty of every parameter, by name. With it, what is not free is
     estimated, too, with its stated value as prior, so that its uncertainty is in all error bars; without it, what is
     not free is exact. per_run: names of parameters, free or not, with a value of their own in each run, as a mounting
-    that was undone between the runs.
+    that was undone between the runs. hold_undetermined: fix at `start` what the data do not determine. False keeps it
+    at the maximum of the likelihood: for a comparison, in which no law is refuted by a wrong number of the start.
 
     Raises:
         NoDataError: no measured tip.
@@ -76,7 +78,7 @@ def identify(
     searched = search(problem, first, starts, seed, progress)
     joint = searched.best
     nuisances = {p.name for p in held}
-    solution, fixed = _fix_undetermined(problem, joint, nuisances)
+    solution, fixed = _fix_undetermined(problem, joint, nuisances) if hold_undetermined else (joint, {})
     assumed, alone = _joint_covariance(problem, solution, fixed)
     error = None if stated is None else model_error_posterior(problem, solution, assumed)
     wide = alone if error is None else error.second[: len(alone), : len(alone)]

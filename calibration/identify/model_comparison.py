@@ -32,7 +32,7 @@ _FOLDS = 10
 # Parts of equal length that a single run is divided into, each left out once; and the fewest tips of such a run.
 _PARTS, _FEWEST_TIPS = 5, 10
 # Differences of BIC below which the data do not decide between two models (Kass and Raftery 1995).
-_MIN_DECISIVE = 2.0
+MIN_DECISIVE = 2.0
 # Most data per run, to bound the time of slow candidates: first frames of a motion, or poses.
 _MAX_FRAMES, _MAX_POSES = 2000, 300
 # Numbers in the result of `fit_all` before the values.
@@ -105,6 +105,7 @@ class ComparisonFit:
             initial_values={(name, run): value for name, run, value in self.initial_values} or None,
             substeps=SUBSTEPS,
             stated=None if self.stated is None else dict(self.stated),
+            hold_undetermined=False,
         )
 
 
@@ -264,7 +265,7 @@ def decision(rows: Sequence[ComparisonRow]) -> str:
     name = _named(rows)
     preferred, other = sorted(rows, key=lambda row: row.bic)
     gain = other.bic - preferred.bic
-    if gain < _MIN_DECISIVE:
+    if gain < MIN_DECISIVE:
         return f"The data do not decide between {name(preferred)} and {name(other)} (BIC {gain:.1f} apart)."
     power = gain / 2 / math.log(10)
     odds = f"about {10**power:.0f}" if power < 3 else "more than 1000"

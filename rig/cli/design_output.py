@@ -10,7 +10,7 @@ import typer
 from rig.cli.column_table import ColumnTable
 from rig.cli.console import console
 from rig.design.design import LIBRARY, Design
-from rig.design.law_comparison import RIGHT, LawDesign
+from rig.design.law_comparison import RIGHT, LawDesign, share_text
 
 
 def error_bars(found: Design, to: Path, as_json: bool) -> None:
@@ -51,7 +51,13 @@ def separations(found: LawDesign, to: Path, as_json: bool) -> None:
     """Print the expected share of right decisions, with either law true."""
     if as_json:
         rows = [
-            {"true": one.truth, "rival": one.rival, "distance": one.distance2**0.5, "right": one.share}
+            {
+                "true": one.truth,
+                "rival": one.rival,
+                "distance": one.distance2**0.5,
+                "right": one.share,
+                "bound": not one.separable,
+            }
             for one in found.separations
         ]
         facts = {"protocol": str(to), "sufficient": found.sufficient, "cases": rows}
@@ -62,7 +68,7 @@ def separations(found: LawDesign, to: Path, as_json: bool) -> None:
         table.add_column(head)
     for one in found.separations:
         distance = f"{one.distance2**0.5:.3g}" if one.separable else "0"
-        table.add_row(one.truth, one.rival, distance, f"{100 * one.share:.1f} %")
+        table.add_row(one.truth, one.rival, distance, share_text(one))
     screen = console()
     screen.print(table)
     screen.print(
@@ -72,11 +78,11 @@ def separations(found: LawDesign, to: Path, as_json: bool) -> None:
     for one in found.separations:
         if not one.separable:
             screen.print(
-                f"{one.rival} contains {one.truth}: if that is true, only the number of parameters decides, by BIC; "
-                "the share is an upper bound, which a parameter that the fit cannot determine lowers",
+                f"{one.rival} contains {one.truth}: no pressures tell them apart if {one.truth} is true. Only the "
+                "number of parameters then decides, or `rig identify compare` says that the data do not decide.",
                 soft_wrap=True,
             )
-    if not found.sufficient:
+    if all(one.separable for one in found.separations) and not found.sufficient:
         screen.print(
             f"fewer than {100 * RIGHT:.0f} % right decisions are expected: allow more --duration-s", soft_wrap=True
         )

@@ -48,8 +48,8 @@ class LawDesign:
 
     @property
     def sufficient(self) -> bool:
-        """Whether the expected share of right decisions is `RIGHT`, whichever law is true."""
-        return min(one.share for one in self.separations) >= RIGHT
+        """Whether the expected share of right decisions, not a bound of it, is `RIGHT` with either law true."""
+        return all(one.separable and one.share >= RIGHT for one in self.separations)
 
 
 def design_comparison(
@@ -98,6 +98,11 @@ def design_comparison(
     return LawDesign(protocol, _text(title, listed, config, found, seed), (first, second), expected_run, found)
 
 
+def share_text(found: Separation) -> str:
+    """The expected share of right decisions as a text."""
+    return f"{'' if found.separable else 'at most '}{100 * found.share:.1f} %"
+
+
 def _rival(config: RigConfig, law: Candidate, planned: Poses) -> RivalLaw:
     """A law as `rig identify compare --between` fits it, from the rig's stated values."""
     free = named(law.free, config.actuators)
@@ -116,7 +121,7 @@ def _text(
         f"# Written by rig design --compare for the rig {config.name}: T-optimal, seed {seed}.",
         "# Decide with: rig identify compare RUN --between " + " ".join(f"'{one.truth}'" for one in found),
         "# Expected share of right decisions, if the rig's stated values and uncertainties hold:",
-        *(f"#   {one.truth} is true: {100 * one.share:.1f} %" for one in found),
+        *(f"#   {one.truth} is true: {share_text(one)}" for one in found),
         f"title: {yaml.safe_dump(title, width=1000).splitlines()[0]}",
         "steps:",
     ]

@@ -256,9 +256,13 @@ def _legend(axes: Axes, columns: int) -> Legend:
     )
 
 
-def _overflows(names: Legend, axes: Axes, figure: Figure) -> bool:
+def _renderer(figure: Figure) -> RendererAgg:
     renderer: RendererAgg = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
-    width = names.get_window_extent(renderer).width
+    return renderer
+
+
+def _overflows(names: Legend, axes: Axes, figure: Figure) -> bool:
+    width = names.get_window_extent(_renderer(figure)).width
     return bool(width > figure.bbox.width - _NARROW_LABELS_IN * figure.dpi)
 
 

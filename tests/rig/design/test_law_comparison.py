@@ -11,12 +11,19 @@ import numpy as np
 import pytest
 
 import protocols
+from calibration.identify import identify
+from calibration.identify.model_comparison import MIN_DECISIVE, ComparisonFit, fit_all
+from calibration.identify.parameters import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, perform_as_planned
 from rig.cli.app import main
+from rig.cli.design_output import separations
+from rig.config.arm_model import model_arm
 from rig.config.loader import load
 from rig.design.law_comparison import LawDesign, design_comparison
 from rig.design.levels import in_order, levels
 from rig.experiment.preflight import check
+from rig.identify.estimation import rig_uncertainties, sensor_priors
+from rig.identify.law_names import laws_named
 from rig.identify.model_comparison import compare
 
 CONFIG = load("mock-ideal")
@@ -53,6 +60,31 @@ def test_a_comparison_of_its_data_decides_for_the_true_law(designed: LawDesign) 
     found = compare(start, [data], (), {}, between=LAWS, config=CONFIG).comparison
     assert min(found.rows, key=lambda row: row.bic).candidate.name == designed.laws[true].name
     assert f"Decision: {designed.laws[true].name};" in found.sentence
+
+
+def test_a_law_is_not_refuted_by_a_stated_modulus_that_its_data_do_not_determine(designed: LawDesign) -> None:
+    """The wall closest to the rig's arm is much stiffer than the rig says, and these errors hide how stiff."""
+    true, errors = designed.laws[0].unknowns.start, MeasurementErrors()
+    data = perform_as_planned(designed.planned, true, np.random.default_rng(8), errors)
+    start = Setup(model_arm(CONFIG))
+    assert true.arm.material.youngs_modulus_pa > 3 * start.arm.material.youngs_modulus_pa
+    stated = rig_uncertainties(CONFIG, start)
+    priors = tuple(sensor_priors(stated).items())
+    tasks = [ComparisonFit(law, (data,), priors, stated=tuple(stated.items())) for law in laws_named(LAWS, start, "")]
+    held = identify((data,), start, tasks[0].candidate.free, dict(priors), stated=stated)
+    assert not held["youngs_modulus_pa"].identified
+    homogeneous, pointwise = (fit_all(task)[1] for task in tasks)
+    assert pointwise - homogeneous > MIN_DECISIVE
+
+
+def test_a_design_promises_nothing_where_one_law_contains_the_other(
+    designed: LawDesign, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert not designed.sufficient
+    separations(designed, Path("laws.yaml"), False)
+    said = " ".join(capsys.readouterr().out.split())
+    assert "homogeneous+rpe inhomogeneous+rpe, pointwise 0 at most" in said
+    assert "no pressures tell them apart if homogeneous+rpe is true" in said
 
 
 def test_equal_levels_are_no_neighbours() -> None:
