@@ -1,0 +1,125 @@
+"""References drawn at random: what `rig check` accepts is followed, within the limits, on an arm unlike the model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from hypothesis import event, given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+import protocols
+from protocols import BadInputError, SetPointTrajectory
+from rig.config.loader import load
+from rig.tip_control import session
+from rig.tip_control.horizon import HorizonControl
+from rig.tip_control.interface import TipControlSettings
+from rig.tip_control.simulation import CYCLE_S, Task, Truth, simulate
+from rig.tip_planning.inverse import RigTipInverse
+from tests.support.budget import examples
+
+Array = NDArray[np.float64]
+
+NEAR_MM = 3.0
+"""Largest distance from the reference, also at corners and in the lead-in, on arms that differ by up to 6 %."""
+
+
+def _number(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(low, high, allow_nan=False).map(lambda x: round(x, 3))
+
+
+def _point() -> st.SearchStrategy[list[float]]:
+    return st.tuples(_number(-60, 60), _number(-60, 60), _number(165, 220)).map(list)
+
+
+@st.composite
+def tip_steps(draw: st.DrawFn) -> dict[str, Any]:
+    """A `tip` step of a few seconds, about half of which the arm can follow."""
+    kind = draw(st.sampled_from(["circle", "figure_eight", "star", "points", "hold"]))
+    step: dict[str, Any] = {"lead_in_s": draw(_number(1.0, 3.0))}
+    if kind == "hold":
+        return step | {kind: {"at_mm": draw(_point()), "duration_s": 1.0}}
+    if kind == "points":
+        centre, size = np.array([0, 0, 190.0]), draw(_number(1, 40))
+        at = [(centre + size * np.array(p)).tolist() for p in draw(st.lists(_corner(), min_size=2, max_size=5))]
+        ways = draw(st.sampled_from(["smooth", "linear"]))
+        return step | {kind: {"at_mm": at, "move_s": draw(_number(0.3, 1.5)), "dwell_s": 0.2, "ways": ways}}
+    closed: dict[str, Any] = {
+        "centre_mm": [draw(_number(-10, 10)), draw(_number(-10, 10)), draw(_number(178, 200))],
+        "normal": [draw(_number(-0.4, 0.4)), draw(_number(-0.4, 0.4)), 1.0],
+        "rotation_deg": draw(_number(-180, 180)),
+        "period_s": draw(_number(0.5, 3.0)),
+        "periods": draw(_number(0.5, 1.5)),
+    }
+    size = draw(_number(1, 40))
+    sizes = {"figure_eight": {"width_mm": size, "height_mm": round(size / 2, 3)}}.get(kind, {"radius_mm": size})
+    return step | {kind: closed | sizes}
+
+
+def _corner() -> st.SearchStrategy[tuple[float, float, float]]:
+    return st.tuples(_number(-1, 1), _number(-1, 1), _number(-0.2, 0.2))
+
+
+@cache
+def _bench() -> tuple[RigTipInverse, TipControlSettings, HorizonControl]:
+    config = load("mock-3")
+    settings = session.settings(config, None)
+    return RigTipInverse(config), settings, HorizonControl(settings)
+
+
+def _truth(arm_seed: int, settings: TipControlSettings) -> Truth:
+    """An arm whose material, strengths and cap differ from the model's by up to two standard deviations of 2 to 3 %."""
+    rng = np.random.default_rng(arm_seed)
+
+    def off(std: float) -> float:
+        return 1 + std * float(np.clip(rng.standard_normal(), -2, 2))
+
+    arm = settings.arm
+    names = ("a1_per_n", "rpe_per_bar", "density_kg_m3", "damping_s")
+    material = replace(arm.material, **{name: getattr(arm.material, name) * off(0.03) for name in names})
+    return Truth(
+        replace(arm, material=material, cap_mass_kg=arm.cap_mass_kg * off(0.02)), [off(0.02) for _ in range(3)]
+    )
+
+
+def _task(played: SetPointTrajectory, settings: TipControlSettings) -> Task:
+    (motion,) = played.tip.motions
+    first = [settings.valve_of.index(valve) for valve in range(settings.valves)]
+    begin = motion.start_s
+
+    def of(values: Any) -> Any:
+        return lambda t_s: values(np.array([min(begin + t_s, motion.stop_s)]))[0]
+
+    return Task(
+        motion.stop_s - begin,
+        of(motion.positions_m),
+        of(motion.velocities_m_s),
+        lambda t_s: played.sample([begin + t_s])[0][first],
+        motion.period_s,
+    )
+
+
+@examples(6)
+@given(tip_steps(), st.integers(0, 10**6))
+def test_an_accepted_path_is_followed_within_the_limits_and_a_refused_one_has_a_reason(
+    step: dict[str, Any], arm_seed: int
+) -> None:
+    inverse, settings, controller = _bench()
+    try:
+        played = protocols.from_steps("t", [{"hold": {"duration_s": 0.5}}, {"tip": step}]).expand(3, inverse)
+    except BadInputError as error:
+        (problem,) = error.problems
+        assert "a path that the arm follows within 0.5 mm" in problem.expected
+        event("refused")
+        return
+    event("accepted")
+    run = simulate(settings, controller, _truth(arm_seed, settings), _task(played, settings), seed=arm_seed)
+    assert run.setpoint_pa.min() >= 0
+    assert run.setpoint_pa.max() <= settings.pressure_limit_pa
+    assert np.abs(np.diff(run.setpoint_pa, axis=0)).max() <= settings.rate_limit_pa_s * CYCLE_S * (1 + 1e-9)
+    off_mm = 1e3 * np.linalg.norm(run.tip_m - run.reference_m, axis=1)
+    assert off_mm.max() < NEAR_MM
+    assert off_mm[-round(0.2 / CYCLE_S) :].mean() < 0.5 * NEAR_MM
