@@ -1,6 +1,6 @@
 # The two commands: `make run` (the paper's experiment on the mock rig) and `make test`.
 .DEFAULT_GOAL := help
-.PHONY: help docs run test test-realtime test-hardware test-board fuzz strikes faults soak comedi lint lock clean
+.PHONY: help docs run test test-realtime test-hardware test-board test-board-short fuzz strikes faults soak comedi lint lock clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -19,6 +19,7 @@ help:
 	@echo "make comedi build and install the binding to Comedi cards"
 	@echo "make test-hardware  drive a card and a camera of a real kernel, in a virtual machine"
 	@echo "make test-board  drive an emulated Advantech board by its real driver, in a virtual machine"
+	@echo "make test-board-short  part of these tests, a few minutes once QEMU is built"
 	@echo "make strikes  two more faults in that virtual machine (five minutes)"
 	@echo "make faults  every way a run can fail, at random moments; writes docs/validation/reliability.md (hours)"
 	@echo "make soak    an hour in real time and a day in virtual time, watched for leaks (hours)"
@@ -63,6 +64,11 @@ test-hardware: comedi
 
 test-board: comedi
 	@bash scripts/vm/board.sh $(VENV)
+
+# Registers, inputs and faults of the board, and a run on a hung bus.
+test-board-short: comedi
+	@bash scripts/vm/board.sh $(VENV) tests/board/test_board.py \
+		tests/board/test_faults_in_a_run.py::test_a_run_whose_board_answers_all_ones_says_that_its_outputs_may_not_have_moved
 
 strikes: comedi
 	@bash scripts/vm/test.sh $(VENV) tests/hardware/strikes.py

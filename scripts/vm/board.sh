@@ -7,7 +7,8 @@
 # Without more it is a PCI-1711 under the driver of Debian's kernel. SOFTRIG_LINUX_COMEDI names a folder with comedi.ko
 # and adv_pci1710.ko of Linux-Comedi, built for the kernel in $SOFTRIG_VM_CACHE/release: then it is a PCI-1716.
 # The guest's clock counts instructions, 1 ns each: a busy host makes the test longer, not the guest slower.
-# The exit status is pytest's; 3 where the guest never came to run it.
+# The exit status is pytest's; 3 where the guest never came to run it. Where the sources of QEMU cannot be fetched, the
+# tests are skipped with status 0, but with CI set they fail.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 checkout=$(cd "$here/../.." && pwd)
@@ -26,7 +27,12 @@ done
 
 bash "$here/prepare.sh" "$cache"
 release=$(cat "$cache/release")
-program=$(bash "$here/pci1716/build.sh" "$cache")
+program=$(bash "$here/pci1716/build.sh" "$cache") || {
+    failed=$?
+    [ $failed = 4 ] && [ -z "${CI:-}" ] || exit $failed
+    echo "softrig: SKIPPED, the emulated board was not tested: QEMU cannot be built here, for the reason above" >&2
+    exit 0
+}
 # The guest takes minutes to compile the kernels; this computer compiles them for any processor of its kind.
 (cd "$checkout" && SOFTRIG_CACHE=$cache/kernels NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES='' PYTHONPATH=. \
     "$venv/bin/python" -m rig.experiment.warm)

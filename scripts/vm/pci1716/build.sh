@@ -3,6 +3,7 @@
 #
 # Nothing is installed: compilers' tools and headers are fetched as packages and unpacked. The program is built once
 # for each content of this folder and each version of the package; a changed board compiles one file anew.
+# The exit status is 4 where packages or sources cannot be fetched.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 mkdir -p "$1/packages"
@@ -53,7 +54,7 @@ if ! compgen -G "$cache/packages/qemu_*.dsc" >/dev/null; then
         (cd "$cache/packages" && apt-get "${options[@]}" source --download-only "qemu=$version"); } >"$apt/log" 2>&1 || {
         echo "softrig: apt cannot fetch the source package qemu=$version; the end of $apt/log:" >&2
         tail -n 5 "$apt/log" >&2
-        exit 2
+        exit 4
     }
 fi
 
@@ -65,7 +66,7 @@ if [ ! -e "$system/complete" ]; then
         libfdt-dev libfdt1 libattr1-dev libattr1 libcap-ng-dev libcap-ng0 zlib1g-dev zlib1g \
         libffi-dev libmount-dev libselinux1-dev libblkid-dev libsepol-dev >/dev/null) || {
         echo "softrig: apt cannot download what QEMU is built with; sudo apt-get update and try again" >&2
-        exit 2
+        exit 4
     }
     for package in "$cache"/packages/board/*.deb; do dpkg -x "$package" "$system"; done
     touch "$system/complete"
