@@ -65,8 +65,8 @@ _EXPECTED = {
     "int_from_float": "a whole number",
     "float_parsing": "a number",
     "finite_number": "a finite number",
-    "greater_than_equal": "at least {ge}",
-    "less_than_equal": "at most {le}",
+    "greater_than_equal": "at least {ge:g}",
+    "less_than_equal": "at most {le:g}",
 }
 """What is expected of the value of an option, by the kind of pydantic's error."""
 
