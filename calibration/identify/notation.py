@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from calibration.identify.memory_parameters import ALL_NAMES
 
@@ -59,9 +59,12 @@ class Scale:
         return f"{self.number(value)}({digits:.0f}){self.suffix}"
 
     def interval(self, ends: tuple[float, float]) -> str:
-        """Both ends of an interval, without the unit."""
+        """Both ends of an interval, without the unit; with more digits where bounds make it narrower than its error."""
         low, high = ends
-        return f"{self.number(low)} .. {self.number(high)}"
+        width = abs(high - low) * self.factor / 10**self.power
+        needed = -math.floor(math.log10(width)) if width > 0 and math.isfinite(width) else self.decimals
+        fine = self if needed <= self.decimals else replace(self, decimals=needed + 1)
+        return f"{fine.number(low)} .. {fine.number(high)}"
 
 
 def _unit(name: str, unit: str) -> tuple[str, float]:

@@ -31,3 +31,8 @@ def test_a_value_has_the_uncertainty_of_its_last_digits_and_the_unit_of_the_benc
 def test_the_ends_of_an_interval_have_the_digits_of_the_value() -> None:
     scale = Scale.of("a1_per_n", "1/N", 0.0076123, 4.1e-5)
     assert scale.interval((0.00753, 0.0076927)) == "7.53 .. 7.69"
+
+
+def test_an_interval_between_bounds_that_are_closer_than_the_uncertainty_is_not_rounded_to_nothing() -> None:
+    assert Scale.of("shear_ratio", "1", 0.42, 50.0).interval((0.01, 5.0)) == "0.0 .. 5.0"
+    assert Scale.of("shear_ratio", "1", 0.42, 50.0).interval((0.02, 0.47)) == "0.02 .. 0.47"
