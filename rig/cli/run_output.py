@@ -208,9 +208,8 @@ def last_screen(screen: Console, result: RunResult) -> None:
 
         parts.append(summary_table(summary, outcome.counters))
         if summary.frames and summary.camera and not summary.frames_measured:
-            parts.append(
-                Text(f"no tip was measured in {summary.frames} frames: does the camera see the board?", "bold red")
-            )
+            question = "does the camera see the board, or the tracker the body?"
+            parts.append(Text(f"no tip was measured in {summary.frames} frames: {question}", "bold red"))
     if result.archive is not None:
         parts.append(f"archive  {result.archive}")
     if result.report is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from runs.records import DetectionStatus, Event, Level, SolveStatus
+from runs.records import DATAGRAM_COUNTS, DetectionStatus, Event, Level, SolveStatus
 
 MEMORY_S = 1.0
 """Time constant of the share of affected rows."""
@@ -34,6 +34,17 @@ _SEEN = {
     DetectionStatus.NO_MESSAGE: "no message of the tracker comes in time: does the sender run?",
     DetectionStatus.DISAGREE: "the cameras contradict each other: was one moved, or is its calibration another's?",
 }
+
+
+@dataclass(frozen=True)
+class _Words:
+    """What measures the tip, and what it gives."""
+
+    source: str
+    items: str
+
+
+_CAMERA, _TRACKER = _Words("the camera", "pictures"), _Words("the tracker", "poses")
 
 
 @dataclass
@@ -69,6 +80,8 @@ class HealthMonitor:
         self._dropping, self._late, self._missing = _Condition(0.3), _Condition(0.3), _Condition(0.05)
         self._off_pace, self._apart_s, self._frame_t_ns = _Condition(0.5), self._frame_s, 0
         self._cameras = [(name, _Condition(0.3)) for name in config.cameras] if len(config.cameras) > 1 else []
+        self._words = _TRACKER if config.trackers else _CAMERA
+        self._counted = dict.fromkeys(DATAGRAM_COUNTS, 0)
         self._disk = _Condition(DISK_S)
         self._refused, self._not_solved = _Condition(0.3), _Condition(0.3)
         self._looked_ns = 0
@@ -97,10 +110,11 @@ class HealthMonitor:
         """Events of camera frames (n,) of `runs.records.observation_dtype`, in order of time."""
         for row in rows:
             t_ns, seen, dropped = int(row["t_ns"]), DetectionStatus(int(row["seen"])), int(row["dropped"])
+            words = self._words
             camera = seen is not DetectionStatus.NO_CAMERA
             age_s = row["age_ns"] * 1e-9
             old = (
-                f"pictures are {age_s:.2f} s old when they are measured"
+                f"{words.items} are {age_s:.2f} s old when they are measured"
                 if camera
                 else f"predictions are {age_s:.2f} s late"
             )
@@ -120,14 +134,14 @@ class HealthMonitor:
                 (
                     self._dropping,
                     dropped / (dropped + 1),
-                    "the camera drops pictures",
-                    "the camera delivers every picture again",
+                    f"{words.source} drops {words.items}",
+                    f"all {words.items} of {words.source} come again",
                 ),
                 (
                     self._late,
                     float(age_s > LATE_S),
                     old,
-                    "pictures come in time again" if camera else "predictions come in time again",
+                    f"{words.items} come in time again" if camera else "predictions come in time again",
                 ),
             )
             for trouble, part, wrong, well in judged:
@@ -138,6 +152,8 @@ class HealthMonitor:
                         yield _over(trouble, t_ns, "observer", well)
             if camera:
                 yield from self._paced(t_ns, dropped)
+            if self._words is _TRACKER and seen is DetectionStatus.MEASURED:
+                yield from self._unused_messages(row)
             if self._cameras:
                 yield from self._idle_camera(row)
 
@@ -154,11 +170,23 @@ class HealthMonitor:
                 yield _warning(
                     t_ns,
                     "observer",
-                    f"the camera gives {1 / self._apart_s:.1f} pictures a second and the rig says "
-                    f"{1 / self._frame_s:g}: set `rate_hz` to what the camera can do",
+                    f"{self._words.source} gives {1 / self._apart_s:.1f} {self._words.items} a second and the rig says "
+                    f"{1 / self._frame_s:g}: set `rate_hz` to what {self._words.source} can do",
                 )
             case False:
-                yield _over(self._off_pace, t_ns, "observer", "the camera keeps its pace again")
+                yield _over(self._off_pace, t_ns, "observer", f"{self._words.source} keeps its pace again")
+
+    def _unused_messages(self, row: NDArray[np.void]) -> Iterator[Event]:
+        """Report each step of the sender's clock, and the first message of each kind that no working sender sends."""
+        counts = dict(zip(DATAGRAM_COUNTS, row["datagrams"].tolist(), strict=True))
+        before, self._counted = self._counted, counts
+        if counts["clock_steps"] > before["clock_steps"]:
+            yield _warning(
+                int(row["t_ns"]), "observer", "the clock of the tracker's sender was set, or it started anew"
+            )
+        for reason in ("malformed", "foreign"):
+            if counts[reason] and not before[reason]:
+                yield _warning(int(row["t_ns"]), "observer", f"{reason} messages reach the tracker's port; not used")
 
     def _idle_camera(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report a camera that contributes nothing: the tip is then measured by the others."""

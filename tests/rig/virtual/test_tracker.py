@@ -94,6 +94,7 @@ def test_lost_and_doubled_messages_are_counted(tmp_path: Path) -> None:
 def test_a_step_of_the_senders_clock_is_found(tmp_path: Path) -> None:
     run = run_tracked(tmp_path, ", step_ms: -300, step_s: 2.5", steps="  - hold: {duration_s: 4}\n")
     assert messages(run)["clock_steps"] == 1
+    assert [e.message for e in run.events if "clock of the tracker" in e.message]
     assert run.simulated is not None
     measured = run.tip.seen == DetectionStatus.MEASURED
     assert measured[-50:].all()
