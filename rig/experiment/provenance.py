@@ -97,6 +97,11 @@ def quantities(config: RigConfig) -> tuple[Quantity, ...]:
         add("calibration", f"{name}_distortion", "1", *lens.distortion)
         add("calibration", f"{name}_translation", "mm", *place.translation_mm, uncertainty=place.translation_std_mm)
         add("calibration", f"{name}_rotation", "deg", *place.rotation_deg, uncertainty=place.rotation_std_deg)
+    for name, tracker in config.trackers.items():
+        for key, place in ((name, tracker.placement), (f"{name}_body", tracker.body)):
+            add("calibration", f"{key}_translation", "mm", *place.translation_mm, uncertainty=place.translation_std_mm)
+            add("calibration", f"{key}_rotation", "deg", *place.rotation_deg, uncertainty=place.rotation_std_deg)
+        add("calibration", f"{name}_delay", "ms", tracker.delay_ms, uncertainty=tracker.delay_std_ms)
     if config.board is None:
         return tuple(found)
     tool = config.board.placement

@@ -98,26 +98,32 @@ class TrackerReceiver:
     def receive(self, data: bytes, sender: tuple[str, int], arrived_ns: int) -> TrackerReading | None:
         """Take one datagram; return its reading, None where it gives none."""
         if self._sender[0] and (sender[0] != self._sender[0] or self._sender[1] not in (None, sender[1])):
-            return self._reject("foreign")
+            self._reject("foreign")
+            return None
         try:
             message = decode(data)
         except DatagramError:
-            return self._reject("malformed")
+            self._reject("malformed")
+            return None
         if not message.plausible:
-            return self._reject("implausible")
+            self._reject("implausible")
+            return None
         tip, covariance = self._tip(message)
         if message.sees and np.linalg.norm(tip.translation_m) > self._reach_m:
-            return self._reject("implausible")
+            self._reject("implausible")
+            return None
         if not self._follows(message, arrived_ns):
             return None
         if not self._clock.add(message.sent_ns, arrived_ns):
             self._counts["clock_steps"] = self._steps()
-            return self._reject("implausible")
+            self._reject("implausible")
+            return None
         if not self._clock.ready:
             return None
         t_ns = self._clock.ours_ns(message.sent_ns) - self._delay_ns
         if arrived_ns - t_ns > self._latest_ns or (self._given_ns is not None and t_ns <= self._given_ns):
-            return self._reject("late")
+            self._reject("late")
+            return None
         self._given_ns = t_ns
         return self._reading(message, t_ns, tip, covariance)
 

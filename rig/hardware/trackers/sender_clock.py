@@ -54,14 +54,18 @@ class SenderClock:
 
     def __init__(self, largest_drift: float = LARGEST_DRIFT) -> None:
         self._largest = largest_drift
+        self.steps = 0
+        """Steps of the sender's clock so far."""
+        self._begin()
+
+    def _begin(self) -> None:
+        """Forget every message."""
         self._origin: tuple[int, int] | None = None
         self._bins: deque[tuple[int, float, float]] = deque(maxlen=round(WINDOW_S / BIN_S))
         self._recent: deque[tuple[int, float, float]] = deque()
         self._below: list[tuple[int, int]] = []
         self._messages = 0
         self._line: _Line | None = None
-        self.steps = 0
-        """Steps of the sender's clock so far."""
 
     def add(self, sent_ns: int, arrived_ns: int) -> bool:
         """Take a message into account; False while its time contradicts those before it.
@@ -113,9 +117,8 @@ class SenderClock:
         return sent_ns + self._origin[1] + round(self._line.at(x) * 1e9)
 
     def _restart(self, messages: list[tuple[int, int]]) -> None:
-        steps = self.steps + 1
-        self.__init__(self._largest)  # type: ignore[misc]
-        self.steps = steps
+        self.steps += 1
+        self._begin()
         for sent_ns, arrived_ns in messages:
             self.add(sent_ns, arrived_ns)
 

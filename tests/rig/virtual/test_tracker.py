@@ -71,6 +71,11 @@ def test_the_archive_keeps_offset_and_drift_of_the_senders_clock(run: Run) -> No
     assert np.all(clock.time_uncertainty_us >= 200)
 
 
+def test_the_archive_keeps_the_stated_delay_with_its_uncertainty(run: Run) -> None:
+    (delay,) = [q for q in run.header.quantities if q.name == "pose_delay"]
+    assert (delay.value, delay.unit, delay.uncertainty) == ((2.0,), "ms", 0.2)
+
+
 def test_two_runs_with_the_same_seed_are_equal_bit_for_bit(run: Run, tmp_path: Path) -> None:
     again = run_tracked(tmp_path)
     assert np.array_equal(again.tip.measured_mm, run.tip.measured_mm, equal_nan=True)
