@@ -29,6 +29,7 @@ from rig.tip_control.learning import DisturbanceLearner, Repetition
 from rig.tip_control.registry import CONTROLLERS, FEED_FORWARD, controller_class
 from rig.tip_control.simulation import CYCLE_S, ClosedLoop, Task, Truth, simulate
 from rig.tip_control.tip_dynamics import TipDynamics
+from runs.interpolation import interpolated
 
 Array = NDArray[np.float64]
 
@@ -126,15 +127,10 @@ class Feedforward:
         drive += np.gradient(velocity, GRID_S, axis=0) / self._dynamics.omega_rad_s**2
         feed = self._map.inverse(drive, np.full(3, 3e4))
 
-        def at(values: Array, t_s: float) -> Array:
-            index = min(round(t_s / GRID_S), len(values) - 1)
-            if abs(t_s - index * GRID_S) < 1e-9:
-                return np.array(values[index])
-            return np.array([np.interp(t_s, times, column) for column in values.T])
+        def at(values: Array) -> Callable[[Array], Array]:
+            return lambda times_s: interpolated(times_s, times, values)
 
-        return Task(
-            duration, lambda t: at(position, t), lambda t: at(velocity, t), lambda t: at(feed, t), 1 / frequency_hz
-        )
+        return Task(duration, at(position), at(velocity), at(feed), 1 / frequency_hz)
 
 
 def repeated(
@@ -144,22 +140,25 @@ def repeated(
     frames = slice(0, None, round(frame_s / CYCLE_S))
     times, tips = run.times_s[frames], run.tip_m[frames]
     measured = tips + noise_m * np.random.default_rng(seed).standard_normal(tips.shape)
-    given = np.array([task.learned_m(t) for t in times])
+    given = task.learned_m(times)
     once = Repetition(run.times_s, run.setpoint_pa, times, measured, given)
     learned = learner.disturbance([once], run.times_s)
-    feed = np.array([task.feedforward_pa(t) for t in run.times_s])
+    feed = task.feedforward_pa(run.times_s)
     before = np.tile(feed[0], (round(1 / CYCLE_S), 1))
     corrected = learner.setpoints(feed, before, run.reference_m - learned, CYCLE_S)
 
     end_s, period_s = float(run.times_s[-1]), task.period_s or 0.0
 
-    def at(values: Array, t_s: float) -> Array:
+    def at(values: Array) -> Callable[[Array], Array]:
         """Beyond the end of the run, which the controller sees, the last period is continued."""
-        if t_s > end_s:
-            t_s = end_s - period_s + (t_s - end_s) % period_s
-        return np.array([np.interp(t_s, run.times_s, column) for column in values.T])
 
-    return replace(task, feedforward_pa=lambda t: at(corrected, t), learned_m=lambda t: at(learned, t))
+        def found(times_s: Array) -> Array:
+            late = end_s - period_s + (times_s - end_s) % (period_s or np.inf)
+            return interpolated(np.where(times_s > end_s, late, times_s), run.times_s, values)
+
+        return found
+
+    return replace(task, feedforward_pa=at(corrected), learned_m=at(learned))
 
 
 def main() -> None:

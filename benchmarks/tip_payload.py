@@ -11,6 +11,7 @@ after 2 s, and its stated standard deviation.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from rig.tip_control.horizon import HorizonControl
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.simulation import CYCLE_S, ClosedLoop, Task, Truth, simulate
 from rig.tip_control.tip_dynamics import TipDynamics
+from runs.interpolation import interpolated
 
 Array = NDArray[np.float64]
 
@@ -52,10 +54,10 @@ class Poses:
         drive += np.gradient(velocity, CYCLE_S, axis=0) / self._dynamics.omega_rad_s**2
         feed = self._map.inverse(drive, np.full(3, 3e4))
 
-        def at(values: Array, t_s: float) -> Array:
-            return np.array([np.interp(t_s, times, column) for column in values.T])
+        def at(values: Array) -> Callable[[Array], Array]:
+            return lambda times_s: interpolated(times_s, times, values)
 
-        return name, Task(END_S, lambda t: at(position, t), lambda t: at(velocity, t), lambda t: at(feed, t), period)
+        return name, Task(END_S, at(position), at(velocity), at(feed), period)
 
 
 def back_s(run: ClosedLoop) -> float:

@@ -81,7 +81,7 @@ def main() -> None:
     for k in range(args.runs):
         drawn(rng)  # the poses are those of benchmarks.tip_payload
         name, task = poses.task(rng, held=k % 2 == 0)
-        wanted = np.array([task.position_m(t) for t in times])
+        wanted = task.position_m(times)
         before = chart.inverse(wanted, np.full(3, 3e4))
         after = chart.inverse(wanted, np.full(3, 3e4), 1e-3 * args.payload)
         pressure = np.where(hung[:, None] > 0, after, before)

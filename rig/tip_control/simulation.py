@@ -33,17 +33,17 @@ _HISTORY_S = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A reference over `duration_s`: position and velocity (3,) and the set-points (V,) at a time.
+    """A reference over `duration_s`: positions and velocities (T, 3) and the set-points (T, V) at times (T,).
 
-    `learned_m`: the disturbance (3,) at a time that earlier runs have shown; the controller steers the arm without it.
+    `learned_m`: the disturbance (T, 3) that earlier runs have shown; the controller steers the arm without it.
     """
 
     duration_s: float
-    position_m: Callable[[float], Array] = field(repr=False)
-    velocity_m_s: Callable[[float], Array] = field(repr=False)
-    feedforward_pa: Callable[[float], Array] = field(repr=False)
+    position_m: Callable[[Array], Array] = field(repr=False)
+    velocity_m_s: Callable[[Array], Array] = field(repr=False)
+    feedforward_pa: Callable[[Array], Array] = field(repr=False)
     period_s: float | None
-    learned_m: Callable[[float], Array] = field(default=lambda t_s: np.zeros(3), repr=False)
+    learned_m: Callable[[Array], Array] = field(default=lambda times_s: np.zeros((len(times_s), 3)), repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,26 +95,27 @@ def simulate(
     valve_of, rng = list(settings.valve_of), np.random.default_rng(seed)
     follower = PlanFollower(settings.valves, settings.pressure_limit_pa, settings.rate_limit_pa_s)
     dynamics = Dynamics(truth.arm, CYCLE_S)
-    pressure = task.feedforward_pa(0.0)[valve_of]
     loads = model.Loads(tip_force_n=truth.payload_kg * np.array(truth.arm.gravity_m_s2))
-    tip = dynamics.start(_effective(effects, pressure) * truth.strength).tip_m
     state = controller.start() if controller is not None else None
     share = -np.expm1(-CYCLE_S / truth.lag_s)
     cycles = round(task.duration_s / CYCLE_S)
-    tips, references = np.empty((cycles, 3)), np.empty((cycles, 3))
+    tips = np.empty((cycles, 3))
     setpoints, pressures = np.empty((cycles, settings.valves)), np.empty((cycles, settings.valves))
     times, plans, solve_s = CYCLE_S * np.arange(cycles, dtype=np.float64), [], []
+    references, feed, rest = task.position_m(times), task.feedforward_pa(times), np.zeros(settings.valves)
+    pressure = feed[0, valve_of]
+    tip = dynamics.start(_effective(effects, pressure) * truth.strength).tip_m
     pending: list[tuple[float, Array]] = []
     frame, kept = 0, round(_HISTORY_S / CYCLE_S)
     for k in range(cycles):
         now = float(times[k])
-        point = follower.follow(now, CYCLE_S, task.feedforward_pa(now), np.zeros(settings.valves))
+        point = follower.follow(now, CYCLE_S, feed[k], rest)
         if k:
             pressure = pressure + share * (setpoints[k - 1][valve_of] - pressure)
             hung = loads if truth.payload_kg and now >= truth.payload_at_s else None
             tip = dynamics.step(_effective(effects, pressure) * truth.strength, hung).tip_m
         setpoints[k], pressures[k] = point.pressure_pa, pressure[[valve_of.index(v) for v in range(settings.valves)]]
-        tips[k], references[k] = tip, task.position_m(now)
+        tips[k] = tip
         while frame * settings.frame_s <= now:
             at, seen = frame * settings.frame_s, tip if k == 0 else _between(tips, times, k, frame * settings.frame_s)
             pending.append((at, seen + truth.noise_m * rng.standard_normal(3)))
@@ -124,7 +125,7 @@ def simulate(
             rows = slice(max(0, k + 1 - kept), k + 1)
             measured = ControllerMeasurement(
                 at,
-                seen - task.learned_m(at),
+                seen - task.learned_m(np.array([at]))[0],
                 max(truth.noise_m, 1e-6) ** 2 * np.eye(3),
                 times[rows],
                 setpoints[rows],
@@ -157,8 +158,8 @@ def _between(tips: Array, times: Array, k: int, at_s: float) -> Array:
 def _window(task: Task, times: Array) -> ReferenceTrajectory:
     return ReferenceTrajectory(
         times,
-        np.array([task.position_m(t) - task.learned_m(t) for t in times]),
-        np.array([task.velocity_m_s(t) for t in times]),
-        np.array([task.feedforward_pa(t) for t in times]),
+        task.position_m(times) - task.learned_m(times),
+        task.velocity_m_s(times),
+        task.feedforward_pa(times),
         task.period_s,
     )

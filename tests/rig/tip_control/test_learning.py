@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import model
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.learning import STEP_S, DisturbanceLearner, Repetition, smooth
 from rig.tip_control.simulation import CYCLE_S, Task, Truth, simulate
+from runs.interpolation import interpolated
 
 LIMIT_PA, RATE_PA_S = 0.7e5, 1e5
 DURATION_S = 4.0
@@ -79,8 +81,8 @@ def test_a_free_coordinate_is_not_corrected(learner: DisturbanceLearner) -> None
 
 
 def _task(path: np.ndarray, feed: np.ndarray) -> Task:
-    def at(values: np.ndarray, t_s: float) -> np.ndarray:
-        return np.array([np.interp(t_s, TIMES, column) for column in values.T])
+    def at(values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda times_s: interpolated(times_s, TIMES, values)
 
     assert CYCLE_S == STEP_S
-    return Task(DURATION_S, lambda t: at(path, t), lambda t: np.zeros(3), lambda t: at(feed, t), None)
+    return Task(DURATION_S, at(path), at(np.zeros_like(path)), at(feed), None)

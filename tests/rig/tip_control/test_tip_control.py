@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from rig.tip_control.plan_follower import LONGEST_S, PlanFollower, SetPointSourc
 from rig.tip_control.registry import CONTROLLERS, UnknownControllerError, controller_class
 from rig.tip_control.simulation import Task, Truth, simulate
 from rig.tip_control.tip_dynamics import TipDynamics
+from runs.interpolation import interpolated
 
 LIMIT_PA, RATE_PA_S = 0.7e5, 1e5
 
@@ -51,12 +53,10 @@ def _task(frequency_hz: float, duration_s: float, radius_m: float = 0.015) -> Ta
     drive = position + dynamics.tau_s * velocity + np.gradient(velocity, 0.005, axis=0) / dynamics.omega_rad_s**2
     feed = chart.inverse(drive, np.full(3, 3e4))
 
-    def at(values: np.ndarray, t: float) -> np.ndarray:
-        return np.array([np.interp(t, times, column) for column in values.T])
+    def at(values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda times_s: interpolated(times_s, times, values)
 
-    return Task(
-        duration_s, lambda t: at(position, t), lambda t: at(velocity, t), lambda t: at(feed, t), 1 / frequency_hz
-    )
+    return Task(duration_s, at(position), at(velocity), at(feed), 1 / frequency_hz)
 
 
 def test_the_static_map_is_the_rod_model(static_map: StaticMap) -> None:
