@@ -2,7 +2,7 @@
 
     python -m benchmarks.tip_control [--arms 20] [--controllers horizon] [--frequencies 1] [--repetitions 2] [--effects]
 
-Pure simulation (rig.tip_control.simulation): the truth is the dynamic rod model with other parameters, a pressure lag
+Pure simulation (benchmarks.tip_closed_loop): the truth is the dynamic rod model with other parameters, a pressure lag
 of 15 ms, a camera at 30 Hz with 0.1 mm noise per coordinate, and 40 ms from frame to plan. Printed is the RMS of the
 3-D distance between reference and true tip from the third period on, lag included: median and worst over the arms; and
 the processor time of a step of the controller. With `--effects` the arm has what the simulator's `mock` has beyond the
@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
+from benchmarks.tip_closed_loop import CYCLE_S, ClosedLoop, Task, Truth, simulate
 from model.inverse.static_map import StaticMap
 from rig.config.loader import load
 from rig.simulator.arm_effects.base import ArmEffect
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.learning import DisturbanceLearner, Repetition
 from rig.tip_control.registry import CONTROLLERS, FEED_FORWARD, controller_class
-from rig.tip_control.simulation import CYCLE_S, ClosedLoop, Task, Truth, simulate
 from rig.tip_control.tip_dynamics import TipDynamics
 from runs.interpolation import interpolated
 

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
+from benchmarks.tip_closed_loop import CYCLE_S, ClosedLoop, Task, Truth, simulate
 from benchmarks.tip_control import LIMIT_PA, RATE_PA_S, drawn, published
 from model.inverse.static_map import StaticMap
 from rig.tip_control.horizon import HorizonControl
 from rig.tip_control.interface import TipControlSettings
-from rig.tip_control.simulation import CYCLE_S, ClosedLoop, Task, Truth, simulate
 from rig.tip_control.tip_dynamics import TipDynamics
 from runs.interpolation import interpolated
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import model
+from benchmarks.tip_closed_loop import CYCLE_S, Task, Truth, simulate
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.learning import STEP_S, DisturbanceLearner, Repetition, smooth
-from rig.tip_control.simulation import CYCLE_S, Task, Truth, simulate
 from runs.interpolation import interpolated
 
 LIMIT_PA, RATE_PA_S = 0.7e5, 1e5

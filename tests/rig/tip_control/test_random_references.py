@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import protocols
+from benchmarks.tip_closed_loop import CYCLE_S, Task, Truth, simulate
 from protocols import BadInputError, SetPointTrajectory
 from rig.config.loader import load
 from rig.tip_control import session
 from rig.tip_control.horizon import HorizonControl
 from rig.tip_control.interface import TipControlSettings
-from rig.tip_control.simulation import CYCLE_S, Task, Truth, simulate
 from rig.tip_planning.inverse import RigTipInverse
 from tests.support.budget import examples
 

@@ -12,6 +12,7 @@ import pytest
 from scipy.linalg import expm
 
 import model
+from benchmarks.tip_closed_loop import Task, Truth, simulate
 from model.dynamics import Dynamics
 from model.inverse.static_map import StaticMap
 from model.statics import statics
@@ -21,7 +22,6 @@ from rig.tip_control.horizon import HorizonControl
 from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory, SolveStatus, TipControlSettings
 from rig.tip_control.plan_follower import LONGEST_S, PlanFollower, SetPointSource
 from rig.tip_control.registry import CONTROLLERS, UnknownControllerError, controller_class
-from rig.tip_control.simulation import Task, Truth, simulate
 from rig.tip_control.tip_dynamics import TipDynamics
 from runs.interpolation import interpolated
 
