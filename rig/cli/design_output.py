@@ -41,7 +41,8 @@ def error_bars(found: Design, to: Path, as_json: bool) -> None:
     screen = console()
     screen.print(table)
     screen.print(
-        f"expected standard errors; library: {', '.join(LIBRARY)} together; limit: any number of such blocks",
+        f"expected standard errors; library: {', '.join(LIBRARY)} together; limit: any number of such blocks\n"
+        "from positions of the tip, without its orientations; plateaus count as held for long: nothing relaxes",
         soft_wrap=True,
     )
     typer.echo(to)

@@ -215,7 +215,7 @@ def last_screen(screen: Console, result: RunResult) -> None:
     if result.report is not None:
         parts.append(f"report   {result.report}")
     if result.parameters is not None:
-        parts.append(f"adapted  {result.parameters}  (use them: --parameters FILE)")
+        parts.append(f"adapted  {result.parameters}  (from positions of the tip alone; use them: --parameters FILE)")
     parts += [Text(printable(warning), "bold red") for warning in result.warnings]
     try:
         for part in parts:
