@@ -46,21 +46,26 @@ class OtherRenderer:
 
     def __init__(
         self,
-        squares: tuple[int, int],
+        squares: tuple[float, float],
         square_m: float,
         matrix: Floats,
         distortion: Floats,
         size: tuple[int, int],
         look: BoardPose,
         seed: int,
+        drawn: Image | None = None,
     ) -> None:
+        """`drawn` is the print, PRINT_PX pixels to a square; None: a checkerboard."""
         self._look, self._size = look, size
         self._square_m, self._squares = square_m, squares
         self._matrix, self._distortion = matrix, distortion
         self._rng = np.random.default_rng(seed)
         across, down = squares
-        checks = (np.add.outer(np.arange(down), np.arange(across)) % 2).astype(np.float32)
-        board = np.kron(checks, np.ones((PRINT_PX, PRINT_PX), np.float32))
+        if drawn is None:
+            checks = (np.add.outer(np.arange(down), np.arange(across)) % 2).astype(np.float32)
+            board = np.kron(checks, np.ones((PRINT_PX, PRINT_PX), np.float32))
+        else:
+            board = drawn.astype(np.float32) / 255
         rim = round(_MARGIN_SQUARES * PRINT_PX)
         grey = look.black + (look.white - look.black) * np.pad(board, rim, constant_values=1.0)
         self._print = grey.astype(np.float32)

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dlt import DLT
-from calibration.vision.board import Board, grey
+from calibration.vision.board import grey
+from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.lens import Lens
 from calibration.vision.multiview_pose import board_pose
 from calibration.vision.planar_motion import PlaneOfMotion
@@ -36,7 +37,7 @@ else:
 
 Floats = NDArray[np.float64]
 
-BOARD = Board(7, 6, 0.008)
+BOARD = Checkerboard(7, 6, 0.008)
 TIP_IN_BOARD = np.array([0.0, 0.0, -0.030])
 CHI2_95_3 = 7.815
 FACING = np.diag([1.0, -1.0, -1.0])

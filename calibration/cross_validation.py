@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dlt import DLTError, calibrate, reconstruct, undistort
-from calibration.vision.board import Board
+from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.lens import Lens
 from calibration.vision.multiview_pose import fit_rigid
 
@@ -38,7 +38,7 @@ class CrossValidation:
 
 
 def leave_out(
-    cameras: Sequence[PointObservations], groups: Mapping[str, Sequence[str]], board: Board | None = None
+    cameras: Sequence[PointObservations], groups: Mapping[str, Sequence[str]], board: Checkerboard | None = None
 ) -> CrossValidation:
     """Leave each group of points out of every camera's calibration and reconstruct it.
 

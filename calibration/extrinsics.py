@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from calibration.camera import CalibrationError
-from calibration.vision.board import Board
+from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.lens import Lens
 from calibration.vision.pose import solutions
 from calibration.vision.transforms import RigidTransform
@@ -44,7 +44,7 @@ class ExtrinsicCalibration:
     in the board's order; `residuals_px` (n, 2) measured minus projected, by camera and view.
     """
 
-    board: Board
+    board: Checkerboard
     cameras: dict[str, RigidTransform]
     boards: dict[str, RigidTransform]
     corners_px: dict[str, dict[str, Floats]]
@@ -112,7 +112,7 @@ class ExtrinsicCalibration:
         return distance(start), float(np.sqrt(slope @ self.covariance[np.ix_(at, at)] @ slope))
 
 
-def locate(cameras: Sequence[CameraSightings], board: Board, *, bundle: bool = True) -> ExtrinsicCalibration:
+def locate(cameras: Sequence[CameraSightings], board: Checkerboard, *, bundle: bool = True) -> ExtrinsicCalibration:
     """Find cameras and boards from simultaneous views; with `bundle`, by bundle adjustment.
 
     On a board that looks the same upside down the corners' order is chosen so that the cameras agree.
@@ -148,7 +148,7 @@ class _BoardView:
     misfit: float
 
 
-def _poses(board: Board, lens: Lens, corners_px: Floats) -> list[_BoardView]:
+def _poses(board: Checkerboard, lens: Lens, corners_px: Floats) -> list[_BoardView]:
     """Every possible pose: both sides of the planar flip and every symmetry of the board."""
     columns, rows = board.pattern
     grid = corners_px.reshape(rows, columns, 2)
@@ -234,7 +234,7 @@ def _distance(a: RigidTransform, b: RigidTransform) -> float:
 
 def _assemble(
     cameras: Sequence[CameraSightings],
-    board: Board,
+    board: Checkerboard,
     placed: Mapping[str, RigidTransform],
     chosen: Mapping[str, Mapping[str, _BoardView]],
 ) -> ExtrinsicCalibration:

@@ -17,8 +17,8 @@ from scipy.optimize import least_squares
 
 from calibration.camera import CalibrationError
 from calibration.views import View
-from calibration.vision.board import Board, find
-from calibration.vision.corners import sharpen
+from calibration.vision.board import Board
+from calibration.vision.corners import Corners
 from calibration.vision.lens import Lens
 from calibration.vision.pose import Pose, solutions
 from calibration.vision.transforms import RigidTransform
@@ -58,7 +58,7 @@ class Mounting:
 class _MountingView:
     view: View
     turned: bool
-    corners_px: Floats
+    corners: Corners
     poses: tuple[Pose, ...]
 
 
@@ -81,14 +81,14 @@ def mount(
     sights, left_out = [], []
     for views, is_turned in ((straight, False), (turned, True)):
         for view in views:
-            seeds = find(view.image, board)
-            corners = None if seeds is None else sharpen(view.image, seeds, board.pattern)
+            seeds = board.find(view.image)
+            corners = None if seeds is None else board.refine(view.image, seeds)
             if corners is None:
                 left_out.append((view.name, "the board was not found", view.sha256))
                 continue
-            poses = solutions(board.corners_m, corners.px, lens, corners.covariance, corners.unexplained)
+            poses = solutions(corners.of(board.corners_m), corners.px, lens, corners.covariance, corners.unexplained)
             if poses:
-                sights.append(_MountingView(view, is_turned, corners.px, poses))
+                sights.append(_MountingView(view, is_turned, corners, poses))
             else:
                 left_out.append((view.name, "its corners give no pose", view.sha256))
     if all(sight.turned for sight in sights):
@@ -115,10 +115,10 @@ def _solve(
     start = prior.inverse() @ first.rigid
     angles = [_turn(prior, pose.rigid, start) for s, pose in zip(sights, chosen, strict=True) if s.turned]
     std_px = max(
-        float(np.sqrt(np.mean([np.mean(pose.residuals_px**2) for pose in chosen]))) * _freedom(board), _LEAST_STD_PX
+        float(np.sqrt(np.mean([np.mean(pose.residuals_px**2) for pose in chosen]))) * _freedom(chosen), _LEAST_STD_PX
     )
     stds = np.array([max(prior.rotation_std_rad, 1e-7)] * 3 + [max(prior.translation_std_m, 1e-8)] * 3)
-    points = board.corners_m
+    points = [sight.corners.of(board.corners_m) for sight in sights]
 
     def poses(x: Floats) -> list[RigidTransform]:
         # The tip moves about itself, in the camera's axes.
@@ -130,9 +130,9 @@ def _solve(
 
     def rest(x: Floats) -> Floats:
         found = [x[:6]]
-        for sight, pose in zip(sights, poses(x), strict=True):
-            seen = lens.project(points, cv2.Rodrigues(pose.rotation)[0].ravel().astype(np.float64), pose.translation_m)
-            found.append((seen - sight.corners_px).ravel() / std_px)
+        for sight, at, pose in zip(sights, points, poses(x), strict=True):
+            seen = lens.project(at, cv2.Rodrigues(pose.rotation)[0].ravel().astype(np.float64), pose.translation_m)
+            found.append((seen - sight.corners.px).ravel() / std_px)
         return np.concatenate(found)
 
     x0 = np.concatenate([np.zeros(6), cv2.Rodrigues(start.rotation)[0].ravel(), start.translation_m, angles])
@@ -193,7 +193,7 @@ def _angle(a: Floats, b: Floats) -> float:
     return float(np.arccos(np.clip((np.sum(a * b) - 1) / 2, -1, 1)))
 
 
-def _freedom(board: Board) -> float:
-    """Factor that corrects a view's residuals for the six degrees of freedom of its pose."""
-    count = 2 * len(board.corners_m)
+def _freedom(poses: Sequence[Pose]) -> float:
+    """Factor that corrects the views' residuals for the six degrees of freedom of each pose."""
+    count = float(np.mean([pose.residuals_px.size for pose in poses]))
     return float(np.sqrt(count / (count - 6)))

@@ -151,7 +151,8 @@ class Expectation:
         if tag is not None:
             word = data.get(tag) if isinstance(data, dict) else None
             for branch in branches:
-                if branch.get("properties", {}).get(tag, {}).get("const") == word:
+                stated = branch.get("properties", {}).get(tag, {})
+                if stated.get("const") == word or (word is None and "default" in stated):
                     return branch
             return {"type": "object", "properties": {tag: {"enum": list(schema["discriminator"]["mapping"])}}}
         kind = "array" if isinstance(data, list) else "object" if isinstance(data, dict) else ""

@@ -157,6 +157,16 @@ def _shaped(room: Floats, edge: int, count: int, shape: Floats, knot: float) -> 
 
 
 @fast_kernel
+def _one_sided(room: Floats, edge: int, count: int) -> None:
+    """Turn steps from -1 to 1 into steps from 0 to the root of 2: the product of both spans 2, as that of a saddle."""
+    part = math.sqrt(0.5)
+    for k in range(count):
+        room[edge + _VALUE + k] = (1.0 + room[edge + _VALUE + k]) * part
+        room[edge + _STEEP + k] *= part
+        room[edge + _PLAIN + k] *= part
+
+
+@fast_kernel
 def _linear_start(room: Floats, count: int) -> tuple[float, float]:
     """Mean and half the step, which follow linearly from the edges of the start."""
     s = s_v = s_e = s_ve = s_ee = 0.0
@@ -241,6 +251,7 @@ def fit(
     knot: float,
     usual: Floats,
     firmness: float,
+    quadrant: bool,
 ) -> CornerFit:
     """Fit grey = light * (mean + half step * edge_1 * edge_2) in a window round each corner by Gauss-Newton.
 
@@ -248,6 +259,9 @@ def fit(
     other), of which `usual` (2,) and its `firmness` are known. `light` (n, 2) [1/px] is the relative gradient of the
     light at each corner, where it is 1. `shape` (2, knots + 1), every `knot` px, is what the edges of either direction
     are beside a step blurred by a bell; (2, 1) is nothing. `radius` is at most LARGEST_RADIUS_PX.
+
+    Of a `quadrant` only what lies beyond both edges has the other colour, as at the corner of a dark rectangle: the
+    edges then step from 0 to 1. Its mean is the level outside.
     """
     n = seeds.shape[0]
     corners = np.full((n, 2), np.nan)
@@ -272,6 +286,9 @@ def fit(
             _edges(room, _EDGE_2, count, cx, cy, normals[c, 1], blur_2)
             _shaped(room, _EDGE_1, count, shape[0], knot)
             _shaped(room, _EDGE_2, count, shape[1], knot)
+            if quadrant:
+                _one_sided(room, _EDGE_1, count)
+                _one_sided(room, _EDGE_2, count)
             if step == 0:
                 mean, half_step = _linear_start(room, count)
             squares, weights = _slopes(room, count, normals[c], mean, half_step, blur_1, blur_2)

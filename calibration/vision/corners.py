@@ -7,7 +7,7 @@ lies; the model is compared at the pixels themselves.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
@@ -24,23 +24,23 @@ exact_kernel = partial(kernel, sources=(__file__,), fastmath=False)
 fast_kernel = partial(kernel, sources=(__file__,), fastmath=True)
 
 # The window is kept clear of the neighbouring edges: its radius as a share of their distance, bounds in px.
-_RADIUS_SHARE = 0.46
-_RADIUS_BOUNDS_PX = (2.2, LARGEST_RADIUS_PX)
+RADIUS_SHARE = 0.46
+RADIUS_BOUNDS_PX = (2.2, LARGEST_RADIUS_PX)
 # Knots of the edges' own shape lie so many blurs apart, but not less than so many px.
-_KNOT_BLURS = 0.25
-_LEAST_KNOT_PX = 0.2
-_COARSE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
-_START_BLUR_PX = 0.8
+KNOT_BLURS = 0.25
+LEAST_KNOT_PX = 0.2
+COARSE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
+START_BLUR_PX = 0.8
 # What the corners before say of the blur, against what this corner's pixels say: its squared share of the step.
-_BLUR_OPINION = 0.05
+BLUR_OPINION = 0.05
 # The same once it is estimated from all corners: they share a lens, and the motion.
-_BLUR_CERTAIN = 1.0
+BLUR_CERTAIN = 1.0
 # The middle of a square that no edge's blur reaches: half its width as a share of the edges' distance.
 _MIDDLE_SHARE = 0.15
 # Of the grey values' variance beyond their noise: what the estimate of the noise may miss by chance, and how much of
 # the rest moves corners (most of a wrong edge profile is symmetric and does not).
-_TOLD_BY_CHANCE = 0.25
-_MOVES_CORNERS = 0.5
+TOLD_BY_CHANCE = 0.25
+MOVES_CORNERS = 0.5
 # Where windows overlap neighbours share pixels, and with them errors.
 _BY_OVERLAP = 0.8
 # A corner whose pixels scatter so many times more than the median corner's is judged by itself.
@@ -55,6 +55,8 @@ _SYSTEMATIC_PX = 0.003
 class Corners:
     """Corners `px` (n, 2) with covariance (n, 2, 2) [px^2].
 
+    `seen` (n,) says which of the board's corners they are; None: all of them, in order.
+
     `contrast` (n,) is the step from dark to bright in grey levels, positive where the quadrant between the two edge
     directions (along a row, down a column) is bright; `misfit` (n,) the rms of what the model leaves, in shares of
     the step. `unexplained` is the share of the variance that is not noise of pixels but the model's own fault.
@@ -67,6 +69,32 @@ class Corners:
     misfit: Floats
     unexplained: float = 0.0
     carried_px: Floats | None = None
+    seen: NDArray[np.intp] | None = None
+
+    def of(self, points: Floats) -> Floats:
+        """Of the board's points (m, 3) those of the corners (n, 3)."""
+        return points if self.seen is None else points[self.seen]
+
+    def keeping(self, kept: NDArray[np.bool_]) -> Corners:
+        """Some of the corners; `kept` (n,) says which."""
+        seen = np.arange(len(self.px)) if self.seen is None else self.seen
+        return replace(
+            self,
+            px=self.px[kept],
+            covariance=self.covariance[kept],
+            contrast=self.contrast[kept],
+            misfit=self.misfit[kept],
+            carried_px=None if self.carried_px is None else self.carried_px[kept],
+            seen=seen[kept],
+        )
+
+    def padded(self, count: int) -> Floats:
+        """All `count` corners of the board (count, 2) [px], NaN where one is not seen."""
+        if self.seen is None:
+            return self.px
+        every = np.full((count, 2), np.nan)
+        every[self.seen] = self.px
+        return every
 
 
 def spacing(corners_px: Floats, pattern: tuple[int, int]) -> float:
@@ -99,30 +127,31 @@ def sharpen(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> Corners
     None where a corner has no model: too near the border, or its surroundings are not those of a corner.
     """
     grid = (pattern[1], pattern[0], 2)
-    smallest, largest = _RADIUS_BOUNDS_PX
+    smallest, largest = RADIUS_BOUNDS_PX
     room = _room(seeds_px.reshape(grid))
-    radius = min(max(_RADIUS_SHARE * room, smallest), largest)
+    radius = min(max(RADIUS_SHARE * room, smallest), largest)
     coarse = _coarse(image, seeds_px, math.floor(radius))
     if coarse is None:
         return None
     # The first look moved the corners, so the directions are taken from where they are now.
     normals = _edge_normals(coarse.reshape(grid))
-    usual = np.full(2, _START_BLUR_PX)
-    first = fit(image, coarse, normals, radius, np.zeros_like(coarse), np.zeros((2, 1)), 1.0, usual, _BLUR_OPINION)
+    usual = np.full(2, START_BLUR_PX)
+    nothing = np.zeros((2, 1))
+    first = fit(image, coarse, normals, radius, np.zeros_like(coarse), nothing, 1.0, usual, BLUR_OPINION, False)
     if not _plausible(first.px, seeds_px, radius):
         return None
     # No lens blurs like a Gaussian: the common edge shape is estimated from all corners, then used in the fit.
-    blur = _column_medians(first.blur)
-    knot = max(_KNOT_BLURS * float(blur.mean()), _LEAST_KNOT_PX)
+    blur = column_medians(first.blur)
+    knot = max(KNOT_BLURS * float(blur.mean()), LEAST_KNOT_PX)
     normals = _edge_normals(first.px.reshape(grid))
-    light = _light_gradient(first.px, first.levels, radius)
+    light = light_gradient(first.px, first.levels, radius)
     shape = edge_shape(image, first.px, normals, radius, light, first.levels, blur, knot)
-    found = fit(image, first.px, normals, radius, light, shape, knot, blur, _BLUR_CERTAIN)
+    found = fit(image, first.px, normals, radius, light, shape, knot, blur, BLUR_CERTAIN, False)
     if not _plausible(found.px, seeds_px, radius):
         return None
-    pooled, total = _uncertainty(found.variance, found.spread)
+    pooled, total = uncertainty(found.variance, found.spread)
     beyond_noise = 1 - _pixel_noise(image, found.px.reshape(grid)) / pooled
-    unexplained = _MOVES_CORNERS * max(0.0, beyond_noise - _TOLD_BY_CHANCE)
+    unexplained = MOVES_CORNERS * max(0.0, beyond_noise - TOLD_BY_CHANCE)
     overlap = max(0.0, 2 * (radius + TAPER_PX / 2) / room - 1)
     unexplained = min(max(unexplained, _BY_OVERLAP * overlap), 1.0)
     return Corners(found.px, total, found.contrast, found.misfit, unexplained)
@@ -150,7 +179,7 @@ def _median(values: Floats) -> float:
 
 
 @exact_kernel
-def _column_medians(values: Floats) -> Floats:
+def column_medians(values: Floats) -> Floats:
     """Median of each column of (n, k)."""
     middle = np.empty(values.shape[1])
     for k in range(values.shape[1]):
@@ -159,7 +188,7 @@ def _column_medians(values: Floats) -> Floats:
 
 
 @exact_kernel
-def _uncertainty(variance: Floats, spread: Floats) -> tuple[float, Floats]:
+def uncertainty(variance: Floats, spread: Floats) -> tuple[float, Floats]:
     """The grey values' variance about the fits, and the corners' covariance (n, 2, 2).
 
     The noise is pooled over the board, because one corner has too few pixels to estimate it; a corner with much larger
@@ -202,7 +231,7 @@ def _pixel_noise(image: Image, grid: Floats) -> float:
 
 
 @exact_kernel
-def _light_gradient(px: Floats, levels: Floats, radius: float) -> Floats:
+def light_gradient(px: Floats, levels: Floats, radius: float) -> Floats:
     """Relative gradient of the light (n, 2) [1/px] at corners (n, 2): a plane through their mean levels (n,).
 
     Least squares over the whole board: the levels of single corners scatter too much where squares are small.
@@ -236,7 +265,7 @@ def _coarse(image: Image, seeds_px: Floats, half: int) -> Floats | None:
     if seeds_px.min() < margin or np.any(seeds_px.max(axis=0) > (width - 1 - margin, height - 1 - margin)):
         return None
     start = seeds_px.astype(np.float32).reshape(-1, 1, 2)
-    coarse = cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _COARSE)
+    coarse = cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), COARSE)
     moved = np.abs(coarse - start).max(axis=(1, 2))
     # Where the iteration diverges OpenCV returns its seed, to the last bit.
     if moved.max() > half or moved.min() == 0.0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import cv2
@@ -16,27 +17,38 @@ Floats = NDArray[np.float64]
 
 _STEPS = 20
 _CONVERGED = 1e-10
+# Corners that all cameras must see, for the start.
+_LEAST_COMMON = 4
 
 
 def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corners]) -> Pose | None:
     """Pose of the board in the world from its corners (n, 3) and their images.
 
-    Starts from the reconstructed points and then minimises the residuals in all pictures together. `residuals_px`
-    and `projected_px` of the result hold the cameras one after the other, undistorted. None if it does not converge.
+    Starts from the reconstructed points that all cameras see, and then minimises the residuals in all pictures
+    together. `residuals_px` and `projected_px` of the result hold the cameras one after the other, undistorted. None if
+    it does not converge.
 
     Raises:
         DLTError: fewer than two cameras.
     """
     undistorted = [camera.undistorted(c.px) for camera, c in zip(cameras, corners, strict=True)]
     noise = [_undistorted_noise(camera, c) for camera, c in zip(cameras, corners, strict=True)]
-    start = reconstruct(cameras, [c.px for c in corners], noise)
-    rotation, translation = fit_rigid(points_m, start.m)
+    points = [c.of(points_m) for c in corners]
+    common, places = _common(len(points_m), corners)
+    if len(common) < _LEAST_COMMON:
+        return None
+    start = reconstruct(
+        cameras,
+        [c.px[place] for c, place in zip(corners, places, strict=True)],
+        [n[place] for n, place in zip(noise, places, strict=True)],
+    )
+    rotation, translation = fit_rigid(points_m[common], start.m)
     vector, _ = cv2.Rodrigues(rotation)
     x = np.concatenate([np.asarray(vector, dtype=np.float64).ravel(), translation])
     whiteners = [np.linalg.inv(np.linalg.cholesky(n)) for n in noise]
 
     def at(values: Floats) -> tuple[Floats, Floats, Floats]:
-        projected, slope = _project(points_m, cameras, values)
+        projected, slope = _project(points, cameras, values)
         rest = [np.einsum("nij,nj->ni", w, s - p) for w, s, p in zip(whiteners, undistorted, projected, strict=True)]
         white = [np.matmul(w, d) for w, d in zip(whiteners, slope, strict=True)]
         return np.concatenate(projected), np.concatenate(white).reshape(-1, 6), np.concatenate(rest).ravel()
@@ -59,13 +71,14 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
             return None
     else:
         return None
-    covariance = residual_covariance(jacobian, cost, points_m, np.array([c.unexplained for c in corners]))
+    covariance = residual_covariance(jacobian, cost, points, np.array([c.unexplained for c in corners]))
     unscaled = np.linalg.inv(jacobian.T @ jacobian)
     # Errors of the coefficients, and of the transport to another time, are common to all corners of a camera and do not
     # average out.
-    world = points_m @ cv2.Rodrigues(x[:3])[0].T + x[3:]
-    by_camera = np.split(jacobian, len(cameras))
-    for camera, seen_by, whitener, slope in zip(cameras, corners, whiteners, by_camera, strict=True):
+    rotation = np.asarray(cv2.Rodrigues(x[:3])[0])
+    by_camera = np.split(jacobian, np.cumsum([2 * len(seen) for seen in points])[:-1])
+    for camera, seen_by, whitener, slope, seen in zip(cameras, corners, whiteners, by_camera, points, strict=True):
+        world = seen @ rotation.T + x[3:]
         shift = np.matmul(whitener, camera.by_coefficients(world).reshape(-1, 2, 11)).reshape(-1, 11)
         gain = unscaled @ slope.T @ shift
         covariance = covariance + gain @ camera.covariance @ gain.T
@@ -75,15 +88,22 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
     return Pose(x[:3], x[3:], np.asarray(covariance), np.concatenate(undistorted) - projected, projected, cost)
 
 
-def _project(points: Floats, cameras: Sequence[DLT], values: Floats) -> tuple[list[Floats], list[Floats]]:
+def _common(count: int, corners: Sequence[Corners]) -> tuple[NDArray[np.intp], list[NDArray[np.intp]]]:
+    """The corners that all cameras see, as numbers of the board and as places in the corners of each camera."""
+    seen = [np.arange(count) if c.seen is None else c.seen for c in corners]
+    common = functools.reduce(np.intersect1d, seen)
+    return common, [np.flatnonzero(np.isin(s, common)) for s in seen]
+
+
+def _project(points: Sequence[Floats], cameras: Sequence[DLT], values: Floats) -> tuple[list[Floats], list[Floats]]:
     """Undistorted pixels (n, 2) and their derivatives (n, 2, 6) by rotation vector and translation, per camera."""
     rotation, derivative = cv2.Rodrigues(values[:3])
     # derivative (3, 9): row k holds d R / d r_k, flattened by rows.
-    by_rotation = np.einsum("kij,nj->nik", derivative.reshape(3, 3, 3), points)
-    by_pose = np.concatenate([by_rotation, np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=2)
-    world = points @ rotation.T + values[3:]
     pixels, slopes = [], []
-    for camera in cameras:
+    for camera, seen in zip(cameras, points, strict=True):
+        by_rotation = np.einsum("kij,nj->nik", derivative.reshape(3, 3, 3), seen)
+        by_pose = np.concatenate([by_rotation, np.broadcast_to(np.eye(3), (len(seen), 3, 3))], axis=2)
+        world = seen @ rotation.T + values[3:]
         pixels.append(camera.project(world))
         slopes.append(np.asarray(by_points(camera.matrix, world) @ by_pose))
     return pixels, slopes

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -89,19 +90,19 @@ def refine(
     if math.isnan(cost) or x[5] <= 0:
         return None
     try:
-        covariance = residual_covariance(jacobian, cost, points_m, np.array([unexplained]))
+        covariance = residual_covariance(jacobian, cost, [points_m], np.array([unexplained]))
     except np.linalg.LinAlgError:
         return None
     return Pose(x[:3], x[3:], covariance, seen - projected, projected, cost)
 
 
-def residual_covariance(jacobian: Floats, misfit: float, points_m: Floats, unexplained: Floats) -> Floats:
+def residual_covariance(jacobian: Floats, misfit: float, pictures: Sequence[Floats], unexplained: Floats) -> Floats:
     """Covariance (k, k) of a least-squares fit from its whitened derivatives (2 n + m, k) and its sum of squares.
 
     The residuals scale the covariance, steadied by a weak prior that they are what the corners say. What they show
     beyond that, and the share of the corners' own variance that is `unexplained` (pictures,), is no noise of pixels but
     a fault of model, lens or print: it goes smoothly over the board, so that its corners do not average it out. The
-    board's points (n, 3) have rows for every picture; rows beyond theirs are of what was known beforehand.
+    points (n, 3) that each of the `pictures` shows have rows; rows beyond theirs are of what was known beforehand.
 
     Raises:
         LinAlgError: the derivatives do not determine every unknown.
@@ -109,18 +110,20 @@ def residual_covariance(jacobian: Floats, misfit: float, points_m: Floats, unexp
     rows, unknowns = jacobian.shape
     scale = (misfit + _PRIOR_WEIGHT) / (rows - unknowns + _PRIOR_WEIGHT)
     covariance = np.empty((unknowns, unknowns))
-    if not fit_covariance(jacobian, scale, _stacked(points_m.shape, points_m.tobytes()), unexplained, covariance):
+    counts = np.array([len(points) for points in pictures])
+    together = np.concatenate([_stacked(points.shape, points.tobytes()) for points in pictures])
+    if not fit_covariance(jacobian, scale, counts, together, unexplained, covariance):
         raise np.linalg.LinAlgError("singular normal equations")
     return covariance
 
 
 @lru_cache(maxsize=8)
 def _stacked(shape: tuple[int, int], points: bytes) -> Floats:
-    """Correlation (n, n) of errors at points (n, 3) of a board by their distance, equal in every picture."""
+    """Correlation (n n,) of errors at points (n, 3) of a board by their distance, row by row."""
     points_m = np.frombuffer(points).reshape(shape)
     apart = np.linalg.norm(points_m[:, None] - points_m, axis=2)
     length = _SMOOTH_OVER * float(np.min(apart[apart > 0]))
-    return np.ascontiguousarray(np.exp(-0.5 * (apart / length) ** 2))
+    return np.exp(-0.5 * (apart / length) ** 2).ravel()
 
 
 def solutions(

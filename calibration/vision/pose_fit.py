@@ -163,10 +163,18 @@ def add_smooth_errors(covariance: Floats, gain: Floats, together: Floats, by_all
 
 
 @exact_kernel
-def fit_covariance(jacobian: Floats, scale: float, together: Floats, unexplained: Floats, covariance: Floats) -> bool:
+def fit_covariance(
+    jacobian: Floats,
+    scale: float,
+    counts: NDArray[np.int64],
+    together: Floats,
+    unexplained: Floats,
+    covariance: Floats,
+) -> bool:
     """Fill the covariance (k, k) of a fit; see `residual_covariance` of the poses. False where it has none.
 
-    `together` (n, n) is the correlation of smooth errors of the points, `unexplained` (pictures,) its share.
+    Of every picture `counts` says how many points n it shows, `unexplained` the share of smooth errors; `together` has
+    their correlation (n, n), one picture after the other in one row.
     """
     rows, unknowns = jacobian.shape
     inverse, unused = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
@@ -183,8 +191,7 @@ def fit_covariance(jacobian: Floats, scale: float, together: Floats, unexplained
             for j in range(unknowns):
                 total += inverse[i, j] * jacobian[row, j]
             gain[i, row] = total
-    of_picture = 2 * len(together)
-    seen = of_picture * len(unexplained)
+    seen = 2 * counts.sum()
     for i in range(unknowns):
         for j in range(unknowns):
             from_pictures = from_known = 0.0
@@ -193,11 +200,15 @@ def fit_covariance(jacobian: Floats, scale: float, together: Floats, unexplained
             for row in range(seen, rows):
                 from_known += gain[i, row] * gain[j, row]
             covariance[i, j] = from_pictures * scale + from_known
-    for picture in range(len(unexplained)):
+    first, first_of_square = 0, 0
+    for picture in range(len(counts)):
+        n = counts[picture]
         # With residuals below the stated noise the unexplained part does not affect the corners.
         believed = max(unexplained[picture] - max(1.0 - scale, 0.0), 0.0)
         by_all, by_own = max(scale - 1.0, 0.0), believed * scale
         if by_all > 0.0 or by_own > 0.0:
-            columns = np.ascontiguousarray(gain[:, picture * of_picture : (picture + 1) * of_picture])
-            add_smooth_errors(covariance, columns, together, by_all, by_own)
+            columns = np.ascontiguousarray(gain[:, first : first + 2 * n])
+            square = together[first_of_square : first_of_square + n * n].reshape(n, n)
+            add_smooth_errors(covariance, columns, square, by_all, by_own)
+        first, first_of_square = first + 2 * n, first_of_square + n * n
     return True

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.vision.board import Board, find, grey
-from calibration.vision.corners import Corners, sharpen, spacing
+from calibration.vision.board import Board, grey
+from calibration.vision.corners import Corners
 from calibration.vision.lens import Lens
+from calibration.vision.marker_board import LEAST_CORNERS
 from calibration.vision.planar_motion import PlaneOfMotion
 from calibration.vision.pose import Pose, refine, solutions
 from calibration.vision.transforms import RigidTransform
@@ -30,6 +31,10 @@ _FLIP_SAME_RAD = 0.02
 _MAX_DISAGREEMENT_RAD = 0.1
 # Largest ratio of residuals to stated noise for a tracked pose; above, both sides of the flip are tried again.
 _MAX_CHI2_RATIO = 3.0
+# Of a board that may be partly hidden, corners whose squared residual is so many times the usual one are not the
+# board's: something else crosses there. A pose needs so many of the others.
+_OUTLYING = 14.0
+_MEDIAN_CHI2_2 = 1.386
 
 
 @dataclass(frozen=True)
@@ -60,13 +65,13 @@ class Tracker:
         image = grey(picture)
         detection = Detection(DetectionStatus.NO_BOARD)
         if self._last is not None:
-            predicted = 2 * self._last.projected_px - self._before.projected_px if self._before else None
+            predicted = 2 * self._every_corner(self._last) - self._every_corner(self._before) if self._before else None
             if predicted is not None:
                 detection = self._measure(image, predicted)
             if detection.status is not DetectionStatus.MEASURED:
-                detection = self._measure(image, self._find_near(image, self._last.projected_px))
+                detection = self._measure(image, self._find_near(image, self._every_corner(self._last)))
         if detection.status is not DetectionStatus.MEASURED:
-            detection = self._measure(image, find(image, self._board))
+            detection = self._measure(image, self._board.find(image))
         self._before = self._last if detection.pose is not None else None
         # After a loss the last pose still gives the side of the flip and the first search region.
         self._last = detection.pose or self._last
@@ -85,37 +90,49 @@ class Tracker:
     def _find_near(self, image: Image, corners: Floats) -> Floats | None:
         """Search around the last position with a margin of two squares."""
         low, high = corners.min(axis=0), corners.max(axis=0)
-        margin = 2.5 * spacing(corners, self._board.pattern) + 0.15 * float((high - low).max())
+        margin = 2.5 * self._board.spacing(corners) + 0.15 * float((high - low).max())
         x0, y0 = np.maximum(np.floor(low - margin), 0).astype(int)
         x1, y1 = np.ceil(high + margin).astype(int) + 1
-        found = find(np.ascontiguousarray(image[y0:y1, x0:x1]), self._board) if x1 > x0 and y1 > y0 else None
+        found = self._board.find(np.ascontiguousarray(image[y0:y1, x0:x1])) if x1 > x0 and y1 > y0 else None
         return None if found is None else found + np.array([x0, y0])
+
+    def _every_corner(self, pose: Pose) -> Floats:
+        """All corners (n, 2) [px] of the board at a pose, also those that were not seen."""
+        points = self._board.corners_m
+        if len(pose.projected_px) == len(points):
+            return pose.projected_px
+        return self._lens.project(points, pose.rotation_vector, pose.translation_m)
 
     def _measure(self, image: Image, seeds: Floats | None) -> Detection:
         if seeds is None:
             return Detection(DetectionStatus.NO_BOARD)
-        corners = sharpen(image, seeds, self._board.pattern)
+        corners = self._board.refine(image, seeds)
         if corners is None:
             return Detection(DetectionStatus.NO_BOARD)
         if corners.misfit.max() > _MAX_MISFIT:
             return Detection(DetectionStatus.POOR_FIT)
         pose, status = self._pose(corners)
+        if pose is not None and corners.seen is not None:
+            kept = _consistent(corners, pose)
+            if not kept.all():
+                corners = corners.keeping(kept)
+                pose, status = self._pose(corners) if len(corners.px) >= LEAST_CORNERS else (None, status)
         if pose is None:
             return Detection(status)
         if not _MIN_RMS_PX < pose.reprojection_px < _MAX_RMS_PX:
             return Detection(DetectionStatus.POOR_FIT)
         check = self._lens.project(self._board.check_points_m, pose.rotation_vector, pose.translation_m)
-        if not self._board.colours_fit(image, check):
+        if not self._board.agrees(image, check):
             return Detection(DetectionStatus.AMBIGUOUS)
         return Detection(status, corners, pose if status is DetectionStatus.MEASURED else None)
 
     def _solutions(self, corners: Corners) -> tuple[Pose, ...]:
-        points = self._board.corners_m
+        points = corners.of(self._board.corners_m)
         return solutions(points, corners.px, self._lens, corners.covariance, corners.unexplained, self._known)
 
     def _pose(self, corners: Corners) -> tuple[Pose | None, DetectionStatus]:
         """The best pose, and MEASURED, or AMBIGUOUS if its flip fits as well."""
-        points = self._board.corners_m
+        points = corners.of(self._board.corners_m)
         if self._last is not None and self._before is not None:
             start = self._last.rotation_vector, self._last.translation_m
             pose = refine(points, corners.px, self._lens, start, corners.covariance, corners.unexplained, self._known)
@@ -136,6 +153,13 @@ class Tracker:
             last = self._last.rigid
             return min(poses, key=lambda p: _angle(p.rigid, last)), DetectionStatus.MEASURED
         return best, DetectionStatus.AMBIGUOUS
+
+
+def _consistent(corners: Corners, pose: Pose) -> NDArray[np.bool_]:
+    """Which corners (n,) agree with a pose that was fitted to all of them."""
+    solved = np.linalg.solve(corners.covariance, pose.residuals_px[:, :, None])[:, :, 0]
+    squares = np.sum(pose.residuals_px * solved, axis=1)
+    return np.asarray(squares <= _OUTLYING * max(1.0, float(np.median(squares)) / _MEDIAN_CHI2_2))
 
 
 def _angle(a: RigidTransform, b: RigidTransform) -> float:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from calibration.camera import CameraCalibration, calibrate, calibrate_views
 from calibration.views import View
-from calibration.vision.board import Board
+from calibration.vision.checkerboard import Checkerboard
 from rig.calibrate import file_sections, inputs, residual_figure
 from rig.calibrate.bench_operator import BenchOperator
 from rig.calibrate.inputs import bad_input
@@ -66,7 +66,7 @@ def run(request: CameraCalibrationRequest, operator: BenchOperator) -> tuple[Cal
             raise bad_input("--capture", "", "--rig as well: whose camera is it?")
         name = inputs.known_camera(rig, request.camera)
         file = request.output.path(f"camera-{name}")
-        views = _captured(request, operator, rig, name, Board(corners[0] + 1, corners[1] + 1, square_m), file)
+        views = _captured(request, operator, rig, name, Checkerboard(corners[0] + 1, corners[1] + 1, square_m), file)
         listed.append((name, file, calibrate_views(views, corners, square_m)))
     else:
         if not request.views:
@@ -93,7 +93,12 @@ def _check_output(request: CameraCalibrationRequest) -> None:
 
 
 def _captured(
-    request: CameraCalibrationRequest, operator: BenchOperator, rig: RigConfig, name: str, board: Board, file: Path
+    request: CameraCalibrationRequest,
+    operator: BenchOperator,
+    rig: RigConfig,
+    name: str,
+    board: Checkerboard,
+    file: Path,
 ) -> list[View]:
     """Capture views with the rig's camera; keep them as pictures beside the file."""
     folder = views_beside(file, request.output.replace)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.vision.board import Board
+from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.transforms import RigidTransform
 from rig.calibrate import inputs
 from rig.calibrate.dlt_boards import from_boards
@@ -81,7 +81,7 @@ def run(request: DLTCalibrationRequest) -> DLTCalibration:
         used.insert(0, calibration_schema.SourceFileSection(name=csv.name, sha256=sha256_of(csv)))
     else:
         corners, square_m = inputs.corners_of(request.corners), inputs.square_of(request.square_mm)
-        board = Board(corners[0] + 1, corners[1] + 1, square_m)
+        board = Checkerboard(corners[0] + 1, corners[1] + 1, square_m)
         result = from_boards(
             inputs.sources_of(list(request.given), rig),
             board,

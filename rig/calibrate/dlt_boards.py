@@ -15,7 +15,7 @@ from calibration.camera import CalibrationError, ExcludedView, calibrate_views, 
 from calibration.cross_validation import PointObservations, leave_out
 from calibration.extrinsics import CameraSightings, ExtrinsicCalibration, locate
 from calibration.views import View, views_in
-from calibration.vision.board import Board
+from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.transforms import RigidTransform
 from rig.calibrate import inputs
 from rig.calibrate.dlt_fit import DLTCalibrationResult, fitted, known_lens
@@ -44,7 +44,7 @@ class SeenBoards:
 
 def from_boards(
     sources: Sequence[inputs.CameraViews],
-    board: Board,
+    board: Checkerboard,
     rig: RigConfig | None,
     known: dict[str, LoadedCalibration],
     *,
@@ -99,7 +99,7 @@ def _baseline_m(extrinsics: ExtrinsicCalibration, pair: tuple[str, str], bundle:
 
 
 def _used_views(
-    views: SeenBoards, extrinsics: ExtrinsicCalibration, board: Board
+    views: SeenBoards, extrinsics: ExtrinsicCalibration, board: Checkerboard
 ) -> tuple[calibration_schema.UsedView, ...]:
     return tuple(
         calibration_schema.UsedView(
@@ -117,7 +117,7 @@ def _used_views(
 def _seen(
     sources: Sequence[inputs.CameraViews],
     every: int,
-    board: Board,
+    board: Checkerboard,
     rig: RigConfig | None,
     known: dict[str, LoadedCalibration],
 ) -> SeenBoards:
@@ -153,7 +153,7 @@ def _seen(
 
 
 def _corners_in(
-    views: Sequence[View], size: tuple[int, int], board: Board
+    views: Sequence[View], size: tuple[int, int], board: Checkerboard
 ) -> tuple[list[tuple[str, str, Floats]], list[ExcludedView]]:
     """Return name, SHA-256 and corners of the views that show the board, and the other views."""
     sharp, skipped = [], []

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.cross_validation import CrossValidation
-from calibration.vision.board import Board
+from calibration.vision.checkerboard import Checkerboard
 from rig.calibrate import file_sections, inputs
 from rig.calibrate.dlt_fit import DLTCalibrationResult
 from rig.config import calibration_schema
@@ -56,7 +56,7 @@ def dlt_file(
     result: DLTCalibrationResult,
     rig: RigConfig | None,
     sources: tuple[calibration_schema.SourceFileSection, ...],
-    board: Board | None,
+    board: Checkerboard | None,
     *,
     in_base: bool,
     note: str = "",

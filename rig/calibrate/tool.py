@@ -14,6 +14,7 @@ from calibration.camera import CalibrationError, ExcludedView
 from calibration.mounting import Mounting, mount
 from calibration.views import View, views_in
 from calibration.vision.board import grey
+from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.transforms import RigidTransform
 from model.statics import statics
 from rig.calibrate import file_sections, inputs
@@ -75,6 +76,9 @@ def run(request: ToolCalibrationRequest, operator: BenchOperator) -> ToolCalibra
     for option, value in (("--tip-std-mm", request.tip_std_mm), ("--tip-std-deg", request.tip_std_deg)):
         if not 0 < value < _LARGEST_STD:
             raise bad_input(option, f"{value:g}", "more than 0")
+    board = board_of(config)
+    if not isinstance(board, Checkerboard):
+        raise bad_input("--rig", config.name, "a rig with a checkerboard: other boards are placed by measuring them")
     file = request.output.path(f"tool-{name}")
     if request.capture:
         if request.straight is not None or request.turned is not None:
@@ -88,8 +92,8 @@ def run(request: ToolCalibrationRequest, operator: BenchOperator) -> ToolCalibra
         turned = [] if request.turned is None else _views(config, name, request.turned)
     tip = tip_in_camera(config, name, request.tip_std_mm * 1e-3, float(np.deg2rad(request.tip_std_deg)))
     stated = board_in_tip(config)
-    found = mount(straight, turned, board_of(config), lens_of(config.cameras[name]), tip, stated)
-    made = request.output.write(tool_file(config, name, found, request.output.note), file)
+    found = mount(straight, turned, board, lens_of(config.cameras[name]), tip, stated)
+    made = request.output.write(tool_file(config, name, board, found, request.output.note), file)
     return ToolCalibration(found, stated, made, config.cameras[name].simulated)
 
 
@@ -104,9 +108,10 @@ def tip_in_camera(config: RigConfig, name: str, std_m: float, std_rad: float) ->
     return RigidTransform(tip.rotation, tip.translation_m, float(translation), float(rotation))
 
 
-def tool_file(config: RigConfig, camera: str, found: Mounting, note: str = "") -> calibration_schema.ToolFile:
+def tool_file(
+    config: RigConfig, camera: str, board: Checkerboard, found: Mounting, note: str = ""
+) -> calibration_schema.ToolFile:
     """Return the file of a mounting."""
-    board = board_of(config)
     units = np.array([1e3] * 3 + [np.rad2deg(1)] * 3)
     return calibration_schema.ToolFile(
         **origin(note),

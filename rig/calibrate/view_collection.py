@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from calibration.camera import CalibrationError, find_corners
 from calibration.view_coverage import ViewCoverage, view_geometry
 from calibration.views import View
-from calibration.vision.board import Board, grey
+from calibration.vision.board import grey
+from calibration.vision.checkerboard import Checkerboard
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.registry import open_camera
 
@@ -26,7 +27,7 @@ _MOST_IDLE = 600
 """Pictures without a new view after which the collection ends."""
 
 
-def pictures(config: RigConfig, camera: str, board: Board, seed: int) -> Iterator[Image]:
+def pictures(config: RigConfig, camera: str, board: Checkerboard, seed: int) -> Iterator[Image]:
     """Pictures of a rig's camera as they come; a mock camera sees a board in simulated hands.
 
     Raises:

@@ -69,6 +69,7 @@ class Template(StrEnum):
 
     MOCK = "mock"
     MOCK_3 = "mock-3"
+    MOCK_CHARUCO = "mock-charuco"
     MOCK_IDEAL = "mock-ideal"
     MOCK_NO_CAMERA = "mock-no-camera"
     MOCK_STEREO = "mock-stereo"

@@ -10,6 +10,7 @@ import numpy as np
 
 from protocols import Problem
 from protocols.problems import closest
+from rig.config.board_sections import CheckerboardConfig
 from rig.config.calibration_files import LoadedCalibration
 from rig.config.calibration_schema import (
     CalibrationFile,
@@ -149,6 +150,10 @@ class BoardOverlay(CalibrationOverlay[ToolFile]):
         if config.board is None:
             expected = f"no calibration of a tool: rig {config.name} has no board"
             yield self.calibration.problem(("board",), "a board", expected)
+            return
+        if not isinstance(config.board, CheckerboardConfig):
+            expected = f"no calibration of a tool: the board of rig {config.name} is no checkerboard"
+            yield self.calibration.problem(("board",), "a checkerboard", expected)
             return
         have = (config.board.squares_x - 1, config.board.squares_y - 1)
         board = self.found.board

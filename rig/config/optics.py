@@ -9,8 +9,9 @@ from calibration.vision.board import Board
 from calibration.vision.lens import Lens
 from calibration.vision.planar_motion import PlaneOfMotion
 from calibration.vision.transforms import RigidTransform
+from rig.config.board_sections import BoardConfig
 from rig.config.schema import RigConfig
-from rig.config.sections import BoardConfig, CameraConfig, Placement
+from rig.config.sections import CameraConfig, Placement
 
 
 def rigid(placement: Placement) -> RigidTransform:
@@ -70,9 +71,8 @@ def board_section(config: RigConfig) -> BoardConfig:
 
 
 def board_of(config: RigConfig) -> Board:
-    """Return the checkerboard."""
-    board = board_section(config)
-    return Board(board.squares_x, board.squares_y, board.square_mm * 1e-3)
+    """Return the board on the end cap."""
+    return board_section(config).board()
 
 
 def board_in_tip(config: RigConfig) -> RigidTransform:

@@ -13,12 +13,12 @@ from pydantic.json_schema import SkipJsonSchema
 from protocols.validation import faults
 from rig.config import consistency
 from rig.config.arm_sections import ArmConfig
+from rig.config.board_sections import AnyBoard
 from rig.config.card_sections import AnyCard
 from rig.config.input_sections import AuxiliaryInput, EmergencyStop
 from rig.config.metadata import Metadata
 from rig.config.sections import (
     AnyCamera,
-    BoardConfig,
     CameraConfig,
     Control,
     Limits,
@@ -65,7 +65,7 @@ class RigConfig(Section):
     trackers: NamedOrNone[AnyTracker] = Field(
         default_factory=dict, description="a device that gives the pose of the tip itself, in place of cameras"
     )
-    board: BoardConfig | SkipJsonSchema[None] = None
+    board: AnyBoard | SkipJsonSchema[None] = None
     arm: ArmConfig
     uncertainties: Uncertainties = Field(default_factory=Uncertainties)
     model: ModelConfig = ModelConfig()

@@ -319,23 +319,6 @@ else:
     """A camera of the rig file, by the model of its driver."""
 
 
-class BoardConfig(Section):
-    """The checkerboard on the end cap. `placement` is the board (origin at its centre, z out of the print) in the
-    tip frame: origin at the rod's tip, axes as the rod base's when the rod is straight.
-    """
-
-    squares_x: Annotated[int, Field(ge=3, le=100, strict=True)]
-    squares_y: Annotated[int, Field(ge=3, le=100, strict=True)]
-    square_mm: LengthMm
-    placement: Placement
-
-    @model_validator(mode="after")
-    def _odd_by_even(self) -> BoardConfig:
-        if (self.squares_x + self.squares_y) % 2 == 0:
-            faults([ValidationFault(("squares_y",), "an odd number of squares one way and an even number the other")])
-        return self
-
-
 class GeometryConfig(Section):
     """The arm's Table 1: actuators on a circle, in degrees from the base frame's x axis."""
 

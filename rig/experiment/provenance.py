@@ -105,7 +105,8 @@ def quantities(config: RigConfig) -> tuple[Quantity, ...]:
     if config.board is None:
         return tuple(found)
     tool = config.board.placement
-    add("calibration", "board_square", "mm", config.board.square_mm)
+    for name, length_mm in config.board.lengths_mm.items():
+        add("calibration", f"board_{name}", "mm", length_mm)
     add("calibration", "board_translation", "mm", *tool.translation_mm, uncertainty=tool.translation_std_mm)
     add("calibration", "board_rotation", "deg", *tool.rotation_deg, uncertainty=tool.rotation_std_deg)
     return tuple(found)

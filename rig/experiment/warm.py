@@ -14,15 +14,15 @@ def main() -> int:
     """Compile the rod's and the plant's kernels into the cache on disk; the exit status."""
     if status := model_warm.main():
         return status
-    if not measure_frames():
+    if not (measure_frames() and measure_frames("mock-charuco")):
         print("rig.experiment.warm: failed: the simulated camera did not see the board", file=sys.stderr)
         return 1
     print("rig.experiment.warm: simulator and vision are ready")
     return 0
 
 
-def measure_frames() -> bool:
-    """Render and measure frames of the mock rig, which loads or compiles every kernel for it.
+def measure_frames(rig: str = "mock") -> bool:
+    """Render and measure frames of a mock rig, which loads or compiles every kernel for it.
 
     False if the last one does not show the board.
     """
@@ -34,7 +34,7 @@ def measure_frames() -> bool:
     from rig.observation.observer import Observer
     from rig.simulator.plant import Plant
 
-    config = load("mock")
+    config = load(rig)
     plant = Plant(config, seed=0, t0_ns=0)
     plant.advance(WARMING_NS)
     camera, observer = MockCamera(config, plant), Observer(config)

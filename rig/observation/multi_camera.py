@@ -34,6 +34,8 @@ _CHANGE_SHARE = 1.0
 # Residuals of all cameras together beyond this, and beyond what their places are uncertain by, contradict each other.
 _WORST_PX = 0.6
 _PLACE_STDS = 3.0
+# Corners of a partly hidden board that must have been seen before, to be moved to the time of another camera.
+_LEAST_CORNERS = 4
 
 
 @dataclass(frozen=True)
@@ -77,8 +79,9 @@ class MultiCameraTipEstimator:
         if found.seen is DetectionStatus.MEASURED:
             self._previous_tip = _PreviousEstimate(frame_set.t_ns, found.tip_m)
         leading = detections[frame_set.leader].corners
-        leading_px = leading.px if found.seen is DetectionStatus.MEASURED and leading is not None else None
-        board = tuple(None if detection.corners is None else detection.corners.px for detection in detections)
+        count = len(self._points_m)
+        leading_px = leading.padded(count) if found.seen is DetectionStatus.MEASURED and leading is not None else None
+        board = tuple(None if d.corners is None else d.corners.padded(count) for d in detections)
         return replace(found, corners_px=leading_px, board_px=board)
 
     def _detect(self, k: int, frame: Frame | None) -> Detection:
@@ -152,17 +155,24 @@ class MultiCameraTipEstimator:
             return None
         before, now = (
             self._previous_corners[k],
-            _after(self._previous_corners[k], taken_ns, corners.px, self._recent_ns),
+            _after(self._previous_corners[k], taken_ns, corners.padded(len(self._points_m)), self._recent_ns),
         )
         self._previous_corners[k] = now
         if abs(t_ns - taken_ns) <= _SIMULTANEOUS_NS:
             return corners
         if now.speed is None or now.change is None:
             return None
+        if corners.seen is not None:
+            # A corner that was hidden before has no speed yet.
+            has_speed = np.asarray(np.isfinite(now.change[corners.seen]).all(axis=1))
+            if has_speed.sum() < _LEAST_CORNERS:
+                return None
+            corners = corners.keeping(has_speed)
         changes = [now.change] if before is None or before.change is None else [now.change, before.change]
-        greatest = max(changes, key=lambda change: float(np.square(change).sum()))
+        greatest = max(changes, key=lambda change: float(np.nansum(np.square(change))))
         by_ns = t_ns - taken_ns
-        return replace(corners, px=corners.px + now.speed * by_ns, carried_px=_CHANGE_SHARE * greatest * by_ns)
+        change, speed = corners.of(np.where(np.isfinite(greatest), greatest, now.change)), corners.of(now.speed)
+        return replace(corners, px=corners.px + speed * by_ns, carried_px=_CHANGE_SHARE * change * by_ns)
 
     def _velocity(self, t_ns: int, tip_m: Floats) -> Floats:
         """Return the tip's velocity [m/ns]; zero without a recent measurement."""

@@ -44,7 +44,7 @@ class OverlayProjector:
         """Return the overlay of a frame from its measurement and the modelled shape (None without convergence)."""
         corners = measurement.corners_px
         return Overlay(
-            corners_px=np.empty((0, 2)) if corners is None else corners,
+            corners_px=np.empty((0, 2)) if corners is None else corners[np.isfinite(corners).all(axis=1)],
             tip_px=self.pixel(measurement.tip_m),
             model_px=self.pixel(np.full(3, np.nan) if shape is None else shape.tip_m),
             lines_m=arm_lines(self._config, shape, self._points),

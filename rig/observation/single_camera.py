@@ -23,8 +23,8 @@ class TipMeasurement:
 
     `rotation` (3, 3) is the tip frame in the rod-base frame, `pose_covariance` (6, 6) that of the position [m] and of a
     small rotation [rad] about the axes of the rod base. Both are NaN where the orientation is of another time.
-    `corners_px` are those in the picture of the first camera that has one. `cameras` is what each of the rig's cameras
-    saw: the tip was measured from those that are MEASURED.
+    `corners_px` are those in the picture of the first camera that has one, NaN where one is hidden. `cameras` is what
+    each of the rig's cameras saw: the tip was measured from those that are MEASURED.
     """
 
     seen: DetectionStatus

@@ -24,7 +24,7 @@ _MARGIN = QUIET_SQUARES
 _FAR = QUIET_SQUARES + 1
 _CORNERS = tuple((0.5 * p, 0.5 * q, 0.5 * r, p * q * r) for p in (-1, 1) for q in (-1, 1) for r in (-1, 1))
 # What is known of a cell: where its middle lies on the board, and by how much that changes across it and in time.
-_U, _UX, _UY, _UT, _V, _VX, _VY, _VT, _BEHIND = range(9)
+U, UX, UY, UT, V, VX, VY, VT, BEHIND = range(9)
 
 _sources = (__file__, calibration.vision.board.__file__)
 exact_kernel = partial(kernel, sources=_sources, fastmath=False)
@@ -32,7 +32,7 @@ fast_kernel = partial(kernel, sources=_sources, fastmath=True)
 
 
 @fast_kernel
-def _share_beyond(distance: float, a: float, b: float, c: float) -> float:
+def share_beyond(distance: float, a: float, b: float, c: float) -> float:
     """Share of a cell and an exposure that lies beyond an edge: P(distance + a X + b Y + c T > 0).
 
     X, Y, T are uniform over -1/2..1/2, so this is the distribution of a sum of three uniform variables: a sum of
@@ -58,15 +58,15 @@ def _albedo(u: float, v: float, nx: int, ny: int, backdrop: float) -> float:
 
 
 @fast_kernel
-def _quarters(
+def quarters(
     u: float, v: float, cells: Floats, k: int, samples: Singles, surface: tuple[float, float, float, float]
 ) -> float:
     """Mean of a cell about (u, v) off the crossing of two lines.
 
     `surface`: what lies before both, beyond the first, beyond the second and beyond both of them.
     """
-    u0, ux, uy, ut = np.float32(u), np.float32(cells[_UX, k]), np.float32(cells[_UY, k]), np.float32(cells[_UT, k])
-    v0, vx, vy, vt = np.float32(v), np.float32(cells[_VX, k]), np.float32(cells[_VY, k]), np.float32(cells[_VT, k])
+    u0, ux, uy, ut = np.float32(u), np.float32(cells[UX, k]), np.float32(cells[UY, k]), np.float32(cells[UT, k])
+    v0, vx, vy, vt = np.float32(v), np.float32(cells[VX, k]), np.float32(cells[VY, k]), np.float32(cells[VT, k])
     n = samples.shape[1]
     first = second = both = np.float32(0)
     for i in range(n):
@@ -84,9 +84,9 @@ def _quarters(
 @fast_kernel
 def _crossing(cells: Floats, k: int, samples: Singles, nx: int, ny: int) -> float:
     """Mean reflectance of a cell that touches lines of both kinds."""
-    u, ux, uy, ut = cells[_U, k], cells[_UX, k], cells[_UY, k], cells[_UT, k]
-    v, vx, vy, vt = cells[_V, k], cells[_VX, k], cells[_VY, k], cells[_VT, k]
-    behind = cells[_BEHIND, k]
+    u, ux, uy, ut = cells[U, k], cells[UX, k], cells[UY, k], cells[UT, k]
+    v, vx, vy, vt = cells[V, k], cells[VX, k], cells[VY, k], cells[VT, k]
+    behind = cells[BEHIND, k]
     if abs(ux) + abs(uy) + abs(ut) > 1.0 or abs(vx) + abs(vy) + abs(vt) > 1.0:
         total = 0.0
         for i in range(samples.shape[1]):
@@ -100,15 +100,15 @@ def _crossing(cells: Floats, k: int, samples: Singles, nx: int, ny: int) -> floa
         _albedo(u_line - 0.5, v_line + 0.5, nx, ny, behind),
         _albedo(u_line + 0.5, v_line + 0.5, nx, ny, behind),
     )
-    return float(_quarters(u - u_line, v - v_line, cells, k, samples, surface))
+    return float(quarters(u - u_line, v - v_line, cells, k, samples, surface))
 
 
 @fast_kernel
 def _shade(cells: Floats, n: int, samples: Singles, nx: int, ny: int, value: Floats, crossed: Any) -> None:
-    """Mean reflectances `value` (n,) of cells: rows `_U` and so on of `cells`; `crossed` (n,) is room for notes."""
-    u, ux, uy, ut = cells[_U, :n], cells[_UX, :n], cells[_UY, :n], cells[_UT, :n]
-    v, vx, vy, vt = cells[_V, :n], cells[_VX, :n], cells[_VY, :n], cells[_VT, :n]
-    behind = cells[_BEHIND, :n]
+    """Mean reflectances `value` (n,) of cells: rows `U` and so on of `cells`; `crossed` (n,) is room for notes."""
+    u, ux, uy, ut = cells[U, :n], cells[UX, :n], cells[UY, :n], cells[UT, :n]
+    v, vx, vy, vt = cells[V, :n], cells[VX, :n], cells[VY, :n], cells[VT, :n]
+    behind = cells[BEHIND, :n]
     # Without a branch, for the vector registers: most cells lie at one line, and those at none cost no more.
     for k in range(n):
         wide, high = abs(ux[k]) + abs(uy[k]) + abs(ut[k]), abs(vx[k]) + abs(vy[k]) + abs(vt[k])
@@ -116,7 +116,7 @@ def _shade(cells: Floats, n: int, samples: Singles, nx: int, ny: int, value: Flo
         off_u, off_v = u[k] - u_line, v[k] - v_line
         on_u, on_v = 2 * abs(off_u) <= wide, 2 * abs(off_v) <= high
         crossed[k] = on_u & on_v
-        share = _share_beyond(
+        share = share_beyond(
             off_u if on_u else off_v, ux[k] if on_u else vx[k], uy[k] if on_u else vy[k], ut[k] if on_u else vt[k]
         )
         u_side, v_side = 0.5 if on_u else 0.0, 0.5 if on_v else 0.0
@@ -127,6 +127,50 @@ def _shade(cells: Floats, n: int, samples: Singles, nx: int, ny: int, value: Flo
     for k in range(n):
         if crossed[k]:
             value[k] = _crossing(cells, k, samples, nx, ny)
+
+
+@fast_kernel
+def look_along(
+    rays: Floats,
+    row: int,
+    x0: int,
+    H: Floats,
+    dH: Floats,
+    u: Floats,
+    ux: Floats,
+    uy: Floats,
+    ut: Floats,
+    v: Floats,
+    vx: Floats,
+    vy: Floats,
+    vt: Floats,
+) -> None:
+    """Where the pixels of a row from `x0` look on the board, and by how much that changes with pixel and time."""
+    w = len(u)
+    h00, h01, h02, h10, h11, h12 = H[0, 0], H[0, 1], H[0, 2], H[1, 0], H[1, 1], H[1, 2]
+    h20, h21, h22 = H[2, 0], H[2, 1], H[2, 2]
+    d00, d01, d02, d10, d11, d12 = dH[0, 0], dH[0, 1], dH[0, 2], dH[1, 0], dH[1, 1], dH[1, 2]
+    d20, d21, d22 = dH[2, 0], dH[2, 1], dH[2, 2]
+    # Straight through and along views, without a branch: this loop runs in the processor's vector registers.
+    here, left, right = slice(x0 + 1, x0 + 1 + w), slice(x0, x0 + w), slice(x0 + 2, x0 + 2 + w)
+    x_here, x_left, x_right = rays[0, row, here], rays[0, row, left], rays[0, row, right]
+    y_here, y_left, y_right = rays[1, row, here], rays[1, row, left], rays[1, row, right]
+    x_above, x_below = rays[0, row - 1, here], rays[0, row + 1, here]
+    y_above, y_below = rays[1, row - 1, here], rays[1, row + 1, here]
+    for j in range(w):
+        x, y = x_here[j], y_here[j]
+        d = 1.0 / (h20 * x + h21 * y + h22)
+        uj, vj = (h00 * x + h01 * y + h02) * d, (h10 * x + h11 * y + h12) * d
+        # The change of the map with time, at this ray, and with the pixel.
+        dd = d20 * x + d21 * y + d22
+        xa, ya = 0.5 * (x_right[j] - x_left[j]), 0.5 * (y_right[j] - y_left[j])
+        xd, yd = 0.5 * (x_below[j] - x_above[j]), 0.5 * (y_below[j] - y_above[j])
+        ua, ub = (h00 - uj * h20) * d, (h01 - uj * h21) * d
+        va, vb = (h10 - vj * h20) * d, (h11 - vj * h21) * d
+        u[j], v[j] = uj, vj
+        ut[j], vt[j] = (d00 * x + d01 * y + d02 - uj * dd) * d, (d10 * x + d11 * y + d12 - vj * dd) * d
+        ux[j], uy[j] = ua * xa + ub * ya, ua * xd + ub * yd
+        vx[j], vy[j] = va * xa + vb * ya, va * xd + vb * yd
 
 
 @fast_kernel
@@ -150,37 +194,13 @@ def draw(
     """
     x0, y0 = corner
     h, w = fine.shape[0] // FINE, fine.shape[1] // FINE
-    h00, h01, h02, h10, h11, h12 = H[0, 0], H[0, 1], H[0, 2], H[1, 0], H[1, 1], H[1, 2]
-    h20, h21, h22 = H[2, 0], H[2, 1], H[2, 2]
-    d00, d01, d02, d10, d11, d12 = dH[0, 0], dH[0, 1], dH[0, 2], dH[1, 0], dH[1, 1], dH[1, 2]
-    d20, d21, d22 = dH[2, 0], dH[2, 1], dH[2, 2]
     u, ux, uy, ut = np.empty(w), np.empty(w), np.empty(w), np.empty(w)
     v, vx, vy, vt = np.empty(w), np.empty(w), np.empty(w), np.empty(w)
     plain, grey = np.empty(w, np.bool_), np.empty(w, np.float32)
     room = FINE * FINE * w
-    cells, value, crossed = np.empty((_BEHIND + 1, room)), np.empty(room), np.empty(room, np.bool_)
+    cells, value, crossed = np.empty((BEHIND + 1, room)), np.empty(room), np.empty(room, np.bool_)
     for i in range(h):
-        # Straight through and along views, without a branch: this loop runs in the processor's vector registers.
-        here, left, right = slice(x0 + 1, x0 + 1 + w), slice(x0, x0 + w), slice(x0 + 2, x0 + 2 + w)
-        row = y0 + i + 1
-        x_here, x_left, x_right = rays[0, row, here], rays[0, row, left], rays[0, row, right]
-        y_here, y_left, y_right = rays[1, row, here], rays[1, row, left], rays[1, row, right]
-        x_above, x_below = rays[0, row - 1, here], rays[0, row + 1, here]
-        y_above, y_below = rays[1, row - 1, here], rays[1, row + 1, here]
-        for j in range(w):
-            x, y = x_here[j], y_here[j]
-            d = 1.0 / (h20 * x + h21 * y + h22)
-            uj, vj = (h00 * x + h01 * y + h02) * d, (h10 * x + h11 * y + h12) * d
-            # The change of the map with time, at this ray, and with the pixel.
-            dd = d20 * x + d21 * y + d22
-            xa, ya = 0.5 * (x_right[j] - x_left[j]), 0.5 * (y_right[j] - y_left[j])
-            xd, yd = 0.5 * (x_below[j] - x_above[j]), 0.5 * (y_below[j] - y_above[j])
-            ua, ub = (h00 - uj * h20) * d, (h01 - uj * h21) * d
-            va, vb = (h10 - vj * h20) * d, (h11 - vj * h21) * d
-            u[j], v[j] = uj, vj
-            ut[j], vt[j] = (d00 * x + d01 * y + d02 - uj * dd) * d, (d10 * x + d11 * y + d12 - vj * dd) * d
-            ux[j], uy[j] = ua * xa + ub * ya, ua * xd + ub * yd
-            vx[j], vy[j] = va * xa + vb * ya, va * xd + vb * yd
+        look_along(rays, y0 + i + 1, x0, H, dH, u, ux, uy, ut, v, vx, vy, vt)
         for j in range(w):
             off_u = 2 * abs(u[j] - np.rint(u[j])) > abs(ux[j]) + abs(uy[j]) + abs(ut[j])
             off_v = 2 * abs(v[j] - np.rint(v[j])) > abs(vx[j]) + abs(vy[j]) + abs(vt[j])
@@ -200,10 +220,10 @@ def draw(
                 for p in range(FINE):
                     for q in range(FINE):
                         dx, dy = (q + 0.5) / FINE - 0.5, (p + 0.5) / FINE - 0.5
-                        cells[_U, n], cells[_V, n] = u[j] + ux[j] * dx + uy[j] * dy, v[j] + vx[j] * dx + vy[j] * dy
-                        cells[_UX, n], cells[_UY, n], cells[_UT, n] = ux[j] / FINE, uy[j] / FINE, ut[j]
-                        cells[_VX, n], cells[_VY, n], cells[_VT, n] = vx[j] / FINE, vy[j] / FINE, vt[j]
-                        cells[_BEHIND, n] = behind[j] / bright[j]
+                        cells[U, n], cells[V, n] = u[j] + ux[j] * dx + uy[j] * dy, v[j] + vx[j] * dx + vy[j] * dy
+                        cells[UX, n], cells[UY, n], cells[UT, n] = ux[j] / FINE, uy[j] / FINE, ut[j]
+                        cells[VX, n], cells[VY, n], cells[VT, n] = vx[j] / FINE, vy[j] / FINE, vt[j]
+                        cells[BEHIND, n] = behind[j] / bright[j]
                         n += 1
         _shade(cells, n, samples, nx, ny, value, crossed)
         n = 0

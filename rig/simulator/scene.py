@@ -1,4 +1,4 @@
-"""The picture behind the mock camera: the checkerboard through a distorting lens, with blur, motion and noise."""
+"""The picture behind the mock camera: the board through a distorting lens, with blur, motion and noise."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.vision.board import QUIET_SQUARES, Board
+from calibration.vision.board import Board
 from calibration.vision.lens import Lens
 from calibration.vision.projection import extent
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.board_rendering import FINE, draw, shrink
+from rig.simulator.board_rendering import FINE, shrink
+from rig.simulator.print_rendering import Cover, painter, print_painter
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -43,8 +44,10 @@ class Optics:
 class Scene:
     """One camera's view of the board; the same seed and frame index give the same picture, bit for bit."""
 
-    def __init__(self, board: Board, lens: Lens, size: tuple[int, int], optics: Optics, seed: int) -> None:
-        """`size` is (width, height) in pixels."""
+    def __init__(
+        self, board: Board, lens: Lens, size: tuple[int, int], optics: Optics, seed: int, cover: Cover | None = None
+    ) -> None:
+        """`size` is (width, height) in pixels; `cover` hides a part of the board."""
         self._board, self._optics, self._seed = board, optics, seed
         self._lens = lens
         width, height = size
@@ -59,11 +62,13 @@ class Scene:
         self._samples = _sample_offsets()
         self._taps = _taps(optics.blur_px)
         self._outline = _outline(board)
-        # A point at (a, d) squares lies at x = (a - nx/2) s, y = (ny/2 - d) s on the board.
+        self._paint = painter(board) if cover is None else print_painter(board, cover)
+        # A point at (a, d) units lies at x = (a - nx/2) s, y = (ny/2 - d) s on the board.
+        width_units, height_units = board.extent
         self._squares = np.array(
             [
-                [board.square_m, 0.0, -board.squares_x / 2 * board.square_m],
-                [0.0, -board.square_m, board.squares_y / 2 * board.square_m],
+                [board.unit_m, 0.0, -width_units / 2 * board.unit_m],
+                [0.0, -board.unit_m, height_units / 2 * board.unit_m],
                 [0.0, 0.0, 1.0],
             ]
         )
@@ -85,7 +90,7 @@ class Scene:
             x0, y0, x1, y1 = box
             at_open, at_middle, at_close = self._to_squares((opened, middle, closed))
             fine = np.empty(((y1 - y0) * FINE, (x1 - x0) * FINE), np.float32)
-            draw(
+            self._paint(
                 fine,
                 (x0, y0),
                 self._light,
@@ -94,8 +99,6 @@ class Scene:
                 at_middle,
                 at_close - at_open,
                 self._samples,
-                self._board.squares_x,
-                self._board.squares_y,
             )
             seen = np.empty((y1 - y0, x1 - x0), np.float32)
             shrink(fine, self._taps, seen)
@@ -114,7 +117,7 @@ class Scene:
         return self._backdrops[number]
 
     def _to_squares(self, poses: tuple[RigidTransform, ...]) -> Floats:
-        """Homographies (n, 3, 3) from rays to squares across and down from the print's top left, last entries 1."""
+        """Homographies (n, 3, 3) from rays to units across and down from the print's top left, last entries 1."""
         planes = np.empty((len(poses), 3, 3))
         for plane, pose in zip(planes, poses, strict=True):
             plane[:, :2], plane[:, 2] = pose.rotation[:, :2], pose.translation_m
@@ -162,7 +165,7 @@ class _PixelRays:
 
 def _outline(board: Board) -> Floats:
     """Points (n, 3) along the rim of the white margin."""
-    q, nx, ny = QUIET_SQUARES, board.squares_x, board.squares_y
+    q, (nx, ny) = board.printed.margin, board.extent
     rim = np.linspace(0, 1, 5)
     across = np.concatenate([-q + rim * (nx + 2 * q)] * 2 + [np.full(5, -q), np.full(5, nx + q)])
     down = np.concatenate([np.full(5, -q), np.full(5, ny + q)] + [-q + rim * (ny + 2 * q)] * 2)

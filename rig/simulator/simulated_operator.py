@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.vision.board import Board
+from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.transforms import RigidTransform
 from model.statics import statics
 from rig.config.arm_model import true_arm
@@ -28,7 +28,7 @@ _TREMBLE_M = 2e-5
 _TURN_STD_DEG = 1.5
 
 
-def shown_boards(config: RigConfig, camera: str, board: Board, seed: int) -> Iterator[Image]:
+def shown_boards(config: RigConfig, camera: str, board: Checkerboard, seed: int) -> Iterator[Image]:
     """Pictures of a hand-held board at varied positions, distances and tilts, each held for a while."""
     assert config.simulator is not None
     assert config.simulator.scene is not None

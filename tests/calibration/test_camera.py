@@ -11,13 +11,13 @@ import pytest
 
 from calibration.camera import PARAMETERS, CalibrationError, calibrate, calibrate_views
 from calibration.views import View, ViewsError, views_in
-from calibration.vision.board import Board
+from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.transforms import RigidTransform
 from rig.simulator.scene import Optics
 from tests.support.shared_data import shared_data
 from tests.support.vision_bench import FACING, LENS, scene
 
-BOARD = Board(10, 7, 0.016)
+BOARD = Checkerboard(10, 7, 0.016)
 
 
 def test_real_views_give_the_published_focal_length() -> None:

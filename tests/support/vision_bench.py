@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.vision.board import Board
+from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.lens import Lens
 from calibration.vision.transforms import RigidTransform
 from rig.simulator.scene import Optics, Scene
@@ -15,7 +16,7 @@ from rig.simulator.tip_pose import TipPose
 
 Floats = NDArray[np.float64]
 
-BOARD = Board(7, 6, 0.008)
+BOARD = Checkerboard(7, 6, 0.008)
 LENS = Lens.of(900, 900, 320, 240, (-0.12, 0.08, 0.0004, -0.0003, 0.0))
 SIZE = (640, 480)
 FRAME_NS = 33_333_333

@@ -16,6 +16,7 @@ from rig.config.sections import CameraConfig
 from rig.hardware.cameras.base import CameraError, Frame
 from rig.hardware.cards.base import CardError
 from rig.simulator.faults import CameraFault, Faults
+from rig.simulator.print_rendering import Cover
 from rig.simulator.registers import Registers
 from rig.simulator.scene import Optics, Scene
 from rig.simulator.tip_pose import PoseSource, TipPose
@@ -97,6 +98,7 @@ class MockCamera:
         assert truth is not None
         self._config, self._camera = config, chosen
         self._optics = Optics(truth.blur_px, truth.noise_grey, truth.lighting)
+        self._cover = truth.cover
         self._seed = seed + _OTHER_NOISE * (self._number - 1)
         simulator = config.simulator
         self._base = rigid(simulator.base)
@@ -111,7 +113,8 @@ class MockCamera:
     def scene(self) -> Scene:
         """What the camera sees; made at its first use, which takes about 0.1 s."""
         size = (self._camera.width_px, self._camera.height_px)
-        return Scene(board_of(self._config), lens_of(self._camera), size, self._optics, self._seed)
+        cover = None if self._cover is None else Cover(**self._cover.model_dump())
+        return Scene(board_of(self._config), lens_of(self._camera), size, self._optics, self._seed, cover)
 
     def start(self) -> None:
         """Begin the exposures of real time anew, with the scene made."""

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.vision import tracker as tracking
-from calibration.vision.board import Board, find
+from calibration.vision.checkerboard import Checkerboard
+from calibration.vision.corners import Corners
 from calibration.vision.tracker import Tracker
 from calibration.vision.transforms import RigidTransform
 from rig.simulator.scene import Optics
@@ -17,7 +17,7 @@ from runs.records import DetectionStatus
 from tests.support.vision_bench import BOARD, LENS, facing, scene, still
 
 
-def _corners(pose: RigidTransform, board: Board = BOARD) -> np.ndarray:
+def _corners(pose: RigidTransform, board: Checkerboard = BOARD) -> np.ndarray:
     vector, _ = cv2.Rodrigues(pose.rotation)
     return LENS.project(board.corners_m, np.asarray(vector, dtype=np.float64), pose.translation_m)
 
@@ -29,16 +29,16 @@ def _off_mm(tracker_pose: RigidTransform, true: RigidTransform) -> float:
 @pytest.mark.parametrize("roll_deg", [0, 45, 90, 135, 180, 225, 270, 315])
 def test_corners_have_the_boards_order_for_any_rotation(roll_deg: float) -> None:
     pose = facing(roll_deg=roll_deg)
-    found = find(still(pose), BOARD)
+    found = BOARD.find(still(pose))
     assert found is not None
     assert np.abs(found - _corners(pose)).max() < 2.0
 
 
 @pytest.mark.parametrize("size", [(7, 6), (6, 7), (5, 8), (9, 4)])
 def test_boards_of_either_parity_are_found(size: tuple[int, int]) -> None:
-    board = Board(*size, 0.008)
+    board = Checkerboard(*size, 0.008)
     pose = facing(roll_deg=-100)
-    found = find(still(pose, view=scene(board=board)), board)
+    found = board.find(still(pose, view=scene(board=board)))
     assert found is not None
     assert np.abs(found - _corners(pose, board)).max() < 2.0
 
@@ -61,7 +61,7 @@ def test_a_grid_shifted_by_a_square_is_refused(slip: tuple[int, int]) -> None:
     slipped = RigidTransform(right.rotation, right.apply(np.array([slip[0] * 0.008, slip[1] * 0.008, 0.0])))
     vector, _ = cv2.Rodrigues(slipped.rotation)
     points = LENS.project(BOARD.check_points_m, np.asarray(vector, dtype=np.float64), slipped.translation_m)
-    assert not BOARD.colours_fit(still(right), points)
+    assert not BOARD.agrees(still(right), points)
 
 
 def test_the_tracker_does_not_slip_when_the_board_jumps_by_a_square() -> None:
@@ -150,14 +150,14 @@ def test_a_cornerless_picture_that_leaves_every_seed_in_place_is_not_a_perfect_f
 
 
 def test_corners_with_an_impossibly_small_residual_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    pose, found = facing(), tracking.sharpen
+    pose, refine = facing(), Checkerboard.refine
 
-    def too_good(image: np.ndarray, seeds: np.ndarray, pattern: tuple[int, int]) -> tracking.Corners:
-        corners = found(image, seeds, pattern)
+    def too_good(board: Checkerboard, image: np.ndarray, seeds: np.ndarray) -> Corners:
+        corners = refine(board, image, seeds)
         assert corners is not None
         return replace(corners, px=_corners(pose))
 
-    monkeypatch.setattr(tracking, "sharpen", too_good)
+    monkeypatch.setattr(Checkerboard, "refine", too_good)
     assert Tracker(BOARD, LENS).detect(still(pose)).status is DetectionStatus.POOR_FIT
 
 
@@ -195,8 +195,8 @@ def _two_boards() -> np.ndarray:
 
 
 def test_with_two_boards_in_view_none_is_measured() -> None:
-    assert find(still(facing(-0.07)), BOARD) is not None
-    assert find(_two_boards(), BOARD) is None
+    assert BOARD.find(still(facing(-0.07))) is not None
+    assert BOARD.find(_two_boards()) is None
     assert Tracker(BOARD, LENS).detect(_two_boards()).status is DetectionStatus.NO_BOARD
 
 

@@ -15,7 +15,7 @@ from calibration.cross_validation import PointObservations, leave_out
 from calibration.extrinsics import CameraSightings, locate
 from calibration.view_coverage import ViewCoverage, view_geometry
 from calibration.view_matching import keys
-from calibration.vision.board import Board
+from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.lens import Lens
 from calibration.vision.transforms import RigidTransform
 from rig.cli.app import app
@@ -23,7 +23,7 @@ from rig.config.calibration_files import read
 from tests.support.shared_data import shared_data
 from tests.support.vision_bench import FACING, LENS, SIZE, scene
 
-BOARD = Board(10, 7, 0.016)
+BOARD = Checkerboard(10, 7, 0.016)
 
 
 def rig(*arguments: str) -> Result:
@@ -190,7 +190,7 @@ PLACES = {
 }
 
 
-def _seen(board: Board, rng: np.random.Generator, noise_px: float, views: int = 6) -> list[CameraSightings]:
+def _seen(board: Checkerboard, rng: np.random.Generator, noise_px: float, views: int = 6) -> list[CameraSightings]:
     found: dict[str, dict[str, np.ndarray]] = {name: {} for name in PLACES}
     for k in range(views):
         turn = RigidTransform.from_vectors(rng.uniform(-0.4, 0.4, 3) * (1, 1, 6), (0, 0, 0)).rotation
@@ -207,7 +207,7 @@ def _seen(board: Board, rng: np.random.Generator, noise_px: float, views: int = 
 
 @pytest.mark.parametrize("squares", [(10, 7), (9, 7), (8, 8)])
 def test_cameras_are_located_within_their_stated_uncertainty(squares: tuple[int, int]) -> None:
-    board = Board(*squares, 0.02)
+    board = Checkerboard(*squares, 0.02)
     found = locate(_seen(board, np.random.default_rng(5), 0.1), board)
     assert found.left_out == ()
     assert found.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
@@ -222,7 +222,7 @@ def test_cameras_are_located_within_their_stated_uncertainty(squares: tuple[int,
 
 
 def test_baselines_are_off_by_what_their_uncertainties_say() -> None:
-    board, z = Board(10, 7, 0.02), []
+    board, z = Checkerboard(10, 7, 0.02), []
     for seed in range(100, 108):
         found = locate(_seen(board, np.random.default_rng(seed), 0.1), board)
         for a, b in (("a", "b"), ("b", "c")):
@@ -233,7 +233,7 @@ def test_baselines_are_off_by_what_their_uncertainties_say() -> None:
 
 
 def test_a_view_that_moved_between_the_cameras_is_left_out() -> None:
-    board = Board(10, 7, 0.02)
+    board = Checkerboard(10, 7, 0.02)
     cameras = _seen(board, np.random.default_rng(6), 0.05)
     moved = dict(cameras[1].corners_px)
     moved["4"] = moved["4"] + 5.0
@@ -242,7 +242,7 @@ def test_a_view_that_moved_between_the_cameras_is_left_out() -> None:
 
 
 def test_views_that_are_not_of_the_same_moments_contradict_each_other() -> None:
-    board = Board(10, 7, 0.02)
+    board = Checkerboard(10, 7, 0.02)
     cameras = _seen(board, np.random.default_rng(7), 0.05)
     wrong = {str((int(key) + 1) % 6): px for key, px in cameras[1].corners_px.items()}
     with pytest.raises(CalibrationError, match="contradict each other"):
@@ -383,7 +383,7 @@ def test_a_lens_of_another_resolution_is_refused_with_its_line(here: Path) -> No
 
 
 def test_leaving_views_out_recovers_the_boards_square() -> None:
-    board = Board(10, 7, 0.02)
+    board = Checkerboard(10, 7, 0.02)
     cameras = _seen(board, np.random.default_rng(8), 0.05)
     found = locate(cameras, board)
     groups = {key: tuple(f"{key}:{k}" for k in range(54)) for key in found.boards}

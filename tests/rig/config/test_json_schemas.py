@@ -27,6 +27,7 @@ def test_committed_schemas_are_up_to_date(name: str) -> None:
         for name in (
             "mock",
             "mock-3",
+            "mock-charuco",
             "mock-ideal",
             "mock-no-camera",
             "mock-stereo",

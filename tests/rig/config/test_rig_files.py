@@ -71,7 +71,18 @@ def test_inputs_and_stops_are_checked_with_their_lines() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["mock", "mock-3", "mock-ideal", "mock-no-camera", "mock-stereo", "mock-tracker", "pci1716", "pci1716-2"]
+    "name",
+    [
+        "mock",
+        "mock-3",
+        "mock-charuco",
+        "mock-ideal",
+        "mock-no-camera",
+        "mock-stereo",
+        "mock-tracker",
+        "pci1716",
+        "pci1716-2",
+    ],
 )
 def test_a_rig_loads_by_name_and_by_path(name: str) -> None:
     config = load(name)
@@ -123,6 +134,8 @@ FAULTS = [
     (("cx_px: 320", "cx_px: 960"), "cameras, front, lens, cx_px", "another resolution"),
     (("width_px: 640", "width_px: 640\n    exposure_ms: 50"), "cameras, front, exposure_ms", "33.3333 ms"),
     (("distortion: .[^,]+,", "distortion: ["), "cameras, front, lens, distortion", "a list of 5 numbers"),
+    (("board:\n", "board:\n  kind: charcuo\n"), "board, kind", "one of apriltag, charuco, checkerboard"),
+    (("squares_y: 6", "squares_y: six"), "board, squares_y", "a whole number"),
     (("squares_y: 6", "squares_y: 7"), "board, squares_y", "an odd number of squares one way"),
     (("inner_radius_mm: 9.5", "inner_radius_mm: 95"), "arm, geometry, inner_radius_mm", "less than outer_radius_mm"),
     (("length_mm: 170", "length_mm: 0.17"), "arm, geometry, length_mm", "at least the diameter of a tube, 28 mm"),
@@ -247,7 +260,10 @@ def test_an_unknown_rig_gets_the_names(name: str, meant: str) -> None:
         load(name)
     (problem,) = caught.value.problems
     assert problem.suggestion == meant
-    assert "mock, mock-3, mock-ideal, mock-no-camera, mock-stereo, mock-tracker, pci1716, pci1716-2" in problem.expected
+    assert (
+        "mock, mock-3, mock-charuco, mock-ideal, mock-no-camera, mock-stereo, mock-tracker, pci1716, pci1716-2"
+        in problem.expected
+    )
 
 
 def test_a_real_file_is_read_by_its_path(tmp_path: Path) -> None:

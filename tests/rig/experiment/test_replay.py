@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import runs
-from calibration.vision.board import find
 from protocols import BadInputError
 from rig.config import loader
 from rig.config.optics import board_of
@@ -59,7 +58,7 @@ def test_corners_tips_and_backbone_stand_where_they_are_in_the_stored_pictures(l
     assert backbone is not None
     for k in range(0, len(frames.index), 20):
         image = np.asarray(cv2.imdecode(np.frombuffer(lossless.picture(k), np.uint8), 0), np.uint8)
-        found = find(image, board_of(parsed))
+        found = board_of(parsed).find(image)
         assert found is not None
         assert np.abs(frames.corners_px[k] - found).max() < 0.5
         row = int(np.searchsorted(lossless.tip.frame, frames.index[k]))

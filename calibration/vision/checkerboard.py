@@ -1,0 +1,192 @@
+"""The checkerboard: its geometry, finding it in a whole picture, and checking its colours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.vision import board
+from calibration.vision.board import MIN_CONTRAST_GREY, QUIET_SQUARES, SIDE_MARGIN, SPOTS, Board, BoardPrint
+from calibration.vision.board_candidates import board_candidates
+from calibration.vision.corners import Corners, sharpen, spacing
+from model.kernels.jit import kernel
+
+Floats = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+exact_kernel = partial(kernel, sources=(__file__, board.__file__), fastmath=False)
+
+# How far out into the white margin the colours are checked, in squares.
+_QUIET_CHECK = 0.45
+# A place no larger than this holds squares so small that the detector sees them better magnified.
+_SMALL_PX = 240
+
+
+@dataclass(frozen=True)
+class Checkerboard(Board):
+    """A checkerboard of `squares_x` by `squares_y` squares of `square_m`, one count odd and the other even.
+
+    The square at the top left is dark. Corners are the inner corners, row by row from the top, left to right. The
+    board must be seen as a whole: with some corners hidden, nothing tells a grid from one that lies a square beside it.
+    """
+
+    squares_x: int
+    squares_y: int
+    square_m: float
+
+    @property
+    def unit_m(self) -> float:
+        """One square."""
+        return self.square_m
+
+    @property
+    def extent(self) -> tuple[float, float]:
+        """Squares across and down."""
+        return self.squares_x, self.squares_y
+
+    @property
+    def pattern(self) -> tuple[int, int]:
+        """Inner corners per row and per column."""
+        return self.squares_x - 1, self.squares_y - 1
+
+    @cached_property
+    def corners_m(self) -> Floats:
+        """Inner corners (n, 3) in the board's frame."""
+        columns, rows = self.pattern
+        return self.at(np.tile(np.arange(1, columns + 1), rows), np.repeat(np.arange(1, rows + 1), columns))
+
+    @cached_property
+    def printed(self) -> BoardPrint:
+        """Squares, the first one dark."""
+        rows, columns = np.indices((self.squares_y, self.squares_x))
+        across, down = (np.arange(n + 1, dtype=np.float64) for n in self.extent)
+        return BoardPrint(across, down, (rows + columns) % 2 == 0, QUIET_SQUARES)
+
+    @cached_property
+    def check_points_m(self) -> Floats:
+        """Points (cells * 5, 3) at which colours are checked: every square, and the quiet zone's ring of cells."""
+        across = np.concatenate([[-_QUIET_CHECK], np.arange(self.squares_x) + 0.5, [self.squares_x + _QUIET_CHECK]])
+        down = np.concatenate([[-_QUIET_CHECK], np.arange(self.squares_y) + 0.5, [self.squares_y + _QUIET_CHECK]])
+        u, v = np.meshgrid(across, down)
+        return self.at((u.reshape(-1, 1) + SPOTS[:, 0]).ravel(), (v.reshape(-1, 1) + SPOTS[:, 1]).ravel())
+
+    @cached_property
+    def dark(self) -> NDArray[np.bool_]:
+        """Which cells of the check (cells,) must be dark."""
+        cells = np.zeros((self.squares_y + 2, self.squares_x + 2), dtype=bool)
+        rows, columns = np.indices((self.squares_y, self.squares_x))
+        cells[1:-1, 1:-1] = (rows + columns) % 2 == 0
+        return cells.ravel()
+
+    @cached_property
+    def _shading(self) -> Floats:
+        """Base (cells, 3) of a plane over the cells: lighting may fall off across the board."""
+        rows, columns = np.indices((self.squares_y + 2, self.squares_x + 2))
+        return np.stack([np.ones(rows.size), rows.ravel() - rows.mean(), columns.ravel() - columns.mean()], axis=-1)
+
+    @cached_property
+    def _shading_fits(self) -> tuple[Floats, Floats]:
+        """Least-squares operators of the bright and the dark cells' planes."""
+        bright, dark = self._shading[~self.dark], self._shading[self.dark]
+        return np.ascontiguousarray(np.linalg.pinv(bright)), np.ascontiguousarray(np.linalg.pinv(dark))
+
+    def agrees(self, image: Image, check_points_px: Floats) -> bool:
+        """Tell whether every square and the quiet zone have their colours, given where `check_points_m` are seen.
+
+        This is what catches a corner grid that lies one or more squares beside the print, and a board that is
+        partly covered: reprojection cannot see the first and hardly the second.
+        """
+        to_bright, to_dark = self._shading_fits
+        return bool(_sides_fit(image, check_points_px, self.dark, self._shading, to_bright, to_dark))
+
+    def find(self, image: Image) -> Floats | None:
+        """Find all corners to about a pixel, in the board's order."""
+        corners = []
+        for x0, y0, x1, y1 in board_candidates(image, self.pattern[0] * self.pattern[1]):
+            found = _find_in(np.ascontiguousarray(image[y0:y1, x0:x1]), self)
+            if found is not None:
+                corners.append(found + np.array([x0, y0]))
+        return corners[0] if len(corners) == 1 else None
+
+    def refine(self, image: Image, seeds_px: Floats) -> Corners | None:
+        """Refine all corners; None where one has no model."""
+        return sharpen(image, seeds_px, self.pattern)
+
+    def spacing(self, corners_px: Floats) -> float:
+        """Smallest distance [px] between neighbours of the corners (n, 2)."""
+        return spacing(corners_px, self.pattern)
+
+
+@exact_kernel
+def _sides_fit(
+    image: Image, spots_px: Floats, dark: NDArray[np.bool_], shading: Floats, to_bright: Floats, to_dark: Floats
+) -> bool:
+    """Tell whether cells (n,), read at spots (5 n, 2), stand on the sides that `dark` (n,) says.
+
+    They do not where a spot lies outside the picture.
+    """
+    cells, spots = len(dark), len(spots_px) // len(dark)
+    height, width = image.shape
+    grey = np.zeros(cells)
+    for k in range(len(spots_px)):
+        x, y = spots_px[k]
+        if not (0.0 <= x <= width - 1 and 0.0 <= y <= height - 1):
+            return False
+        x0, y0 = min(int(x), width - 2), min(int(y), height - 2)
+        fx, fy = x - x0, y - y0
+        above = (1.0 - fx) * image[y0, x0] + fx * image[y0, x0 + 1]
+        below = (1.0 - fx) * image[y0 + 1, x0] + fx * image[y0 + 1, x0 + 1]
+        grey[k // spots] += ((1.0 - fy) * above + fy * below) / spots
+    bright_plane, dark_plane = np.zeros(3), np.zeros(3)
+    brights = darks = 0
+    for k in range(cells):
+        if dark[k]:
+            for i in range(3):
+                dark_plane[i] += to_dark[i, darks] * grey[k]
+            darks += 1
+        else:
+            for i in range(3):
+                bright_plane[i] += to_bright[i, brights] * grey[k]
+            brights += 1
+    for k in range(cells):
+        low = high = 0.0
+        for i in range(3):
+            low += shading[k, i] * dark_plane[i]
+            high += shading[k, i] * bright_plane[i]
+        if not high - low >= MIN_CONTRAST_GREY:
+            return False
+        side = (grey[k] - low) / (high - low) - 0.5
+        if not (-side if dark[k] else side) > SIDE_MARGIN:
+            return False
+    return True
+
+
+def _find_in(image: Image, board: Checkerboard) -> Floats | None:
+    """Search a small picture. The detector does not know which end of the board is which; the colours decide."""
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    found, raw = cv2.findChessboardCorners(image, board.pattern, flags=flags)
+    magnified = 1
+    if not found and max(image.shape) < _SMALL_PX:
+        magnified = 2
+        larger = np.asarray(cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+        found, raw = cv2.findChessboardCorners(larger, board.pattern, flags=flags)
+    if not found:
+        return None
+    # Magnified about the picture's corner: a pixel's centre moves with it.
+    corners = (np.asarray(raw, dtype=np.float64).reshape(board.pattern[1], board.pattern[0], 2) + 0.5) / magnified - 0.5
+    along, down = corners[0, -1] - corners[0, 0], corners[-1, 0] - corners[0, 0]
+    if along[0] * down[1] - along[1] * down[0] < 0:  # seen from the front, rows run clockwise before columns
+        corners = corners[::-1]
+    for candidate in (corners, corners[::-1, ::-1]):
+        points = np.ascontiguousarray(candidate.reshape(-1, 2))
+        to_image, _ = cv2.findHomography(board.corners_m[:, :2], points)
+        if to_image is None:
+            return None
+        check = cv2.perspectiveTransform(board.check_points_m[:, None, :2], to_image)[:, 0, :]
+        if board.agrees(image, np.asarray(check, dtype=np.float64)):
+            return points
+    return None
