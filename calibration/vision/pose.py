@@ -123,7 +123,7 @@ def _stacked(shape: tuple[int, int], points: bytes) -> Floats:
     points_m = np.frombuffer(points).reshape(shape)
     apart = np.linalg.norm(points_m[:, None] - points_m, axis=2)
     length = _SMOOTH_OVER * float(np.min(apart[apart > 0]))
-    return np.exp(-0.5 * (apart / length) ** 2).ravel()
+    return np.asarray(np.exp(-0.5 * (apart / length) ** 2).ravel())
 
 
 def solutions(
