@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,16 +17,15 @@ from tests.rig.virtual.test_run import Silent, protocol_file
 
 STEPS = "  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 1}\n  - hold: {duration_s: 0.5}\n"
 TEXT = loader.text("mock-tracker")
-RunTracked = Callable[..., Run]
 
 
-def run_tracked(folder: Path, tracker: str = "", steps: str = STEPS, **options: object) -> Run:
+def run_tracked(folder: Path, tracker: str = "", steps: str = STEPS, adapt: tuple[str, ...] | None = None) -> Run:
     """A run of the rig mock-tracker, with more keys of its tracker."""
     folder.mkdir(parents=True, exist_ok=True)
     rig = folder / "rig.yaml"
     rig.write_text(TEXT.replace("jitter_ms: 1}", f"jitter_ms: 1{tracker}}}"), encoding="utf-8")
     request = experiment.request(
-        protocol_file(folder, steps), str(rig), folder=folder / "data", fast=True, seed=2, report=False, **options
+        protocol_file(folder, steps), str(rig), folder=folder / "data", fast=True, seed=2, report=False, adapt=adapt
     )
     result = experiment.run(request, experiment.plan(request), Silent())
     assert result.archive is not None
@@ -134,3 +132,10 @@ def test_silence_is_no_measurement_and_then_ends_the_run(tmp_path: Path) -> None
     assert seen[-1] == DetectionStatus.NO_MESSAGE
     assert np.isnan(run.tip.measured_mm[seen == DetectionStatus.NO_MESSAGE]).all()
     assert np.count_nonzero(seen == DetectionStatus.NO_MESSAGE) > 50
+
+
+def test_the_online_estimator_uses_the_poses_of_a_tracker(tmp_path: Path) -> None:
+    run = run_tracked(tmp_path, adapt=())
+    assert run.adaptation is not None
+    assert len(run.adaptation.time_s) == len(run.tip.time_s)
+    assert np.nanmean(run.tip.error_mm[-50:]) < 0.5
