@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from rig.config.calibration_files import sha256_of
 from rig.publish.description import LICENCES, Creator, Description
@@ -23,8 +24,9 @@ PROFILE, CONTEXT = "https://w3id.org/ro/crate/1.1", "https://w3id.org/ro/crate/1
 SOFTWARE = "#softrig"
 SHA256 = "https://w3id.org/ro/terms/workflow-run#sha256"
 """The term of the checksums, which the context of RO-Crate 1.1 lacks."""
+PRONOM_HDF5 = "https://www.nationalarchives.gov.uk/PRONOM/fmt/807"
 _FORMATS = {
-    ".h5": ["application/x-hdf5", {"@id": "https://www.nationalarchives.gov.uk/PRONOM/fmt/807"}],
+    ".h5": ["application/x-hdf5", {"@id": PRONOM_HDF5}],
     ".jsonl": "application/jsonl",
     ".json": "application/json",
     ".md": "text/markdown",
@@ -82,10 +84,10 @@ def _metadata(
         "description": _summary(runs),
         "datePublished": now.date().isoformat(),
         "license": _ref(licence),
-        "author": [_ref(creator.id) for creator in description.creators],
+        "author": _one_or_all([_ref(creator.id) for creator in description.creators]),
         "keywords": ["soft robotics", "Cosserat rod", "pneumatic actuator"],
         "hasPart": [_ref(name) for name in sizes],
-        "mentions": [_ref(action["@id"]) for action in actions],
+        "mentions": _one_or_all([_ref(action["@id"]) for action in actions]),
     }
     about = {"@id": METADATA, "@type": "CreativeWork", "conformsTo": _ref(PROFILE), "about": _ref("./")}
     terms = {"@id": licence, "@type": "CreativeWork", "name": description.licence, "identifier": description.licence}
@@ -101,7 +103,8 @@ def _metadata(
         }
         for name, size in sizes.items()
     ]
-    graph = [about, root, terms, *people, _software(runs), *actions, *files]
+    formats = [{"@id": PRONOM_HDF5, "@type": "WebSite", "name": "HDF5"}]
+    graph = [about, root, terms, *people, *_organisations(description), _software(runs), *actions, *files, *formats]
     return {"@context": [CONTEXT, {"sha256": SHA256}], "@graph": graph}
 
 
@@ -110,8 +113,23 @@ def _person(creator: Creator) -> dict[str, Any]:
         "@id": creator.id,
         "@type": "Person",
         "name": creator.name,
-        **({"affiliation": creator.affiliation} if creator.affiliation else {}),
+        **({"affiliation": _ref(_organisation_id(creator.affiliation))} if creator.affiliation else {}),
     }
+
+
+def _organisations(description: Description) -> list[dict[str, Any]]:
+    """The affiliations of the creators, each once."""
+    names = dict.fromkeys(creator.affiliation for creator in description.creators if creator.affiliation)
+    return [{"@id": _organisation_id(name), "@type": "Organization", "name": name} for name in names]
+
+
+def _organisation_id(name: str) -> str:
+    return f"#organisation-{quote(name)}"
+
+
+def _one_or_all(values: list[dict[str, str]]) -> dict[str, str] | list[dict[str, str]]:
+    """A single value without its list, as RO-Crate 1.1 recommends."""
+    return values[0] if len(values) == 1 else values
 
 
 def _software(runs: Sequence[Run]) -> dict[str, Any]:
