@@ -6,10 +6,12 @@ import time
 
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import FrameSet
-from rig.hardware.trackers.base import TrackerError
+from rig.hardware.trackers.base import TrackerError, TrackerReading
 from rig.hardware.trackers.registry import open_tracker
 from rig.observation.reading_sequence import ReadingSequence
 from runs.records import DATAGRAM_COUNTS
+
+_MOST_SKIPPED = 1000
 
 
 class TrackerSource:
@@ -48,13 +50,22 @@ class TrackerSource:
             reading = self._tracker.read(self._sequence.overdue_in_s(time.monotonic_ns()))
             now = time.monotonic_ns()
             if reading is not None:
-                return self._sequence.take(reading, now)
+                return self._sequence.take(self._newest(reading), now)
             if self._sequence.silent_s(now) > timeout_s:
                 raise self._silence(timeout_s)
             empty = self._sequence.overdue(now)
             if empty is not None:
                 self._tracker.pass_over(empty.t_ns)
                 return empty
+
+    def _newest(self, reading: TrackerReading) -> TrackerReading:
+        """The newest reading that has arrived: as with pictures, a late reader leaves out those before it."""
+        for _ in range(_MOST_SKIPPED):
+            newer = self._tracker.read(0.0)
+            if newer is None:
+                break
+            reading = newer
+        return reading
 
     def close(self) -> None:
         """Close the tracker."""
