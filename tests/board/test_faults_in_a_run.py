@@ -70,14 +70,6 @@ def test_a_run_without_interrupts_ends_in_the_safe_state(run: BoardRun, bench: M
     assert run.safe()
 
 
-def test_a_run_whose_interrupt_line_is_stuck_ends_in_the_safe_state(run: BoardRun, bench: Monitor) -> None:
-    """The kernel switches the interrupt off; what is written and read by instruction still arrives."""
-    bench.set("irq-stuck", value=True)
-    said = ended(run)
-    assert CONFIRMED in said
-    assert run.safe()
-
-
 def test_a_run_whose_board_answers_all_ones_says_that_its_outputs_may_not_have_moved(
     run: BoardRun, bench: Monitor
 ) -> None:
