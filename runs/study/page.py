@@ -142,12 +142,13 @@ def _response(
         "Points are runs. Left: means of the levels with 95 % intervals. Right: runs in their order, coloured by block."
     )
     yield f"<figure>{drawing}<figcaption>{caption}</figcaption></figure>"
+    references = list({mean.factor: mean for mean in reversed(model.levels)}.values())
     rows = [
         [
             mean.factor,
             f"{mean.level:.12g}",
             _with_width(mean.mean, mean.half_width),
-            _with_width(mean.difference, mean.difference_half_width) if mean.difference else "reference",
+            "reference" if mean in references else _with_width(mean.difference, mean.difference_half_width),
         ]
         for mean in model.levels
     ]
@@ -158,9 +159,9 @@ def _response(
 
 
 def _with_width(value: float, half_width: float) -> str:
-    if not math.isfinite(half_width):
+    if not math.isfinite(half_width) or half_width == 0:
         return significant(value, 4)
-    digits = max(0, 1 - math.floor(math.log10(half_width))) if half_width > 0 else 6
+    digits = max(0, 1 - math.floor(math.log10(half_width)))
     return f"{value:.{digits}f} ± {half_width:.{digits}f}".replace("-", "\N{MINUS SIGN}")
 
 
