@@ -6,7 +6,6 @@ the safe state has been written: it delays no write.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
@@ -206,12 +205,6 @@ def verify_venting(
         return verification.outcome(real_time(alive))
     finally:
         source.close()
-
-
-def report_unconfirmed(outcome: VentOutcome) -> None:
-    """Print what is not confirmed on stderr: for a process whose supervisor is gone, which nobody else can report."""
-    if not outcome.confirmed:
-        print(outcome.sentence, file=sys.stderr, flush=True)
 
 
 def real_time(alive: Callable[[], None]) -> Iterator[float]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from rig.execution.plan import RunPlan
+from rig.hardware.vent_verification import VentOutcome
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.shared_state import SharedState, StateLayout, Stop
 
@@ -92,3 +93,9 @@ def await_turn(memory: SharedState, supervisor: ProcessMonitor, ready: Callable[
             return False
         time.sleep(TURN_S)
     return True
+
+
+def report_unconfirmed(outcome: VentOutcome) -> None:
+    """Print what is not confirmed on stderr: for a process whose supervisor is gone, which nobody else can report."""
+    if not outcome.confirmed:
+        print(outcome.sentence, file=sys.stderr, flush=True)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from rig.control.control_loop import ControlLoop
 from rig.hardware.bench import Bench, open_bench
 from rig.hardware.cards.base import CardError
-from rig.hardware.vent_verification import VentOutcome, VentVerification, real_time, report_unconfirmed
+from rig.hardware.vent_verification import VentOutcome, VentVerification, real_time
 from rig.realtime import sampling_clocks
-from rig.realtime.child_process import ChildJob, await_turn, leave, receive, supervisor_monitor
+from rig.realtime.child_process import ChildJob, await_turn, leave, receive, report_unconfirmed, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
     CONTROL_PRIORITY,

@@ -12,8 +12,8 @@ from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.registry import card_type
 from rig.hardware.safe_state import failure_of, make_safe
-from rig.hardware.vent_verification import report_unconfirmed, verify_venting
-from rig.realtime.child_process import ChildJob, supervisor_monitor
+from rig.hardware.vent_verification import verify_venting
+from rig.realtime.child_process import ChildJob, report_unconfirmed, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import timing_limits

@@ -15,8 +15,8 @@ from collections.abc import Callable
 
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import WatchdogOutputs, failure_of
-from rig.hardware.vent_verification import LONGEST_VENTING_S, report_unconfirmed, verify_venting
-from rig.realtime.child_process import await_turn, leave, receive, supervisor_monitor
+from rig.hardware.vent_verification import LONGEST_VENTING_S, verify_venting
+from rig.realtime.child_process import await_turn, leave, receive, report_unconfirmed, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
     WATCHDOG_PRIORITY,

@@ -26,6 +26,7 @@ from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.cards.mock import MockCard
 from rig.hardware.lock import cards_locked, held_by_unseen, holders, lock_file, running_rigs
 from rig.hardware.runtime_folder import open_private
+from rig.hardware.vent_verification import VentOutcome
 from rig.realtime.control_socket import socket_paths
 from rig.simulator.registers import Registers, path_of
 
@@ -286,6 +287,7 @@ def test_vent_reports_a_holder_that_it_cannot_signal(
     file = tmp_path / "rig.yaml"
     file.write_text(re.sub(r"device: \S*comedi0", f"device: {NODE}", rig.config.loader.text("pci1716")))
     monkeypatch.setattr(rig.hardware.vent, "open_outputs", Outputs)
+    monkeypatch.setattr(rig.hardware.vent, "verify_venting", lambda config, vent: VentOutcome(True, ""))
     monkeypatch.setattr(rig.hardware.vent, "ENDED_S", 0.3)
     with holder(file, shared, 0) as process:
         if may_signal:
@@ -308,6 +310,7 @@ def test_vent_reports_a_holder_that_it_cannot_see(
     file = tmp_path / "rig.yaml"
     file.write_text(re.sub(r"device: \S*comedi0", f"device: {NODE}", rig.config.loader.text("pci1716")))
     monkeypatch.setattr(rig.hardware.vent, "open_outputs", Outputs)
+    monkeypatch.setattr(rig.hardware.vent, "verify_venting", lambda config, vent: VentOutcome(True, ""))
     rig.hardware.vent.vent(real_rig())
     monkeypatch.setattr(lock, "LOCKS", tmp_path / "none")
     with holder(file, shared):

@@ -24,7 +24,7 @@ from rig.experiment import run as experiment
 from rig.hardware import runtime_folder
 from rig.hardware.bench import BenchScans
 from rig.hardware.cards.base import CardError
-from rig.hardware.vent_verification import UNCONFIRMED
+from rig.hardware.vent_verification import UNCONFIRMED, VentOutcome
 from rig.realtime import child_process, control_process, process_group, shutdown, supervisor
 from rig.realtime.child_process import ChildJob
 from rig.realtime.control_socket import ControlSocket, socket_of, socket_paths
@@ -304,7 +304,7 @@ def test_an_error_in_control_is_reported_by_name_and_the_valves_are_safe(
     monkeypatch.setattr(control_process, "receive", lambda: (ChildJob(own_plan, memory.fd, os.getppid()), memory))
     monkeypatch.setattr(control_process, "_warm_up", fails)
     monkeypatch.setattr(control_process, "enable_realtime_scheduling", lambda priority: Scheduling.NONE)
-    monkeypatch.setattr(control_process, "_verify_venting", lambda *_: "")
+    monkeypatch.setattr(control_process, "_verify_venting", lambda *_: VentOutcome(True, ""))
     before = signal.getsignal(signal.SIGTERM)
     try:
         with pytest.raises(ZeroDivisionError):

@@ -93,7 +93,7 @@ def test_export_page_and_report_show_the_inputs(archive: Path, tmp_path: Path) -
     assert first == ["time_s", "value_load_N", "value_ambient_degC", "value_spare_l/min", "simulated"]
     run = runs.open(archive)
     last = len(run.pressure.time_s) - 1
-    shown = ArchivedRun(archive).now(run.pressure.time_s[last], -1, playing=False)["inputs"]
+    shown = ArchivedRun(archive).now(run.pressure.time_s[last], -1, playing=False).inputs
     assert [row[0] for row in shown] == ["load", "ambient", "spare"]
     assert shown[0][2] == "N"
     assert float(shown[0][1]) == pytest.approx(run.auxiliary.value[last, 0], rel=1e-3)  # type: ignore[union-attr]
