@@ -1,4 +1,4 @@
-"""Boards of which a part is covered: error and coverage, for the tables of docs/validation/vision.md.
+"""Boards of which a part is covered: error, Cramer-Rao bound and coverage, for docs/validation/vision.md.
 
     python -m benchmarks.boards [--poses 1000] [--seed 0] [--only charuco]
 
@@ -71,15 +71,30 @@ LOOKS = {
 
 @dataclass(frozen=True)
 class BoardErrors:
-    """Errors (n, 3) [m] and covariances (n, 3, 3) of the tool centre point, and errors of the board's centre (n, 3).
+    """Errors (n, 3) [m] and covariances (n, 3, 3) of the tool centre point, NaN where no pose was measured.
 
-    NaN where no pose was measured; `lost` are so many.
+    `bound` (n,) is its Cramer-Rao bound from the corners that no cover hides, in m per pixel of error of a corner.
     """
 
     tip_m: Floats
     covariance_m2: Floats
-    centre_m: Floats
-    lost: int
+    bound: Floats
+
+    @property
+    def lost(self) -> int:
+        """How many poses were not measured."""
+        return int(np.isnan(self.tip_m[:, 0]).sum())
+
+    def sizes(self) -> Floats:
+        """Mean, median and root mean square of the lengths of the errors, and the stated root mean square, in um."""
+        length = np.linalg.norm(self.tip_m, axis=1)
+        stated = np.sqrt(np.nanmean(np.trace(self.covariance_m2, axis1=1, axis2=2)))
+        rms = np.sqrt(np.nanmean(length**2))
+        return 1e6 * np.array([np.nanmean(length), np.nanmedian(length), rms, stated])
+
+    def rms_bound(self) -> float:
+        """Root mean square of the bound over the poses that were measured."""
+        return float(np.sqrt(np.mean(self.bound[np.isfinite(self.tip_m[:, 0])] ** 2)))
 
     def held(self) -> tuple[float, float]:
         """Shares of the single axes' 95 % intervals and of the 95 % ellipsoids that hold the truth."""
@@ -143,36 +158,55 @@ def printed(board: Board) -> Image:
     return np.array(drawn, dtype=np.uint8)
 
 
-def measure(board: Board, where: list[RigidTransform], draws: list[Draw]) -> BoardErrors:
-    """Measure every pose anew; pose k is drawn by `draws[k % n]`."""
-    tips, covariances, centres = [], [], []
-    lost = 0
+def free_corners(board: Board, cover: Cover | None) -> NDArray[np.bool_]:
+    """Which corners (n,) a cover does not hide."""
+    if cover is None:
+        return np.ones(len(board.corners_m), dtype=np.bool_)
+    width, height = board.extent
+    across = 0.5 + board.corners_m[:, 0] / (board.unit_m * width)
+    down = 0.5 - board.corners_m[:, 1] / (board.unit_m * height)
+    inside = (across > cover.left) & (across < cover.right) & (down > cover.top) & (down < cover.bottom)
+    free: NDArray[np.bool_] = ~inside
+    return free
+
+
+def tip_bound(board: Board, pose: RigidTransform, free: NDArray[np.bool_]) -> float:
+    """Cramer-Rao bound [m/px] of the tip: its standard error if each free corner errs by one pixel on both axes."""
+    vector = cv2.Rodrigues(pose.rotation)[0]
+    slopes = cv2.projectPoints(board.corners_m[free], vector, pose.translation_m, LENS.matrix, LENS.distortion)[1]
+    pixels = slopes[:, :6]
+    turned = cv2.Rodrigues(vector)[1].reshape(3, 3, 3) @ TIP_IN_BOARD
+    by_pose = np.hstack([turned.T, np.eye(3)])
+    covariance = by_pose @ np.linalg.inv(pixels.T @ pixels) @ by_pose.T
+    return float(np.sqrt(np.trace(covariance)))
+
+
+def measure(
+    board: Board, where: list[RigidTransform], covers: tuple[Cover | None, ...], draw: Callable[[Cover | None], Draw]
+) -> BoardErrors:
+    """Measure every pose anew; the covers take turns."""
+    draws = [draw(cover) for cover in covers]
+    free = [free_corners(board, cover) for cover in covers]
+    tips, covariances, bounds = [], [], []
     for k, pose in enumerate(where):
         found = Tracker(board, LENS).detect(draws[k % len(draws)](pose, k)).pose
-        if found is None:
-            lost += 1
-            tips.append(np.full(3, np.nan))
-            covariances.append(np.full((3, 3), np.nan))
-            centres.append(np.full(3, np.nan))
-            continue
-        tip, covariance = found.point(TIP_IN_BOARD)
-        tips.append(tip - pose.apply(TIP_IN_BOARD))
+        tip, covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
+        if found is not None:
+            measured, covariance = found.point(TIP_IN_BOARD)
+            tip = measured - pose.apply(TIP_IN_BOARD)
+        tips.append(tip)
         covariances.append(covariance)
-        centres.append(found.translation_m - pose.translation_m)
-    return BoardErrors(np.array(tips), np.array(covariances), np.array(centres), lost)
-
-
-def mean_um(errors_m: Floats) -> float:
-    """Mean length [um] of errors (n, 3), of those that are finite."""
-    return float(np.nanmean(np.linalg.norm(errors_m, axis=1))) * 1e6
+        bounds.append(tip_bound(board, pose, free[k % len(free)]))
+    return BoardErrors(np.array(tips), np.array(covariances), np.array(bounds))
 
 
 def row(name: str, found: BoardErrors, whole: BoardErrors) -> str:
-    """One line of the table; mean errors in um, and their ratio to those of the whole board."""
-    centre, tip = mean_um(found.centre_m), mean_um(found.tip_m)
-    ratios = f"{centre / mean_um(whole.centre_m):.2f} / {tip / mean_um(whole.tip_m):.2f}"
+    """One line of the table; the ratios are to the whole board."""
+    sizes = " / ".join(f"{size:.1f}" for size in found.sizes())
+    ratios = " / ".join(f"{ratio:.2f}" for ratio in found.sizes()[:3] / whole.sizes()[:3])
     axis, ellipsoid = found.held()
-    return f"| {name} | {centre:.0f} / {tip:.0f} | {ratios} | {100 * axis:.1f} / {100 * ellipsoid:.1f} | {found.lost} |"
+    bound = found.rms_bound() / whole.rms_bound()
+    return f"| {name} | {sizes} | {ratios} | {bound:.2f} | {100 * axis:.1f} / {100 * ellipsoid:.1f} | {found.lost} |"
 
 
 def main() -> None:
@@ -181,10 +215,14 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="part of a board's name")
+    parser.add_argument("--renderer", default="", help="part of a renderer's name")
     asked = parser.parse_args()
     cv2.setNumThreads(1)
-    print("| board, renderer | mean error of centre / tip [um] | ratio to whole | held axes / ellipsoid [%] | lost |")
-    print("|---|---|---|---|---|")
+    print(
+        "| board, renderer | error of the tip: mean / median / rms / stated rms [um] "
+        "| ratio to whole: mean / median / rms | ratio of the bounds | held axes / ellipsoid [%] | lost |"
+    )
+    print("|---|---|---|---|---|---|")
     where = list(poses(asked.poses, asked.seed))
     for name, board in BOARDS.items():
         if asked.only not in name:
@@ -193,9 +231,11 @@ def main() -> None:
         if len(board.corners_m) > LEAST_CORNERS:
             covers |= {"patch": patches(asked.seed), "strip": STRIPS}
         for renderer, draw in renderers(board, asked.seed).items():
+            if asked.renderer not in renderer:
+                continue
             whole = None
             for cover_name, chosen in covers.items():
-                found = measure(board, where, [draw(cover) for cover in chosen])
+                found = measure(board, where, chosen, draw)
                 whole = whole or found
                 print(row(f"{name}, {cover_name}, {renderer}", found, whole), flush=True)
 
