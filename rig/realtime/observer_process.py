@@ -72,8 +72,8 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
                 if memory.stop_request != Stop.NONE:
                     break
                 raise
-            go = memory.start_ns
-            if not go or frame_set.t_ns < go:
+            # Frames from the safe state on show the arm as it vents, which no step of the protocol asks for.
+            if not _within_run(memory, frame_set.t_ns):
                 continue
             dropped = 0 if previous is None else max(0, frame_set.index - previous - 1)
             previous = frame_set.index
@@ -83,6 +83,12 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
                 memory.push_picture(picture, names.index(picture.camera))
     finally:
         source.close()
+
+
+def _within_run(memory: SharedState, t_ns: int) -> bool:
+    """Whether a time is after the start of the run and before control has written the safe state."""
+    started_ns, safe_ns = memory.start_ns, memory.safe_ns
+    return bool(started_ns) and started_ns <= t_ns and not (safe_ns and t_ns > safe_ns)
 
 
 def _source(config: RigConfig, seed: int) -> CameraSynchroniser | TrackerSource | PredictionClock:

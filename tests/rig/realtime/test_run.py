@@ -55,6 +55,8 @@ def test_a_run_to_the_end_leaves_safe_valves_a_finished_archive_and_status_0(tmp
     assert archive.pressure.time_s[-1] > 0.95
     assert np.all(np.diff(archive.pressure.cycle) >= 1)
     assert len(archive.tip.time_s) > 15
+    # The next cycle after the last one, in which the safe state is written, is the end.
+    assert archive.tip.time_s[-1] <= archive.pressure.time_s[-1] + 0.02
     assert "SIMULATED" in run.output
 
 
