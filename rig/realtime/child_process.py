@@ -96,6 +96,6 @@ def await_turn(memory: SharedState, supervisor: ProcessMonitor, ready: Callable[
 
 
 def report_unconfirmed(outcome: VentOutcome) -> None:
-    """Print what is not confirmed on stderr: for a process whose supervisor is gone, which nobody else can report."""
+    """Print what is not confirmed on stderr: for a process whose supervisor has exited."""
     if not outcome.confirmed:
         print(outcome.sentence, file=sys.stderr, flush=True)

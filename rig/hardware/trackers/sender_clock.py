@@ -21,7 +21,7 @@ WINDOW_S = 60.0
 BIN_S = 0.1
 """Of the messages in a bin only the one with the smallest delay is kept."""
 STEP_S = 2e-3
-"""Smallest step of the sender's clock that is told from jitter; a smaller one that makes delays longer stays unseen."""
+"""Smallest step of the sender's clock that is detected; jitter hides a smaller one that makes delays longer."""
 STEP_SPAN_S = 0.5
 """Time with longer delays after which the sender's clock has been set back."""
 STEP_MESSAGES, LONGER_MESSAGES = 10, 20
