@@ -1,4 +1,4 @@
-"""The checkerboard: its geometry, finding it in a whole picture, and checking its colours."""
+"""The checkerboard: finding it in a whole picture, and checking its colours."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.vision import board
-from calibration.vision.board import MIN_CONTRAST_GREY, QUIET_SQUARES, SIDE_MARGIN, SPOTS, Board, BoardPrint
+from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, BoardPrint
 from calibration.vision.board_candidates import board_candidates
-from calibration.vision.corners import Corners, sharpen, spacing
+from calibration.vision.corners import Corners, sharpen
+from calibration.vision.square_grid import SquareGrid
 from model.kernels.jit import kernel
 
 Floats = NDArray[np.float64]
@@ -27,44 +28,17 @@ _SMALL_PX = 240
 
 
 @dataclass(frozen=True)
-class Checkerboard(Board):
-    """A checkerboard of `squares_x` by `squares_y` squares of `square_m`, one count odd and the other even.
+class Checkerboard(SquareGrid):
+    """A checkerboard; one count of squares is odd and the other even.
 
-    The square at the top left is dark. Corners are the inner corners, row by row from the top, left to right. The
-    board must be seen as a whole: with some corners hidden, nothing tells a grid from one that lies a square beside it.
+    The board must be seen as a whole: with some corners hidden, nothing tells a grid from one that lies a square
+    beside it.
     """
 
-    squares_x: int
-    squares_y: int
-    square_m: float
-
     @property
-    def unit_m(self) -> float:
-        """One square."""
-        return self.square_m
-
-    @property
-    def extent(self) -> tuple[float, float]:
-        """Squares across and down."""
-        return self.squares_x, self.squares_y
-
-    @property
-    def pattern(self) -> tuple[int, int]:
-        """Inner corners per row and per column."""
-        return self.squares_x - 1, self.squares_y - 1
-
-    @cached_property
-    def corners_m(self) -> Floats:
-        """Inner corners (n, 3) in the board's frame."""
-        columns, rows = self.pattern
-        return self.at(np.tile(np.arange(1, columns + 1), rows), np.repeat(np.arange(1, rows + 1), columns))
-
-    @cached_property
     def printed(self) -> BoardPrint:
-        """Squares, the first one dark."""
-        rows, columns = np.indices((self.squares_y, self.squares_x))
-        across, down = (np.arange(n + 1, dtype=np.float64) for n in self.extent)
-        return BoardPrint(across, down, (rows + columns) % 2 == 0, QUIET_SQUARES)
+        """The squares."""
+        return self.squares
 
     @cached_property
     def check_points_m(self) -> Floats:
@@ -78,8 +52,7 @@ class Checkerboard(Board):
     def dark(self) -> NDArray[np.bool_]:
         """Which cells of the check (cells,) must be dark."""
         cells = np.zeros((self.squares_y + 2, self.squares_x + 2), dtype=bool)
-        rows, columns = np.indices((self.squares_y, self.squares_x))
-        cells[1:-1, 1:-1] = (rows + columns) % 2 == 0
+        cells[1:-1, 1:-1] = self.squares.dark
         return cells.ravel()
 
     @cached_property
@@ -115,10 +88,6 @@ class Checkerboard(Board):
     def refine(self, image: Image, seeds_px: Floats) -> Corners | None:
         """Refine all corners; None where one has no model."""
         return sharpen(image, seeds_px, self.pattern)
-
-    def spacing(self, corners_px: Floats) -> float:
-        """Smallest distance [px] between neighbours of the corners (n, 2)."""
-        return spacing(corners_px, self.pattern)
 
 
 @exact_kernel
