@@ -32,7 +32,7 @@ from rig.live.view_state import (
     inputs,
 )
 from rig.observation.overlay import arm_lines
-from rig.realtime.shared_state import LINE_POINTS
+from rig.realtime.picture_rings import LINE_POINTS
 from runs.records import DetectionStatus
 from runs.run import Run
 

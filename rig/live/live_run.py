@@ -117,7 +117,7 @@ class LiveRun:
             del self.events[:spare]
             self.events_dropped += spare
         after = -1 if self.view is None else int(self.view[0]["number"])
-        self.view = memory.newest_view(after) or self.view
+        self.view = memory.views.newest(after) or self.view
         if self.session.ended:
             message = memory.message("supervisor") if memory.stage("supervisor") is Stage.DONE else ""
             self.ended = message or "the supervisor died; the watchdog makes the valves safe"

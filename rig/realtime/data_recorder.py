@@ -69,7 +69,7 @@ class DataRecorder:
         streamed = memory.streamed.read()
         if len(streamed):
             journal.streamed(streamed)
-        for picture in memory.read_pictures(list(self._config.cameras), self._config.recording.encoding):
+        for picture in memory.pictures.read(list(self._config.cameras), self._config.recording.encoding):
             journal.picture(picture)
 
     def counters(self) -> dict[str, int]:
@@ -80,7 +80,7 @@ class DataRecorder:
             "lost_scans": self._lost_scans,
             "sample_ring_overflows": self._memory.samples.lost,
             "observation_ring_overflows": self._memory.observations.lost,
-            "picture_ring_overflows": self._memory.pictures_lost,
+            "picture_ring_overflows": self._memory.pictures.lost,
         }
 
     def event(self, level: Level, source: str, message: str) -> None:

@@ -80,7 +80,7 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
             _record(job, observer, memory, frame_set, dropped)
             preview.publish(frame_set, observer)
             for picture in album.pictures(frame_set, observer):
-                memory.push_picture(picture, names.index(picture.camera))
+                memory.pictures.push(picture, names.index(picture.camera))
     finally:
         source.close()
 

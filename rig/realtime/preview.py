@@ -10,7 +10,8 @@ from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import FrameSet
 from rig.observation.observer import Observer
 from rig.observation.overlay import OverlayProjector, arm_lines
-from rig.realtime.shared_state import LINE_POINTS, SharedState, view_dtype
+from rig.realtime.picture_rings import LINE_POINTS, view_dtype
+from rig.realtime.shared_state import SharedState
 
 WATCHED_NS = 3_000_000_000
 """A viewer reports its presence about once a second."""
@@ -23,7 +24,7 @@ class PreviewPublisher:
     def __init__(self, config: RigConfig, memory: SharedState) -> None:
         self._config, self._memory = config, memory
         self._projectors = [OverlayProjector(config, name, LINE_POINTS) for name in config.cameras]
-        self._row = np.zeros((), view_dtype(memory.layout))
+        self._row = np.zeros((), view_dtype(memory.layout.corners, memory.layout.actuators))
 
     def publish(self, frame_set: FrameSet, observer: Observer) -> None:
         """Publish the leading frame of the frame set that the observer has just observed, if there is a viewer.
@@ -38,7 +39,7 @@ class PreviewPublisher:
         if not frame_set.frames:
             row["shape"], row["found"], row["tip_px"], row["model_px"] = 0, 0, np.nan, np.nan
             row["lines_m"] = arm_lines(self._config, observer.shape, LINE_POINTS)
-            self._memory.push_view(row, _NO_PICTURE)
+            self._memory.views.push(row, _NO_PICTURE)
             return
         frame = frame_set.lead
         overlay = self._projectors[frame_set.leader].project(observer.measurement, observer.shape)
@@ -46,4 +47,4 @@ class PreviewPublisher:
         row["found"] = len(overlay.corners_px)
         row["corners_px"][: len(overlay.corners_px)] = overlay.corners_px
         row["tip_px"], row["model_px"], row["lines_m"] = overlay.tip_px, overlay.model_px, overlay.lines_m
-        self._memory.push_view(row, frame.image)
+        self._memory.views.push(row, frame.image)

@@ -1,4 +1,4 @@
-"""The shared memory of the processes of one run: a row of flags, the ring buffers and the picture slots.
+"""The shared memory of the processes of one run: a row of flags, and ring buffers.
 
 The rings of events and views serve viewers; the record does not depend on them.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import mmap
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Generic, TypeVar
@@ -17,15 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
+from rig.realtime.picture_rings import PICTURES, VIEWS, PictureRing, ViewRing, view_dtype
 from rig.realtime.ring import RingBuffer, ring_bytes
 from rig.realtime.scheduling import Scheduling
 from rig.tip_control.plan_follower import SetPointSource
 from rig.tip_control.plan_record import plan_dtype
-from runs.journal.messages import marks_from_bytes, marks_to_bytes
 from runs.records import (
     Event,
     Level,
-    Picture,
     adaptation_dtype,
     observation_dtype,
     sample_dtype,
@@ -37,17 +36,13 @@ T = TypeVar("T", bound=float)
 
 SAMPLES = 4096
 OBSERVATIONS = 1024
-PICTURES = 32
 MESSAGE_BYTES = 480
 EVENTS = 256
-VIEWS = 4
 PLANS = 256
 SETPOINTS = 1024
 TIP_CONTROLLER = "tip_controller"
 CLOCKS = 8
 """Number of cards whose sampling clocks are published."""
-LINE_POINTS = 16
-"""Points of a line of the overlay: the axis of the arm or of an actuator."""
 
 
 class Stage(IntEnum):
@@ -106,9 +101,6 @@ _BOARD = np.dtype(
 _ROW_BYTES = -(-_PROCESS.itemsize // 64) * 64
 _EVENT = np.dtype([("t_ns", "<i8"), ("level", "S8"), ("source", "S32"), ("message", f"S{MESSAGE_BYTES}")])
 _TEXT_FIELDS = ("source", "message")
-_PICTURE = np.dtype(
-    [("t_ns", "<i8"), ("frame", "<i8"), ("camera", "<i8"), ("slot", "<i8"), ("size", "<i8"), ("marks", "<i8")]
-)
 
 
 @dataclass(frozen=True)
@@ -141,27 +133,6 @@ class StateLayout:
         )
 
 
-def view_dtype(layout: StateLayout) -> np.dtype[np.void]:
-    """Row type of the live view of one camera frame, with its overlay.
-
-    Pixels (u, v) of the board's corners (the first `found` are valid), of the measured tip and of the model's tip, NaN
-    where there is none; `lines_m`: axes of the arm and of its actuators in the rod-base frame; `shape`: of the picture.
-    """
-    return np.dtype(
-        [
-            ("number", "<i8"),
-            ("t_ns", "<i8"),
-            ("frame", "<i8"),
-            ("shape", "<i4", (3,)),
-            ("found", "<i4"),
-            ("corners_px", "<f4", (layout.corners, 2)),
-            ("tip_px", "<f4", (2,)),
-            ("model_px", "<f4", (2,)),
-            ("lines_m", "<f4", (1 + layout.actuators, LINE_POINTS, 3)),
-        ]
-    )
-
-
 class _BoardField(Generic[T]):
     """A typed property of `SharedState` over the field of the same name of its board."""
 
@@ -185,7 +156,8 @@ class SharedState:
     `board` is one structured row of flags; each flag has one writer and is read and written through the property of
     the same name. Times are CLOCK_MONOTONIC [ns], 0 before the event; a process id is 0 before the process exists.
     `samples`, `observations`, `adaptations`, `plans` and `streamed` are rings of the records of `runs.records`;
-    `new_setpoints` are those of another program that control has not taken yet.
+    `new_setpoints` are those of another program that control has not taken yet. `pictures` are for the recorder and
+    `views` for viewers.
 
     The process of the tip controller may run code of the user: it can write to pages of its own only, which hold its
     stage, its heartbeat and `new_plans` (rows of `plan_dtype`).
@@ -232,14 +204,15 @@ class SharedState:
         sample = sample_dtype(layout.actuators, layout.valves, layout.inputs)
         observation = observation_dtype(layout.actuators, layout.cameras, layout.tracker)
         streamed = streamed_dtype(layout.actuators)
+        view = view_dtype(layout.corners, layout.actuators)
         sizes = (
             -(-_BOARD.itemsize // 64) * 64,
             ring_bytes(sample, SAMPLES),
             ring_bytes(observation, OBSERVATIONS),
-            ring_bytes(_PICTURE, PICTURES),
+            PictureRing.row_bytes(),
             layout.picture_bytes * PICTURES,
             ring_bytes(_EVENT, EVENTS),
-            ring_bytes(view_dtype(layout), VIEWS),
+            ring_bytes(view, VIEWS),
             layout.picture_bytes * VIEWS,
             ring_bytes(adaptation_dtype(layout.adapted), OBSERVATIONS),
             ring_bytes(tip_control_dtype(layout.valves), PLANS),
@@ -252,18 +225,16 @@ class SharedState:
         if os.fstat(fd).st_size == 0:
             os.ftruncate(fd, own_start + own_size)
         access = mmap.ACCESS_READ if readonly or tip_controller else mmap.ACCESS_WRITE
-        view = memoryview(mmap.mmap(fd, edges[-1], access=access))
+        memory = memoryview(mmap.mmap(fd, edges[-1], access=access))
         own_access = mmap.ACCESS_READ if readonly else mmap.ACCESS_WRITE
         own = memoryview(mmap.mmap(fd, own_size, access=own_access, offset=own_start))
-        parts = [view[a:b] for a, b in itertools.pairwise(edges)]
+        parts = [memory[a:b] for a, b in itertools.pairwise(edges)]
         self.board: NDArray[np.void] = np.frombuffer(parts[0], _BOARD, 1)
         self.samples: RingBuffer[np.void] = RingBuffer(parts[1], sample, SAMPLES)
         self.observations: RingBuffer[np.void] = RingBuffer(parts[2], observation, OBSERVATIONS)
-        self._pictures: RingBuffer[np.void] = RingBuffer(parts[3], _PICTURE, PICTURES)
-        self._slots = parts[4]
+        self.pictures = PictureRing(parts[3], parts[4], layout.picture_bytes)
         self._events: RingBuffer[np.void] = RingBuffer(parts[5], _EVENT, EVENTS)
-        self._views: RingBuffer[np.void] = RingBuffer(parts[6], view_dtype(layout), VIEWS)
-        self._shown = parts[7]
+        self.views = ViewRing(parts[6], parts[7], layout.picture_bytes, view)
         self.adaptations: RingBuffer[np.void] = RingBuffer(parts[8], adaptation_dtype(layout.adapted), OBSERVATIONS)
         self.plans: RingBuffer[np.void] = RingBuffer(parts[9], tip_control_dtype(layout.valves), PLANS)
         self.new_setpoints: RingBuffer[np.void] = RingBuffer(parts[10], streamed, SETPOINTS)
@@ -328,40 +299,6 @@ class SharedState:
         """Row (1,) of a process: stage, heartbeat and message."""
         return self._tip_controller if name == TIP_CONTROLLER else self.board[name]
 
-    def push_picture(self, picture: Picture, camera: int = 0) -> bool:
-        """Store one encoded picture of the `camera`-th camera with its marks; False if it is larger than a slot."""
-        marks = marks_to_bytes(picture)
-        size = len(picture.data)
-        if size + len(marks) > self.layout.picture_bytes:
-            return False
-        slot = self._pictures.written % PICTURES
-        start = slot * self.layout.picture_bytes
-        self._slots[start : start + size + len(marks)] = picture.data + marks
-        self._pictures.push(np.array((picture.t_ns, picture.frame, camera, slot, size, len(marks)), _PICTURE))
-        return True
-
-    def read_pictures(self, cameras: Sequence[str], encoding: str) -> list[Picture]:
-        """Return the pictures stored since the last call; `cameras` are their names, in the rig's order."""
-        pictures = []
-        rows = self._pictures.read()
-        for number, row in enumerate(rows, self._pictures.taken - len(rows)):
-            start = int(row["slot"]) * self.layout.picture_bytes
-            end = start + int(row["size"])
-            data, seen = bytes(self._slots[start:end]), bytes(self._slots[end : end + int(row["marks"])])
-            # After a stall of this reader the writer may have overwritten the slot while it was copied.
-            if self._pictures.written - number >= PICTURES:
-                self._pictures.lost += 1
-                continue
-            _, _, marks = marks_from_bytes(seen)
-            camera = cameras[int(row["camera"])]
-            pictures.append(Picture(int(row["t_ns"]), int(row["frame"]), camera, encoding, data, marks))
-        return pictures
-
-    @property
-    def pictures_lost(self) -> int:
-        """Pictures overwritten before this reader took them."""
-        return self._pictures.lost
-
     def push_event(self, event: Event) -> None:
         """Publish an event to viewers."""
         row = np.zeros((), _EVENT)
@@ -377,26 +314,3 @@ class SharedState:
             )
             for row in self._events.read()
         ]
-
-    def push_view(self, view: NDArray[np.void], image: NDArray[np.uint8]) -> None:
-        """Publish a frame to viewers: a row of `view_dtype`, whose number is set here, and its picture."""
-        number = self._views.written
-        pixels = np.ascontiguousarray(image).tobytes()
-        if len(pixels) > self.layout.picture_bytes:
-            return
-        start = number % VIEWS * self.layout.picture_bytes
-        self._shown[start : start + len(pixels)] = pixels
-        view["number"] = number
-        self._views.push(view)
-
-    def newest_view(self, after: int = -1) -> tuple[NDArray[np.void], NDArray[np.uint8]] | None:
-        """Return the newest frame with a number above `after`; None if there is none or it was overwritten."""
-        if self._views.written <= after + 1:
-            return None
-        rows = self._views.last(1)
-        if not len(rows) or int(rows["number"][0]) <= after:
-            return None
-        number, shape = int(rows["number"][0]), rows["shape"][0]
-        start = number % VIEWS * self.layout.picture_bytes
-        image = np.frombuffer(self._shown[start : start + int(shape.prod())], np.uint8).reshape(shape).copy()
-        return (rows[0], image) if self._views.written - number < VIEWS else None

@@ -25,7 +25,8 @@ from rig.hardware import runtime_folder
 from rig.live.client_session import ClientSession, connect, running_runs
 from rig.realtime.control_socket import ControlSocket, socket_paths
 from rig.realtime.operator_commands import CommandHandler, CommandKind, CommandResult, OperatorCommand, user_name
-from rig.realtime.shared_state import SharedState, StateLayout, Stop, view_dtype
+from rig.realtime.picture_rings import view_dtype
+from rig.realtime.shared_state import SharedState, StateLayout, Stop
 from rig.realtime.stream_receiver import StreamReceiver
 from runs.records import Event, Level, Status
 
@@ -294,13 +295,13 @@ def test_events_and_views_reach_a_reader_complete(memory: SharedState) -> None:
     event = Event(7, Level.WARNING, "operator", "paused by ada: Grüße")
     memory.push_event(event)
     assert memory.read_events() == [event]
-    assert memory.newest_view() is None
-    row = np.zeros((), view_dtype(memory.layout))
+    assert memory.views.newest() is None
+    row = np.zeros((), view_dtype(memory.layout.corners, memory.layout.actuators))
     for n in range(6):
         row["frame"], row["shape"] = n, (4, 5, 1)
-        memory.push_view(row, np.full((4, 5), n, np.uint8))
-    seen = memory.newest_view()
+        memory.views.push(row, np.full((4, 5), n, np.uint8))
+    seen = memory.views.newest()
     assert seen is not None
     assert int(seen[0]["frame"]) == 5
     assert np.all(seen[1] == 5)
-    assert memory.newest_view(after=int(seen[0]["number"])) is None
+    assert memory.views.newest(after=int(seen[0]["number"])) is None

@@ -7,8 +7,9 @@ import time
 import numpy as np
 import pytest
 
+from rig.realtime.picture_rings import PICTURES
 from rig.realtime.ring import RingBuffer, ring_bytes
-from rig.realtime.shared_state import PICTURES, SharedState, StateLayout
+from rig.realtime.shared_state import SharedState, StateLayout
 from runs.records import Picture
 
 ROW = np.dtype([("n", "<i8"), ("copies", "<i8", (64,))])
@@ -97,7 +98,7 @@ class Interrupted(list[str]):
 
     def __getitem__(self, index: object) -> str:  # type: ignore[override]
         for number in range(self.pictures):
-            self.memory.push_picture(Picture(number, number, "front", "jpeg", bytes([99]) * 300))
+            self.memory.pictures.push(Picture(number, number, "front", "jpeg", bytes([99]) * 300))
         self.pictures = 0
         return "front"
 
@@ -105,9 +106,9 @@ class Interrupted(list[str]):
 def test_a_picture_that_is_overwritten_while_it_is_read_is_lost_and_not_another_ones() -> None:
     memory = SharedState.create(StateLayout(1, 1, 4096, 1))
     for number in range(10):
-        memory.push_picture(Picture(number, number, "front", "jpeg", bytes([number]) * 100))
-    got = memory.read_pictures(Interrupted(memory, PICTURES - 6), "jpeg")
+        memory.pictures.push(Picture(number, number, "front", "jpeg", bytes([number]) * 100))
+    got = memory.pictures.read(Interrupted(memory, PICTURES - 6), "jpeg")
     assert [picture.frame for picture in got] == [0, 5, 6, 7, 8, 9]
     assert all(picture.data == bytes([picture.frame]) * 100 for picture in got)
-    assert memory.pictures_lost == 4
+    assert memory.pictures.lost == 4
     os.close(memory.fd)
