@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from protocols.document import read_text
 from protocols.problems import BadInputError, Problem, closest
 from protocols.source_positions import shortened
-from rig.importing.mapping import TableFormat
+from rig.importing.mapping_sections import TableFormat
 
 LARGEST_FILE = 500_000_000
 MOST_PROBLEMS = 5

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from calibration.vision.transforms import RigidTransform
 from protocols.problems import Problem
 from rig.importing.columns import ColumnReader
-from rig.importing.mapping import BaseSensor, Mapping, Orientation, Position, TipOrientation, Wrench
+from rig.importing.mapping import Mapping
+from rig.importing.mapping_sections import BaseSensor, Orientation, Position, TipOrientation, Wrench
 from rig.importing.tables import some
 from rig.importing.units import METRES, NEWTON_METRES, NEWTONS
 
