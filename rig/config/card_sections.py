@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import functools
-import operator
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
 from protocols.validation import ValidationFault, faults
 from rig.config.drivers import Driver, DriverRegistry
-from rig.config.plugins import PluginSections
 from rig.config.sections import Index, Positive, Section, Word
 
 
@@ -153,18 +150,5 @@ CARD_DRIVERS = DriverRegistry(
 if TYPE_CHECKING:
     AnyCard = CardConfig
 else:
-    AnyCard = Annotated[
-        Annotated[
-            functools.reduce(operator.or_, (driver.section for driver in CARD_DRIVERS.built_in.values())),
-            Field(discriminator="driver"),
-        ],
-        PluginSections(
-            "driver",
-            CardConfig,
-            CARD_DRIVERS.built_in,
-            CARD_DRIVERS.plugins,
-            CARD_DRIVERS.section,
-            UninstalledCardConfig,
-        ),
-    ]
+    AnyCard = CARD_DRIVERS.any_section(CardConfig, UninstalledCardConfig)
     """A card of the rig file, by the model of its driver."""

@@ -6,14 +6,16 @@ the function that opens a device; it runs only when a rig uses the driver.
 
 from __future__ import annotations
 
+import functools
 import importlib
+import operator
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
-from rig.config.plugins import PluginError, PluginGroup, package_of
+from rig.config.plugins import PluginError, PluginGroup, PluginSections, package_of
 
 if TYPE_CHECKING:
     from rig.hardware.finding import Finding
@@ -112,6 +114,18 @@ class DriverRegistry:
         plugin = self[name].plugin
         assert plugin is not None
         return plugin.section
+
+    def any_section(self, base: type[BaseModel], unknown: type[BaseModel]) -> Any:
+        """The type of a device's section in the rig file: the model of its driver.
+
+        `base` serves the drivers of softrig that have no model of their own. `unknown` reads the section in an archive
+        whose driver is not installed here.
+        """
+        sections = [driver.section for driver in self.built_in.values() if driver.section is not None]
+        own: Any = base
+        if sections:
+            own = Annotated[functools.reduce(operator.or_, sections), Field(discriminator="driver")]
+        return Annotated[own, PluginSections("driver", base, self.built_in, self.plugins, self.section, unknown)]
 
     def simulates(self, name: str | None) -> bool:
         """True for a driver of simulated devices; False for one that is not installed."""

@@ -136,6 +136,11 @@ def path_of(name_or_path: str | Path) -> Path:
     return find(str(name_or_path), FOLDER, "rig")
 
 
+def named() -> tuple[str, ...]:
+    """Names of the rigs of softrig."""
+    return tuple(sorted(path.stem for path in FOLDER.glob("*.yaml")))
+
+
 def read(name_or_path: str | Path) -> RigFile:
     """Read a rig by name or path, with the calibrations that it names; raise `BadInputError` with every problem."""
     return _from_disk(document.read(path_of(name_or_path)))

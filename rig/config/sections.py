@@ -17,7 +17,6 @@ from model.material import MOST_BRANCHES
 from model.variants import VARIANTS, variant_named
 from protocols.validation import ValidationFault, faults
 from rig.config.drivers import CAMERA_DRIVERS
-from rig.config.plugins import PluginSections
 
 PA_PER_BAR = 1e5
 
@@ -305,17 +304,7 @@ class UninstalledCameraConfig(CameraConfig):
 if TYPE_CHECKING:
     AnyCamera = CameraConfig
 else:
-    AnyCamera = Annotated[
-        CameraConfig,
-        PluginSections(
-            "driver",
-            CameraConfig,
-            CAMERA_DRIVERS.built_in,
-            CAMERA_DRIVERS.plugins,
-            CAMERA_DRIVERS.section,
-            UninstalledCameraConfig,
-        ),
-    ]
+    AnyCamera = CAMERA_DRIVERS.any_section(CameraConfig, UninstalledCameraConfig)
     """A camera of the rig file, by the model of its driver."""
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import ipaddress
-import operator
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
@@ -12,7 +10,6 @@ from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import ValidationFault, faults
 from rig.config.drivers import Driver, DriverRegistry
-from rig.config.plugins import PluginSections
 from rig.config.sections import NonNegative, Placement, Positive, Section
 
 
@@ -120,18 +117,5 @@ TRACKER_DRIVERS = DriverRegistry(
 if TYPE_CHECKING:
     AnyTracker = TrackerConfig
 else:
-    AnyTracker = Annotated[
-        Annotated[
-            functools.reduce(operator.or_, (driver.section for driver in TRACKER_DRIVERS.built_in.values())),
-            Field(discriminator="driver"),
-        ],
-        PluginSections(
-            "driver",
-            TrackerConfig,
-            TRACKER_DRIVERS.built_in,
-            TRACKER_DRIVERS.plugins,
-            TRACKER_DRIVERS.section,
-            UninstalledTrackerConfig,
-        ),
-    ]
+    AnyTracker = TRACKER_DRIVERS.any_section(TrackerConfig, UninstalledTrackerConfig)
     """A tracker of the rig file, by the model of its driver."""

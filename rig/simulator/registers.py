@@ -15,11 +15,13 @@ import fcntl
 import mmap
 import os
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.config.card_sections import CardConfig
 from rig.hardware.cards.base import CardError, Scans
 from rig.hardware.runtime_folder import open_private, runtime_folder
 from rig.simulator.faults import FAULTS_DTYPE, Faults
@@ -125,6 +127,14 @@ class Registers:
         for output in range(outputs):
             registers.write(output, 0.0, now)
         return registers
+
+    @classmethod
+    def behind(cls, cards: Iterable[CardConfig]) -> Registers:
+        """The plant behind the first mock card of a rig. Raises CardError."""
+        for card in cards:
+            if card.is_mock:
+                return cls.attach(card.device)
+        raise CardError("it is a mock, and the rig has no mock card whose plant it could look at")
 
     @classmethod
     def attach(cls, device: str) -> Registers:

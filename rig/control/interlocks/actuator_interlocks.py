@@ -15,43 +15,27 @@ EVIDENCE = 2.0
 
 
 @dataclass(frozen=True)
-class OverPressure(ActuatorInterlock):
-    """The pressure is above the limit with its margin, or not a number."""
+class PressureRange(ActuatorInterlock):
+    """The pressure is outside the limits with their margin, or not a number."""
 
     actuator: int
-    limit_pa: float
+    lowest_pa: float
+    highest_pa: float
 
     @classmethod
     def of(cls, config: RigConfig, sensor: Sensor) -> Self:
-        """The limit of the rig file."""
-        limits = config.limits
-        return cls(sensor.actuator, (limits.pressure_bar + limits.pressure_margin_bar) * PA_PER_BAR)
+        """The limits of the rig file."""
+        limits, margin_bar = config.limits, config.limits.pressure_margin_bar
+        lowest_bar, highest_bar = limits.lowest_pressure_bar - margin_bar, limits.pressure_bar + margin_bar
+        return cls(sensor.actuator, lowest_bar * PA_PER_BAR, highest_bar * PA_PER_BAR)
 
     def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
         """Compare the pressure."""
-        if w.pressure_pa <= self.limit_pa:
+        if self.lowest_pa <= w.pressure_pa <= self.highest_pa:
             return None
-        return _trip_bar(t_ns, "over-pressure", f"actuator {self.actuator} is at", w.pressure_pa, self.limit_pa)
-
-
-@dataclass(frozen=True)
-class UnderPressure(ActuatorInterlock):
-    """The pressure is below the lowest one with its margin."""
-
-    actuator: int
-    limit_pa: float
-
-    @classmethod
-    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
-        """The limit of the rig file."""
-        limits = config.limits
-        return cls(sensor.actuator, (limits.lowest_pressure_bar - limits.pressure_margin_bar) * PA_PER_BAR)
-
-    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
-        """Compare the pressure."""
-        if w.pressure_pa >= self.limit_pa:
-            return None
-        return _trip_bar(t_ns, "under-pressure", f"actuator {self.actuator} is at", w.pressure_pa, self.limit_pa)
+        below = w.pressure_pa < self.lowest_pa
+        source, limit_pa = ("under-pressure", self.lowest_pa) if below else ("over-pressure", self.highest_pa)
+        return _trip_bar(t_ns, source, f"actuator {self.actuator} is at", w.pressure_pa, limit_pa)
 
 
 @dataclass(frozen=True)

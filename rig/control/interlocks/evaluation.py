@@ -14,10 +14,9 @@ from rig.config.sections import PA_PER_BAR
 from rig.control import sensor_state
 from rig.control.interlocks.actuator_interlocks import (
     FrozenReading,
-    OverPressure,
+    PressureRange,
     PressureRate,
     Tracking,
-    UnderPressure,
     UnresponsiveSensor,
 )
 from rig.control.interlocks.base import ActuatorInterlock, Sample, SampleInterlock, Trip
@@ -26,8 +25,7 @@ from rig.control.sensor_state import RegulatorDemand, SensorSettings, SensorStat
 
 SAMPLE_INTERLOCKS: tuple[type[SampleInterlock], ...] = (EmergencyStops, StaleSamples, SilentStream, BrokenSensors)
 ACTUATOR_INTERLOCKS: tuple[type[ActuatorInterlock], ...] = (
-    OverPressure,
-    UnderPressure,
+    PressureRange,
     PressureRate,
     FrozenReading,
     UnresponsiveSensor,

@@ -52,11 +52,8 @@ class MockCameraDriver:
         Raises:
             CameraError: the rig has no mock card, or its plant does not run.
         """
-        devices = [card.device for card in config.cards.values() if card.is_mock]
-        if not devices:
-            raise CameraError(f"camera {name} is a mock, and the rig has no mock card whose plant it could look at")
         try:
-            registers = Registers.attach(devices[0])
+            registers = Registers.behind(config.cards.values())
             camera = MockCamera(config, registers, name, seed, registers.faults)
         except CardError as error:
             raise CameraError(f"camera {name}: {error}") from error

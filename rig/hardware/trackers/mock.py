@@ -42,11 +42,8 @@ class MockTrackerDriver:
         Raises:
             TrackerError: the rig has no mock card, or its plant does not run.
         """
-        devices = [card.device for card in config.cards.values() if card.is_mock]
-        if not devices:
-            raise TrackerError(f"tracker {name} is a mock, and the rig has no mock card whose plant it could look at")
         try:
-            registers = Registers.attach(devices[0])
+            registers = Registers.behind(config.cards.values())
             return MockTracker(config, registers, name, seed, registers.faults, time.monotonic_ns())
         except CardError as error:
             raise TrackerError(f"tracker {name}: {error}") from error

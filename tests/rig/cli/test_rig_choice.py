@@ -220,7 +220,7 @@ def test_init_writes_a_rig_file_with_a_comment_on_every_section(
 
 def test_init_explains_every_section_that_a_rig_can_have() -> None:
     assert EXPLAINED.keys() == RigConfig.model_fields.keys()
-    assert set(Template) == {path.stem for path in loader.FOLDER.glob("*.yaml")}
+    assert set(Template) == set(loader.named())
     assert "docs/schemas" not in commented(loader.text("mock"))
 
 

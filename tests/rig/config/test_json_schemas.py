@@ -22,20 +22,7 @@ def test_committed_schemas_are_up_to_date(name: str) -> None:
 @pytest.mark.parametrize(
     ("path", "name"),
     [(protocols.load(name).path, "protocol") for name, _ in protocols.named()]
-    + [
-        (loader.path_of(name), "rig")
-        for name in (
-            "mock",
-            "mock-3",
-            "mock-charuco",
-            "mock-ideal",
-            "mock-no-camera",
-            "mock-stereo",
-            "mock-tracker",
-            "pci1716",
-            "pci1716-2",
-        )
-    ],
+    + [(loader.path_of(name), "rig") for name in loader.named()],
     ids=lambda value: Path(value).stem,
 )
 def test_every_yaml_tells_editors_its_schema(path: Path, name: str) -> None:

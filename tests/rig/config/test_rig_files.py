@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from protocols import BadInputError, Problem
 from protocols.document import parse, validate
-from rig.config import consistency
+from rig.config import consistency, loader
 from rig.config.card_sections import CARD_DRIVERS
 from rig.config.drivers import CAMERA_DRIVERS, DriverRegistry
 from rig.config.loader import load, path_of, text
@@ -70,20 +70,7 @@ def test_inputs_and_stops_are_checked_with_their_lines() -> None:
     assert problem.expected == "two different numbers"
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "mock",
-        "mock-3",
-        "mock-charuco",
-        "mock-ideal",
-        "mock-no-camera",
-        "mock-stereo",
-        "mock-tracker",
-        "pci1716",
-        "pci1716-2",
-    ],
-)
+@pytest.mark.parametrize("name", loader.named())
 def test_a_rig_loads_by_name_and_by_path(name: str) -> None:
     config = load(name)
     assert config == load(path_of(name))

@@ -13,7 +13,7 @@ from rig.config import loader
 from rig.config.schema import RigConfig
 from rig.control import sensor_state
 from rig.control.interlocks import evaluation
-from rig.control.interlocks.actuator_interlocks import UnderPressure
+from rig.control.interlocks.actuator_interlocks import PressureRange
 from rig.control.sensor_state import RegulatorDemand
 from rig.experiment.preflight import check
 from rig.hardware.safe_state import safe_voltages
@@ -65,13 +65,13 @@ def test_a_vacuum_supply_that_is_too_weak_ends_the_run() -> None:
 def test_a_pressure_below_the_lowest_one_with_its_margin_trips(lowest_bar: float, pressure_bar: float) -> None:
     config = vacuum_rig(lowest_bar=lowest_bar)
     settings = evaluation.settings(config)
-    (under,) = (i for i in settings.actuators[0] if isinstance(i, UnderPressure))
+    (permitted,) = (i for i in settings.actuators[0] if isinstance(i, PressureRange))
     demand = RegulatorDemand(lowest_bar * 1e5, lowest_bar * 1e5, 0.0, 0.0)
     state = sensor_state.SensorState(pressure_pa=pressure_bar * 1e5)
-    trip = under.trip(0, state, demand)
+    trip = permitted.trip(0, state, demand)
     assert trip is not None
     assert trip.message == f"actuator 1 is at {pressure_bar:.3f} bar (limit {lowest_bar - 0.05:.3f} bar)"
-    assert under.trip(0, state._replace(pressure_pa=(lowest_bar - 0.04) * 1e5), demand) is None
+    assert permitted.trip(0, state._replace(pressure_pa=(lowest_bar - 0.04) * 1e5), demand) is None
 
 
 def test_a_chamber_that_is_sucked_empty_where_no_vacuum_is_permitted_ends_the_run() -> None:
