@@ -63,9 +63,9 @@ def archive(
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     folder = tmp_path_factory.mktemp("bench")
-    ramp, none = np.linspace(0.0, 0.6, 7)[:, None], np.zeros(7)
+    ramp, none = np.linspace(0.0, 0.6, 5)[:, None], np.zeros(5)
     made = {
-        "weights": archive(folder, "weights", np.zeros((7, 3)), np.linspace(0, 1.2, 7)),
+        "weights": archive(folder, "weights", np.zeros((5, 3)), np.linspace(0, 1.2, 5)),
         "extension": archive(folder, "extension", ramp * np.ones(3), none),
         "one": archive(folder, "one", ramp * np.array([1.0, 0, 0]), none),
         "two": archive(folder, "two", ramp * np.array([0, 1.0, 1.0]), none),
@@ -380,7 +380,7 @@ def test_a_result_that_contradicts_the_rig_file_is_called_one(
     bench: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stiff = text("mock").replace("a1_per_N: 0.00742681", "a1_per_N: 0.004")
-    file = archive(tmp_path, "weights", np.zeros((7, 3)), np.linspace(0, 1.2, 7), stiff)
+    file = archive(tmp_path, "weights", np.zeros((5, 3)), np.linspace(0, 1.2, 5), stiff)
     rig(str(file))
     assert "The result contradicts what the rig file states" in capsys.readouterr().out
     rig(bench["weights"])
