@@ -38,6 +38,8 @@ def resolve(name: Path) -> Path:
         return found
     if len(name.parts) == 1 and name.name and (found := _in_data(name.name)) is not None:
         return found
+    if name.is_dir():
+        raise ArchiveError(f"{name}: this is a folder, not an archive; `rig runs FOLDER` lists the archives in one")
     raise ArchiveError(f"{name}: no such archive, here or in data/; `rig runs` lists what there is")
 
 

@@ -155,7 +155,7 @@ def test_last_names_the_reason_where_no_archive_is_readable(
 
 def test_a_folder_is_no_part_of_a_run_id(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert status_of("show", "/") == 2
-    assert "no such archive" in capsys.readouterr().err
+    assert "a folder, not an archive" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
