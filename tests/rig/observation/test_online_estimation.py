@@ -132,7 +132,7 @@ def test_over_twenty_arms_drawn_from_the_prior_the_intervals_have_their_stated_c
     assert 0.5 < np.sqrt((z**2).mean()) < 1.2
 
 
-def _normalised_errors(seed: int, rate_hz: float = 6.0) -> np.ndarray:
+def _normalised_errors(seed: int, rate_hz: float = 4.0) -> np.ndarray:
     """Errors of the estimates in their own standard deviations, after one period on an arm drawn from the prior."""
     config, rng = load("mock"), np.random.default_rng(seed)
     truth, parameters = Setup(true_arm(config)), named(DEFAULT_PARAMETERS, 3)
