@@ -31,26 +31,13 @@ if [ ! -e "$cache/release" ]; then
 fi
 release=$(cat "$cache/release")
 
-# Fetches packages into the cache and unpacks them under folder $1.
-unpack() {
-    local into=$1 name
-    shift
-    for name; do
-        if ! compgen -G "$cache/packages/${name}_*.deb" >/dev/null; then
-            (cd "$cache/packages" && apt-get download -q -o APT::Sandbox::User=root "$name" >/dev/null) || {
-                echo "softrig: apt cannot download $name; sudo apt-get update, delete $cache and try again" >&2
-                exit 2
-            }
-        fi
-        dpkg -x "$cache/packages/${name}"_*.deb "$into"
-    done
-}
-
+# shellcheck source=scripts/vm/unpack.sh
+. "$here/unpack.sh"
 kernel=$cache/kernel
 modules=$kernel/lib/modules/$release
 if [ ! -e "$modules/modules.dep.bin" ]; then
     echo "softrig: fetching kernel $release (once, 70 MB)"
-    unpack "$kernel" "linux-image-$release"
+    unpack "$cache/packages" "$kernel" "linux-image-$release"
     PATH=$PATH:/sbin:/usr/sbin depmod -b "$kernel" "$release"
 fi
 
@@ -58,12 +45,8 @@ fi
 if [ ! -e "$cache/v4l2loopback.ko" ]; then
     echo "softrig: building v4l2loopback (once)"
     sources=$cache/sources
-    # shellcheck disable=SC2046
-    unpack "$sources" "linux-headers-$release" v4l2loopback-dkms \
-        $(apt-cache depends "linux-headers-$release" | sed -n 's/.*Depends: \(linux-\(headers\|kbuild\)-.*\)/\1/p')
-    headers=$sources/usr/src/linux-headers-$release
-    # Debian's headers name each other by where they would be installed.
-    grep -rlI '/usr/src/linux-headers' "$headers/Makefile" | xargs -r sed -i "s#\(^\|[^[:alnum:]/]\)/usr/src/#\1$sources/usr/src/#g"
+    headers=$(bash "$here/headers.sh" "$cache" "$sources")
+    unpack "$cache/packages" "$sources" v4l2loopback-dkms
     cp -r "$sources"/usr/src/v4l2loopback-* "$cache/v4l2loopback"
     make -s -C "$headers" "M=$cache/v4l2loopback" CC=gcc modules >"$cache/v4l2loopback.log" 2>&1 || {
         tail -n 20 "$cache/v4l2loopback.log" >&2
