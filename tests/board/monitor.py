@@ -40,7 +40,7 @@ class Monitor:
         return self._execute("qom-get", path=PATH, property=name)["return"]
 
     def set(self, name: str, value: object) -> None:
-        """Set a voltage (`ai3`) or a fault (`hung`, `irq-lost`, `irq-stuck`, `open-inputs`)."""
+        """Set a voltage (`ai3`) or a fault (`hung`, `irq-lost`, `irq-stuck`, `irq-storm-ms`, `open-inputs`)."""
         self._execute("qom-set", path=PATH, property=name, value=value)
 
     @property

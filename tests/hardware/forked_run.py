@@ -63,7 +63,7 @@ def run(rig_file: str, protocol: str, out: Path) -> subprocess.Popen[bytes]:
     return forked(["rig", "run", protocol, "--rig", rig_file, "--out", str(out), "--yes", "--no-report"])
 
 
-def forked(arguments: list[str]) -> subprocess.Popen[bytes]:
+def forked(arguments: list[str], stdin: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
     """Start a command of softrig; what it prints is its `stdout`."""
 
     def command() -> None:
@@ -74,7 +74,7 @@ def forked(arguments: list[str]) -> subprocess.Popen[bytes]:
         sys.argv = arguments
         main()
 
-    return _forked("supervisor", command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
+    return _forked("supervisor", command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=stdin)
 
 
 def members(supervisor: int) -> dict[str, int]:

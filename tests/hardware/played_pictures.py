@@ -7,9 +7,7 @@ voltage at which the card's first valve stands.
 
 from __future__ import annotations
 
-import fcntl
 import os
-import struct
 import sys
 import time
 from dataclasses import dataclass
@@ -31,14 +29,10 @@ from rig.simulator.tip_pose import TipPose
 from runs.records import DetectionStatus
 from tests.hardware.kernel_card import CARD
 from tests.hardware.rig_of_the_machine import LOOPED, VALVES
+from tests.hardware.v4l2_output import open_output
 
 LEVELS_BAR = tuple(np.arange(0.0, 0.66, 0.05).round(2).tolist())
 RATE_HZ = 10
-_OUTPUT = 2  # V4L2_BUF_TYPE_VIDEO_OUTPUT
-_FIELD_NONE = 1
-_SRGB = 8
-_FORMAT_BYTES = 208  # struct v4l2_format on 64 bits: the type, padding, and a union of 200 bytes
-_SET_FORMAT = (3 << 30) | (_FORMAT_BYTES << 16) | (ord("V") << 8) | 5
 
 
 @dataclass(frozen=True)
@@ -83,10 +77,7 @@ def play(source: Path, device: str) -> None:
     height, width = pictures.shape[1:]
     frames = [bytearray(yuyv(picture)) for picture in pictures]
     valve = ComediCard(CardSetup("player", CARD, (), (Channel(VALVES[0], 0.0, 10.0),), 1000.0))
-    node = os.open(device, os.O_RDWR)
-    fourcc = int.from_bytes(b"YUYV", "little")
-    pixels = struct.pack("<7I", width, height, fourcc, _FIELD_NONE, 2 * width, 2 * width * height, _SRGB)
-    fcntl.ioctl(node, _SET_FORMAT, bytearray(struct.pack("<2I", _OUTPUT, 0) + pixels.ljust(200, b"\0")))
+    node = open_output(device, width, height)
     print("playing", flush=True)
     due = time.monotonic()
     while True:

@@ -3,7 +3,7 @@
 #
 # Nothing is installed: compilers' tools and headers are fetched as packages and unpacked. The program is built once
 # for each content of this folder and each version of the package; a changed board compiles one file anew.
-# The exit status is 4 where packages or sources cannot be fetched.
+# The exit status is 4 where the sources cannot be fetched, or apt has another version of QEMU.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 mkdir -p "$1/packages"
@@ -33,7 +33,7 @@ case $version in
 *7.2*) ;;
 *)
     echo "softrig: the emulated board is written for QEMU 7.2 (Debian 12); apt has $version here" >&2
-    exit 2
+    exit 4
     ;;
 esac
 
@@ -66,7 +66,7 @@ if [ ! -e "$system/complete" ]; then
         libfdt-dev libfdt1 libattr1-dev libattr1 libcap-ng-dev libcap-ng0 zlib1g-dev zlib1g \
         libffi-dev libmount-dev libselinux1-dev libblkid-dev libsepol-dev >/dev/null) || {
         echo "softrig: apt cannot download what QEMU is built with; sudo apt-get update and try again" >&2
-        exit 4
+        exit 2
     }
     for package in "$cache"/packages/board/*.deb; do dpkg -x "$package" "$system"; done
     touch "$system/complete"
@@ -78,14 +78,15 @@ export PKG_CONFIG_LIBDIR=$system/usr/lib/$machine/pkgconfig:$system/usr/share/pk
 export LD_LIBRARY_PATH=$system/usr/lib/$machine
 
 sources=$cache/qemu-source build=$cache/qemu-build
-if [ ! -e "$build/build.ninja" ]; then
+configured=$(sha256sum <"$here/build.sh")
+if [ ! -e "$build/build.ninja" ] || [ "$(cat "$build/configured" 2>/dev/null)" != "$configured" ]; then
     rm -rf "$sources" "$build"
     dpkg-source --no-check -x "$cache"/packages/qemu_*.dsc "$sources" >/dev/null 2>&1
     # The firmware comes from Debian's packages.
     echo 'roms = []' >"$sources/pc-bios/meson.build"
     printf '\nconfig PCI1716\n    bool\n    depends on PCI\n' >>"$sources/hw/misc/Kconfig"
     printf "\nsoftmmu_ss.add(when: 'CONFIG_PCI1716', if_true: files('pci1716.c'))\n" >>"$sources/hw/misc/meson.build"
-    printf 'CONFIG_%s=y\n' Q35 VIRTIO_PCI VIRTIO_9P PCI1716 >"$sources/configs/devices/x86_64-softmmu/softrig.mak"
+    printf 'CONFIG_%s=y\n' Q35 VIRTIO_PCI VIRTIO_9P IVSHMEM_DEVICE PCI1716 >"$sources/configs/devices/x86_64-softmmu/softrig.mak"
     cp "$here/pci1716.c" "$sources/hw/misc/"
     mkdir -p "$build"
     (cd "$build" && "$sources/configure" --target-list=x86_64-softmmu --without-default-features \
@@ -98,10 +99,11 @@ if [ ! -e "$build/build.ninja" ]; then
         rm -f "$build/build.ninja"
         exit 1
     }
+    echo "$configured" >"$build/configured"
 fi
 cp "$here/pci1716.c" "$sources/hw/misc/"
-echo "softrig: building QEMU with the emulated board (once, several minutes; $cache/qemu.log)" >&2
-nice -n 19 "$system/usr/bin/ninja" -C "$build" -j "$jobs" qemu-system-x86_64 >>"$cache/qemu.log" 2>&1 || {
+echo "softrig: building QEMU with the emulated board (once, some minutes; $cache/qemu.log)" >&2
+"$system/usr/bin/ninja" -C "$build" -j "$jobs" qemu-system-x86_64 >>"$cache/qemu.log" 2>&1 || {
     grep -A5 -E 'error|FAILED' "$cache/qemu.log" | tail -n 20 >&2
     exit 1
 }

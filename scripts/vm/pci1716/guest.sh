@@ -19,6 +19,9 @@ else
     modprobe adv_pci1710
     export SOFTRIG_BOARD_LOAD="modprobe adv_pci1710"
 fi
+# The camera: softrig reads it here, and a test writes the pictures of the bench to it.
+modprobe videodev
+insmod "$cache/v4l2loopback.ko" devices=1 video_nr=9 card_label=bench exclusive_caps=1
 cd "$checkout" || exit
 eval "set -- $arguments"
 export PYTHONPATH=$checkout SOFTRIG_BOARD=$board SOFTRIG_BOARD_TRIALS=$trials

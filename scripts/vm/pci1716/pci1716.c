@@ -65,7 +65,7 @@ struct Board {
     PCIDevice parent_obj;
     MemoryRegion window;
     CharBackend bench;
-    QEMUTimer *pacer, *watch;
+    QEMUTimer *pacer, *watch, *storm_end;
     uint32_t bench_period_us;
 
     uint16_t control, mux, reference, digital_out, digital_in;
@@ -82,7 +82,7 @@ struct Board {
     int64_t exchanged_ns;
     uint64_t outputs_changed_ns, digital_written_ns;
 
-    bool coupled, hung, irq_lost, irq_stuck;
+    bool coupled, hung, irq_lost, irq_stuck, storm;
     uint32_t open_inputs;
     uint64_t overruns, conversions;
 };
@@ -143,7 +143,7 @@ static void bench_watch(void *opaque)
 
 static void update_interrupt(Board *b)
 {
-    pci_set_irq(PCI_DEVICE(b), b->irq_stuck || (b->interrupt && !b->irq_lost));
+    pci_set_irq(PCI_DEVICE(b), b->irq_stuck || ((b->interrupt || b->storm) && !b->irq_lost));
 }
 
 static void update_outputs(Board *b)
@@ -326,7 +326,7 @@ static uint64_t board_read(void *opaque, hwaddr at, unsigned size)
     case STATUS:
         end_conversion(b);
         value = (b->control & 0x7f) | (b->count ? 0 : EMPTY) | (b->count >= FIFO / 2 ? HALF_FULL : 0) |
-                (b->count == FIFO ? FULL : 0) | (b->interrupt ? INTERRUPT : 0);
+                (b->count == FIFO ? FULL : 0) | (b->interrupt || b->storm ? INTERRUPT : 0);
         break;
     case DIGITAL:
         value = b->digital_in;
@@ -426,6 +426,15 @@ static void board_reset(DeviceState *device)
     update_outputs(b);
 }
 
+/* The board claims an interrupt again as soon as one is cleared, for so long: its driver cannot refuse it. */
+static void storm_over(void *opaque)
+{
+    Board *b = opaque;
+
+    b->storm = false;
+    update_interrupt(b);
+}
+
 static void board_realize(PCIDevice *pci, Error **errp)
 {
     Board *b = FAMILY(pci);
@@ -439,6 +448,7 @@ static void board_realize(PCIDevice *pci, Error **errp)
     pci_register_bar(pci, 2, PCI_BASE_ADDRESS_SPACE_IO, &b->window);
     b->pacer = timer_new_ns(QEMU_CLOCK_VIRTUAL, pacer_tick, b);
     b->watch = timer_new_ns(QEMU_CLOCK_VIRTUAL, bench_watch, b);
+    b->storm_end = timer_new_ns(QEMU_CLOCK_VIRTUAL, storm_over, b);
 }
 
 static void board_exit(PCIDevice *pci)
@@ -447,6 +457,7 @@ static void board_exit(PCIDevice *pci)
 
     timer_free(b->pacer);
     timer_free(b->watch);
+    timer_free(b->storm_end);
 }
 
 /* Faults and voltages, from QEMU's monitor: qom-set and qom-get. */
@@ -464,6 +475,26 @@ static void set_irq_stuck(Object *object, bool stuck, Error **errp)
 {
     FAMILY(object)->irq_stuck = stuck;
     update_interrupt(FAMILY(object));
+}
+
+static void get_storm_ms(Object *object, Visitor *v, const char *name, void *opaque, Error **errp)
+{
+    Board *b = FAMILY(object);
+    uint32_t left_ms = b->storm ? MAX(0, timer_expire_time_ns(b->storm_end) - now_ns()) / 1000000 : 0;
+
+    visit_type_uint32(v, name, &left_ms, errp);
+}
+
+static void set_storm_ms(Object *object, Visitor *v, const char *name, void *opaque, Error **errp)
+{
+    Board *b = FAMILY(object);
+    uint32_t lasts_ms;
+
+    if (visit_type_uint32(v, name, &lasts_ms, errp)) {
+        b->storm = lasts_ms > 0;
+        timer_mod(b->storm_end, now_ns() + lasts_ms * 1000000LL);
+        update_interrupt(b);
+    }
 }
 
 static bool get_irq_lost(Object *object, Error **errp)
@@ -535,6 +566,7 @@ static void board_init(Object *object)
     object_property_add_bool(object, "hung", get_hung, set_hung);
     object_property_add_bool(object, "irq-lost", get_irq_lost, set_irq_lost);
     object_property_add_bool(object, "irq-stuck", get_irq_stuck, set_irq_stuck);
+    object_property_add(object, "irq-storm-ms", "uint32", get_storm_ms, set_storm_ms, NULL, NULL);
     object_property_add_uint32_ptr(object, "open-inputs", &b->open_inputs, OBJ_PROP_FLAG_READWRITE);
     object_property_add_uint64_ptr(object, "overruns", &b->overruns, OBJ_PROP_FLAG_READ);
     object_property_add_bool(object, "reset", NULL, set_reset);
