@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dlt import DLTError, calibrate, reconstruct, undistort
-from calibration.vision.checkerboard import Checkerboard
+from calibration.vision.board import Board
 from calibration.vision.lens import Lens
 from calibration.vision.multiview_pose import fit_rigid
 
 Floats = NDArray[np.float64]
 
 _LEAST_STAYING = 8
+# Corners of a view that say something of the board's shape.
+_LEAST_SHAPE = 6
 
 
 @dataclass(frozen=True)
@@ -38,13 +40,13 @@ class CrossValidation:
 
 
 def leave_out(
-    cameras: Sequence[PointObservations], groups: Mapping[str, Sequence[str]], board: Checkerboard | None = None
+    cameras: Sequence[PointObservations], groups: Mapping[str, Sequence[str]], board: Board | None = None
 ) -> CrossValidation:
     """Leave each group of points out of every camera's calibration and reconstruct it.
 
     With a `board` each group is its corners, in their order, in one view: what is compared is the board's own shape,
-    the view's place being a result of the very calibration. Groups without which a camera is undetermined are passed
-    over.
+    the view's place being a result of the very calibration. Of a view of which several cameras see only a few corners,
+    too few or in a line, nothing is compared. Groups without which a camera is undetermined are passed over.
     """
     errors_m, errors_px, edges_m = [], [], []
     for points in groups.values():
@@ -79,11 +81,12 @@ def leave_out(
             for name, place in found.items():
                 camera, _, at = next(item for item in fitted if name in item[2])
                 errors_m.append(float(np.linalg.norm(place - camera.world_m[at[name]])))
-        elif len(found) == len(points):
-            grid = np.array([found[name] for name in points])
-            rotation, shift = fit_rigid(board.corners_m, grid)
-            errors_m += np.linalg.norm(grid - board.corners_m @ rotation.T - shift, axis=1).tolist()
-            net = grid.reshape(board.pattern[1], board.pattern[0], 3)
-            for axis in (0, 1):
-                edges_m += np.linalg.norm(np.diff(net, axis=axis), axis=2).ravel().tolist()
+        elif (which := np.array([k for k, name in enumerate(points) if name in found], dtype=int)).size:
+            shape, places = board.corners_m[which], np.array([found[points[k]] for k in which])
+            if len(which) < _LEAST_SHAPE or not np.ptp(shape[:, :2], axis=0).min() > 0:
+                continue
+            rotation, shift = fit_rigid(shape, places)
+            errors_m += np.linalg.norm(places - shape @ rotation.T - shift, axis=1).tolist()
+            ends = np.searchsorted(which, board.edges[np.isin(board.edges, which).all(axis=1)])
+            edges_m += np.linalg.norm(places[ends[:, 1]] - places[ends[:, 0]], axis=1).tolist()
     return CrossValidation(np.array(errors_m), np.array(errors_px), np.array(edges_m))

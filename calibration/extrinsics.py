@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from calibration.camera import CalibrationError
-from calibration.vision.checkerboard import Checkerboard
+from calibration.corner_search import SeenCorners, orderings
+from calibration.vision.board import Board
 from calibration.vision.lens import Lens
 from calibration.vision.pose import solutions
 from calibration.vision.transforms import RigidTransform
 
 Floats = NDArray[np.float64]
-Sightings = Mapping[str, Floats]
+Sightings = Mapping[str, SeenCorners]
 
 # Two estimates of one relative pose agree within this: rotation [rad], and translation as a share of the distance.
 _AGREE = 0.05
@@ -28,11 +29,11 @@ _LEAST_VIEWS = 2
 
 @dataclass(frozen=True)
 class CameraSightings:
-    """One camera: its lens, and the corners (n, 2) [px] that it saw in each view, by the view's key."""
+    """One camera: its lens, and the corners that it saw in each view, by the view's key."""
 
     name: str
     lens: Lens
-    corners_px: Sightings
+    corners: Sightings
 
 
 @dataclass(frozen=True)
@@ -40,14 +41,14 @@ class ExtrinsicCalibration:
     """Poses in the first camera's frame: the other cameras' and the board's in each view.
 
     `covariance` (6 (cameras - 1 + views), ..) is that of rotation vectors and translations of the inverse cameras
-    (first camera's frame to theirs), then of the boards, in the order of the mappings. `corners_px` are each camera's
+    (first camera's frame to theirs), then of the boards, in the order of the mappings. `corners` are each camera's
     in the board's order; `residuals_px` (n, 2) measured minus projected, by camera and view.
     """
 
-    board: Checkerboard
+    board: Board
     cameras: dict[str, RigidTransform]
     boards: dict[str, RigidTransform]
-    corners_px: dict[str, dict[str, Floats]]
+    corners: dict[str, dict[str, SeenCorners]]
     residuals_px: dict[str, dict[str, Floats]]
     covariance: Floats
     left_out: tuple[tuple[str, str], ...] = ()
@@ -112,7 +113,7 @@ class ExtrinsicCalibration:
         return distance(start), float(np.sqrt(slope @ self.covariance[np.ix_(at, at)] @ slope))
 
 
-def locate(cameras: Sequence[CameraSightings], board: Checkerboard, *, bundle: bool = True) -> ExtrinsicCalibration:
+def locate(cameras: Sequence[CameraSightings], board: Board, *, bundle: bool = True) -> ExtrinsicCalibration:
     """Find cameras and boards from simultaneous views; with `bundle`, by bundle adjustment.
 
     On a board that looks the same upside down the corners' order is chosen so that the cameras agree.
@@ -120,7 +121,7 @@ def locate(cameras: Sequence[CameraSightings], board: Checkerboard, *, bundle: b
     Raises:
         CalibrationError: two cameras share too few views, or their views contradict each other.
     """
-    poses = {c.name: {key: _poses(board, c.lens, px) for key, px in c.corners_px.items()} for c in cameras}
+    poses = {c.name: {key: _poses(board, c.lens, seen) for key, seen in c.corners.items()} for c in cameras}
     poses = {name: {key: found for key, found in views.items() if found} for name, views in poses.items()}
     placed, chosen = _chain([c.name for c in cameras], poses)
     start = _assemble(cameras, board, placed, chosen)
@@ -144,23 +145,16 @@ class _BoardView:
     """One possible pose of the board in a camera frame, with the corners in the matching order."""
 
     pose: RigidTransform
-    corners_px: Floats
+    corners: SeenCorners
     misfit: float
 
 
-def _poses(board: Checkerboard, lens: Lens, corners_px: Floats) -> list[_BoardView]:
+def _poses(board: Board, lens: Lens, corners: SeenCorners) -> list[_BoardView]:
     """Every possible pose: both sides of the planar flip and every symmetry of the board."""
-    columns, rows = board.pattern
-    grid = corners_px.reshape(rows, columns, 2)
-    turns = [grid]
-    if (columns + rows) % 2 == 0:
-        turns.append(grid[::-1, ::-1])
-    if columns == rows:
-        turns += [np.rot90(grid, 1), np.rot90(grid, 3)]
     found = []
-    for turned in turns:
-        px = np.ascontiguousarray(turned.reshape(-1, 2))
-        found += [_BoardView(pose.rigid, px, pose.misfit) for pose in solutions(board.corners_m, px, lens)]
+    for seen in orderings(board, corners):
+        poses = solutions(board.corners_m[seen.which], seen.px, lens)
+        found += [_BoardView(pose.rigid, seen, pose.misfit) for pose in poses]
     best = min((seen.misfit for seen in found), default=0.0)
     # Keep the other side of a flip only if it fits nearly as well.
     return [seen for seen in found if seen.misfit <= 2 * best + 30]
@@ -234,7 +228,7 @@ def _distance(a: RigidTransform, b: RigidTransform) -> float:
 
 def _assemble(
     cameras: Sequence[CameraSightings],
-    board: Checkerboard,
+    board: Board,
     placed: Mapping[str, RigidTransform],
     chosen: Mapping[str, Mapping[str, _BoardView]],
 ) -> ExtrinsicCalibration:
@@ -244,7 +238,7 @@ def _assemble(
         sights = [(name, chosen[name][key]) for name in placed if key in chosen.get(name, {})]
         name, seen = min(sights, key=lambda pair: pair[1].misfit)
         boards[key] = placed[name] @ seen.pose
-    corners = {c.name: {key: seen.corners_px for key, seen in chosen[c.name].items()} for c in cameras}
+    corners = {c.name: {key: seen.corners for key, seen in chosen[c.name].items()} for c in cameras}
     size = 6 * (len(cameras) - 1 + len(boards))
     found = ExtrinsicCalibration(board, dict(placed), boards, corners, {}, np.zeros((size, size)))
     return replace(found, residuals_px=_residuals(cameras, found))
@@ -255,36 +249,38 @@ def _residuals(cameras: Sequence[CameraSightings], at: ExtrinsicCalibration) -> 
     for camera in cameras:
         to_camera = at.cameras[camera.name].inverse()
         found[camera.name] = {}
-        for key, px in at.corners_px[camera.name].items():
+        for key, seen in at.corners[camera.name].items():
             values = _vector(to_camera @ at.boards[key])
-            found[camera.name][key] = px - camera.lens.project(at.board.corners_m, values[:3], values[3:])
+            projected = camera.lens.project(at.board.corners_m[seen.which], values[:3], values[3:])
+            found[camera.name][key] = seen.px - projected
     return found
 
 
 def _refine(cameras: Sequence[CameraSightings], start: ExtrinsicCalibration) -> ExtrinsicCalibration:
     """Least squares of all residuals over the cameras (but the first) and the boards."""
     names, keys = [c.name for c in cameras], list(start.boards)
-    points = start.board.corners_m
     rows = [
-        (i, keys.index(key), start.corners_px[c.name][key])
+        (i, keys.index(key), start.corners[c.name][key])
         for i, c in enumerate(cameras)
         for key in keys
-        if key in start.corners_px[c.name]
+        if key in start.corners[c.name]
     ]
-    size, height = 6 * (len(names) - 1 + len(keys)), 2 * len(points)
+    size = 6 * (len(names) - 1 + len(keys))
+    ends = np.cumsum([0, *(2 * len(seen.which) for _, _, seen in rows)])
 
     def both(x: Floats) -> tuple[Floats, Floats]:
-        rest, slope = np.empty(height * len(rows)), np.zeros((height * len(rows), size))
-        for r, (i, k, px) in enumerate(rows):
-            here = slice(r * height, (r + 1) * height)
+        rest, slope = np.empty(ends[-1]), np.zeros((ends[-1], size))
+        for r, (i, k, corners) in enumerate(rows):
+            here = slice(ends[r], ends[r + 1])
             at = 6 * (len(names) - 1 + k)
             v = x[at : at + 6]
             c = x[6 * (i - 1) : 6 * i] if i else np.zeros(6)
             made = cv2.composeRT(v[:3], v[3:], c[:3], c[3:])
             turn, shift, drdr1, drdt1, drdr2, drdt2, dtdr1, dtdt1, dtdr2, dtdt2 = made
             place = np.asarray(turn, np.float64).ravel(), np.asarray(shift, np.float64).ravel()
+            points = start.board.corners_m[corners.which]
             seen, jac = cameras[i].lens.project_with_jacobian(points, *place)
-            rest[here] = (seen - px).ravel()
+            rest[here] = (seen - corners.px).ravel()
             slope[here, at : at + 6] = jac @ np.block([[drdr1, drdt1], [dtdr1, dtdt1]])
             if i:
                 slope[here, 6 * (i - 1) : 6 * i] = jac @ np.block([[drdr2, drdt2], [dtdr2, dtdt2]])

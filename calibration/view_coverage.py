@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.corner_search import SeenCorners
+from calibration.vision.board import Board
 from calibration.vision.lens import Lens
 
 Floats = NDArray[np.float64]
@@ -34,31 +36,29 @@ _NEW = 0.08
 
 @dataclass(frozen=True)
 class ViewGeometry:
-    """One view: corners (n, 2) [px] and the lean (2,) [deg] of the board, left edge nearer and top edge nearer."""
+    """One view: corners, and the lean (2,) [deg] of the board, left edge nearer and top edge nearer."""
 
-    corners_px: Floats
+    corners: SeenCorners
     lean_deg: Floats
 
 
-def view_geometry(
-    corners_px: Floats, pattern: tuple[int, int], size: tuple[int, int], lens: Lens | None = None
-) -> ViewGeometry:
+def view_geometry(board: Board, seen: SeenCorners, size: tuple[int, int], lens: Lens | None = None) -> ViewGeometry:
     """A view by its corners; the lean is rough where the lens is not known yet."""
     width, height = size
     usual = 1.1 * max(size)
     through = lens or Lens.of(usual, usual, width / 2, height / 2)
-    grid = np.zeros((pattern[0] * pattern[1], 3))
-    grid[:, :2] = np.indices(pattern).T.reshape(-1, 2) - (np.array(pattern) - 1) / 2
-    found, turn, place = cv2.solvePnP(grid, corners_px, through.matrix, through.distortion, flags=cv2.SOLVEPNP_IPPE)
+    # IPPE expects a plane whose z axis points away from the camera.
+    points = board.corners_m[seen.which] * (1.0, -1.0, 0.0) / board.unit_m
+    found, turn, place = cv2.solvePnP(points, seen.px, through.matrix, through.distortion, flags=cv2.SOLVEPNP_IPPE)
     if not found:
-        return ViewGeometry(corners_px, np.zeros(2))
+        return ViewGeometry(seen, np.zeros(2))
     normal = cv2.Rodrigues(turn)[0][:, 2]
     sight = place.ravel() / np.linalg.norm(place)
     if normal @ sight < 0:
         normal = -normal
     # The normal points away from the camera. Where it leans to the right, the right edge is the nearer one.
     off = normal - sight * float(normal @ sight)
-    return ViewGeometry(corners_px, np.degrees(np.arcsin(np.clip([-off[0], -off[1]], -1, 1))))
+    return ViewGeometry(seen, np.degrees(np.arcsin(np.clip([-off[0], -off[1]], -1, 1))))
 
 
 class ViewCoverage:
@@ -86,7 +86,7 @@ class ViewCoverage:
         """How many corners each cell (rows, columns) of the picture has seen."""
         counts = np.zeros((rows, columns), np.int64)
         for view in self._looks:
-            x, y = np.floor(view.corners_px / self._size * (columns, rows)).astype(int).T
+            x, y = np.floor(view.corners.px / self._size * (columns, rows)).astype(int).T
             inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
             np.add.at(counts, (y[inside], x[inside]), 1)
         return counts
@@ -113,7 +113,7 @@ class ViewCoverage:
 
     def _nearest(self) -> float:
         """The largest share of the picture's width or height that the board filled."""
-        return max((float((np.ptp(v.corners_px, axis=0) / self._size).max()) for v in self._looks), default=0.0)
+        return max((float((np.ptp(v.corners.px, axis=0) / self._size).max()) for v in self._looks), default=0.0)
 
     def advice(self) -> tuple[str, ...]:
         """Advice for more views; empty if the coverage is complete."""
@@ -143,7 +143,7 @@ class ViewCoverage:
             return "hold the whole board into the picture, evenly lit"
         if regions:
             row, column = next((r, c) for r in range(3) for c in range(3) if REGIONS[r][c] == regions[0])
-            low, high = now.corners_px.min(axis=0) / self._size, now.corners_px.max(axis=0) / self._size
+            low, high = now.corners.px.min(axis=0) / self._size, now.corners.px.max(axis=0) / self._size
             ways = []
             for axis, third in ((1, row), (0, column)):
                 if low[axis] > (third + 0.8) / 3:
@@ -161,8 +161,12 @@ class ViewCoverage:
 
 
 def _apart(a: ViewGeometry, b: ViewGeometry, size: Floats) -> float:
-    """How much two views differ: the corners' mean way across the picture, and the lean (45 deg are a picture)."""
-    way = float(np.mean(np.linalg.norm((a.corners_px - b.corners_px) / size, axis=1)))
+    """How much two views differ: the corners' mean way across the picture, and the lean (45 deg are a picture).
+
+    Views that show no corner in common differ by a whole picture.
+    """
+    here, there = a.corners.shared(b.corners)
+    way = float(np.mean(np.linalg.norm((here - there) / size, axis=1))) if len(here) else 1.0
     return max(way, float(np.abs(a.lean_deg - b.lean_deg).max()) / 45)
 
 

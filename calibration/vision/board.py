@@ -54,10 +54,27 @@ class Board(ABC):
     def extent(self) -> tuple[float, float]:
         """Width and height of the print in units."""
 
+    @property
+    @abstractmethod
+    def description(self) -> str:
+        """Kind and counts in a few words."""
+
+    @property
+    @abstractmethod
+    def remedy(self) -> str:
+        """What to compare with the print where the board is not found."""
+
     @cached_property
     @abstractmethod
     def corners_m(self) -> Floats:
         """Corners (n, 3) in the board's frame."""
+
+    @cached_property
+    def edges(self) -> NDArray[np.intp]:
+        """Pairs of corners (k, 2) that are one unit apart along x or y."""
+        apart = np.abs(self.corners_m[:, None, :2] - self.corners_m[:, :2]) / self.unit_m
+        along = np.isclose(apart.sum(axis=2), 1.0) & np.isclose(apart.max(axis=2), 1.0)
+        return np.argwhere(np.triu(along))
 
     @cached_property
     @abstractmethod

@@ -27,6 +27,11 @@ class CharucoBoard(SquareGrid, MarkerBoard):
     dictionary: str = "4X4_50"
     first_marker: int = 0
 
+    @property
+    def description(self) -> str:
+        """Its squares and its markers."""
+        return f"ChArUco board of {self.squares_x}x{self.squares_y} squares with markers {self.dictionary}"
+
     @cached_property
     def markers(self) -> Markers:
         """One in each white square."""

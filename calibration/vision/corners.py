@@ -71,13 +71,17 @@ class Corners:
     carried_px: Floats | None = None
     seen: NDArray[np.intp] | None = None
 
+    @property
+    def index(self) -> NDArray[np.intp]:
+        """Which of the board's corners they are (n,)."""
+        return np.arange(len(self.px)) if self.seen is None else self.seen
+
     def of(self, points: Floats) -> Floats:
         """Of the board's points (m, 3) those of the corners (n, 3)."""
         return points if self.seen is None else points[self.seen]
 
     def keeping(self, kept: NDArray[np.bool_]) -> Corners:
         """Some of the corners; `kept` (n,) says which."""
-        seen = np.arange(len(self.px)) if self.seen is None else self.seen
         return replace(
             self,
             px=self.px[kept],
@@ -85,7 +89,7 @@ class Corners:
             contrast=self.contrast[kept],
             misfit=self.misfit[kept],
             carried_px=None if self.carried_px is None else self.carried_px[kept],
-            seen=seen[kept],
+            seen=self.index[kept],
         )
 
     def padded(self, count: int) -> Floats:

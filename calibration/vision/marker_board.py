@@ -64,6 +64,11 @@ class MarkerBoard(Board):
     dictionary: str
     """Name of the family of markers."""
 
+    @property
+    def remedy(self) -> str:
+        """Markers of another family or with other numbers are another board."""
+        return "compare its counts, its family of markers and its first marker with the print"
+
     @cached_property
     @abstractmethod
     def markers(self) -> Markers:

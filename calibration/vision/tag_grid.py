@@ -46,6 +46,11 @@ class TagGrid(MarkerBoard):
         pitch = 1 + self.white
         return self.tags_x * pitch - self.white, self.tags_y * pitch - self.white
 
+    @property
+    def description(self) -> str:
+        """Its tags."""
+        return f"grid of {self.tags_x}x{self.tags_y} tags {self.dictionary}"
+
     @cached_property
     def corners_m(self) -> Floats:
         """Corners of the tags (n, 3) in the board's frame."""

@@ -7,12 +7,13 @@ from pathlib import Path
 
 from calibration.camera import CameraCalibration, calibrate, calibrate_views
 from calibration.views import View
-from calibration.vision.checkerboard import Checkerboard
+from calibration.vision.board import Board
 from rig.calibrate import file_sections, inputs, residual_figure
 from rig.calibrate.bench_operator import BenchOperator
 from rig.calibrate.inputs import bad_input
 from rig.calibrate.output_file import OutputFile
 from rig.calibrate.view_collection import collect, pictures
+from rig.config.board_sections import BoardSection
 from rig.config.calibration_files import views_beside
 from rig.config.schema import RigConfig
 from runs.overwriting import refuse_existing
@@ -55,8 +56,8 @@ def run(request: CameraCalibrationRequest, operator: BenchOperator) -> tuple[Cal
         ViewsError, CalibrationError: the views do not determine a camera.
         CameraError: a live camera delivers no pictures.
     """
-    corners, square_m = inputs.corners_of(request.corners), inputs.square_of(request.square_mm)
     rig = inputs.rig_of(request.rig)
+    board = inputs.shown_board(request.corners, request.square_mm, rig)
     _check_output(request)
     listed: list[tuple[str, Path, CameraCalibration]] = []
     if request.capture:
@@ -66,17 +67,17 @@ def run(request: CameraCalibrationRequest, operator: BenchOperator) -> tuple[Cal
             raise bad_input("--capture", "", "--rig as well: whose camera is it?")
         name = inputs.known_camera(rig, request.camera)
         file = request.output.path(f"camera-{name}")
-        views = _captured(request, operator, rig, name, Checkerboard(corners[0] + 1, corners[1] + 1, square_m), file)
-        listed.append((name, file, calibrate_views(views, corners, square_m)))
+        views = _captured(request, operator, rig, name, board.board(), file)
+        listed.append((name, file, calibrate_views(views, board.board())))
     else:
         if not request.views:
             raise bad_input("VIEWS", "", "a folder, a video or a pattern of the board's pictures; or --capture")
         if request.camera is not None and rig is not None:
             inputs.known_camera(rig, request.camera)
         for source in inputs.sources_of(list(request.views), rig, request.camera):
-            found = calibrate(source.views, corners, square_m, request.every)
+            found = calibrate(source.views, board.board(), request.every)
             listed.append((source.camera, request.output.path(f"camera-{source.camera}"), found))
-    return tuple(_written(request, rig, name, file, found) for name, file, found in listed)
+    return tuple(_written(request, rig, name, board, file, found) for name, file, found in listed)
 
 
 def _check_output(request: CameraCalibrationRequest) -> None:
@@ -97,7 +98,7 @@ def _captured(
     operator: BenchOperator,
     rig: RigConfig,
     name: str,
-    board: Checkerboard,
+    board: Board,
     file: Path,
 ) -> list[View]:
     """Capture views with the rig's camera; keep them as pictures beside the file."""
@@ -106,7 +107,7 @@ def _captured(
     with operator.keys() as keys:
         return collect(
             pictures(rig, name, board, request.seed),
-            board.pattern,
+            board,
             request.count,
             folder,
             operator.tell,
@@ -115,9 +116,14 @@ def _captured(
 
 
 def _written(
-    request: CameraCalibrationRequest, rig: RigConfig | None, name: str, file: Path, found: CameraCalibration
+    request: CameraCalibrationRequest,
+    rig: RigConfig | None,
+    name: str,
+    board: BoardSection,
+    file: Path,
+    found: CameraCalibration,
 ) -> CalibratedCamera:
-    content = file_sections.camera_file(found, inputs.identity(rig, name, found), request.output.note)
+    content = file_sections.camera_file(found, inputs.identity(rig, name, found), board, request.output.note)
     made = request.output.write(content, file)
     figure = residual_figure.write(found, f"camera {name}", made.with_suffix(_PICTURE))
     simulated = rig is not None and name in rig.cameras and rig.cameras[name].simulated

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.transforms import RigidTransform
 from rig.calibrate import inputs
 from rig.calibrate.dlt_boards import from_boards
@@ -80,11 +79,10 @@ def run(request: DLTCalibrationRequest) -> DLTCalibration:
         result = from_points(csv, request.size, request.points_std_mm, request.bundle, rig, known)
         used.insert(0, calibration_schema.SourceFileSection(name=csv.name, sha256=sha256_of(csv)))
     else:
-        corners, square_m = inputs.corners_of(request.corners), inputs.square_of(request.square_mm)
-        board = Checkerboard(corners[0] + 1, corners[1] + 1, square_m)
+        board = inputs.shown_board(request.corners, request.square_mm, rig)
         result = from_boards(
             inputs.sources_of(list(request.given), rig),
-            board,
+            board.board(),
             rig,
             known,
             world_view=request.world_view,

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration import view_matching
-from calibration.camera import CalibrationError, ExcludedView, calibrate_views, find_corners, no_board
+from calibration.camera import CalibrationError, ExcludedView, calibrate_views
+from calibration.corner_search import SeenCorners, no_board, seen_corners
 from calibration.cross_validation import PointObservations, leave_out
 from calibration.extrinsics import CameraSightings, ExtrinsicCalibration, locate
 from calibration.views import View, views_in
-from calibration.vision.checkerboard import Checkerboard
+from calibration.vision.board import Board
 from calibration.vision.transforms import RigidTransform
 from rig.calibrate import inputs
 from rig.calibrate.dlt_fit import DLTCalibrationResult, fitted, known_lens
@@ -44,7 +45,7 @@ class SeenBoards:
 
 def from_boards(
     sources: Sequence[inputs.CameraViews],
-    board: Checkerboard,
+    board: Board,
     rig: RigConfig | None,
     known: dict[str, LoadedCalibration],
     *,
@@ -70,11 +71,11 @@ def from_boards(
     observations = {}
     groups = {key: tuple(f"{key}:{k}" for k in range(len(board.corners_m))) for key in extrinsics.boards}
     for camera in views.cameras:
-        seen = extrinsics.corners_px[camera.name]
+        seen = extrinsics.corners[camera.name]
         observations[camera.name] = PointObservations(
-            tuple(name for key in seen for name in groups[key]),
-            np.concatenate([boards[key].apply(board.corners_m) for key in seen]),
-            np.concatenate(list(seen.values())),
+            tuple(groups[key][k] for key, corners in seen.items() for k in corners.which),
+            np.concatenate([boards[key].apply(board.corners_m[corners.which]) for key, corners in seen.items()]),
+            np.concatenate([corners.px for corners in seen.values()]),
             camera.lens,
         )
     return DLTCalibrationResult(
@@ -86,7 +87,7 @@ def from_boards(
         },
         leave_out(list(observations.values()), groups, board),
         views.sizes_px,
-        _used_views(views, extrinsics, board),
+        _used_views(views, extrinsics),
         (*views.left_out, *(ExcludedView(key, why, views.sha256_at(key)) for key, why in extrinsics.left_out)),
         world,
         {pair: _baseline_m(extrinsics, pair, bundle) for pair in combinations(extrinsics.cameras, 2)},
@@ -98,14 +99,12 @@ def _baseline_m(extrinsics: ExtrinsicCalibration, pair: tuple[str, str], bundle:
     return distance, std if bundle else float("nan")
 
 
-def _used_views(
-    views: SeenBoards, extrinsics: ExtrinsicCalibration, board: Checkerboard
-) -> tuple[calibration_schema.UsedView, ...]:
+def _used_views(views: SeenBoards, extrinsics: ExtrinsicCalibration) -> tuple[calibration_schema.UsedView, ...]:
     return tuple(
         calibration_schema.UsedView(
             name=f"{name}:{file}",
             sha256=sha,
-            corners=len(board.corners_m),
+            corners=len(extrinsics.residuals_px[name][key]),
             rms_px=rounded(float(np.sqrt(np.mean(np.sum(extrinsics.residuals_px[name][key] ** 2, axis=1))))),
         )
         for name, files in views.files.items()
@@ -117,12 +116,12 @@ def _used_views(
 def _seen(
     sources: Sequence[inputs.CameraViews],
     every: int,
-    board: Checkerboard,
+    board: Board,
     rig: RigConfig | None,
     known: dict[str, LoadedCalibration],
 ) -> SeenBoards:
     """Find the boards in all views; a lens that is not known is calibrated from the same views."""
-    found: dict[str, dict[str, tuple[str, Floats]]] = {}
+    found: dict[str, dict[str, tuple[str, SeenCorners]]] = {}
     lenses, sizes, left_out = {}, {}, []
     for source in sources:
         name = source.camera
@@ -131,19 +130,19 @@ def _seen(
         inputs.identity_sized(rig, name, size)
         lens = known_lens(name, rig, known, size, f"the views in {source.views}")
         if lens is None:
-            made = calibrate_views(views, board.pattern, board.square_m)
+            made = calibrate_views(views, board)
             lens = made.lens
-            sharp = [(v.name, v.sha256, v.corners_px) for v in made.views]
+            sharp = [(v.name, v.sha256, v.corners) for v in made.views]
             skipped = list(made.skipped)
         else:
             sharp, skipped = _corners_in(views, size, board)
         left_out += [out._replace(name=f"{name}:{out.name}") for out in skipped]
         lenses[name] = lens
-        found[name] = {file: (sha, px) for file, sha, px in sharp}
+        found[name] = {file: (sha, corners) for file, sha, corners in sharp}
     keys = view_matching.keys({name: list(files) for name, files in found.items()})
     return SeenBoards(
         [
-            CameraSightings(name, lenses[name], {keys[name][f]: px for f, (_, px) in files.items()})
+            CameraSightings(name, lenses[name], {keys[name][f]: corners for f, (_, corners) in files.items()})
             for name, files in found.items()
         ],
         sizes,
@@ -153,8 +152,8 @@ def _seen(
 
 
 def _corners_in(
-    views: Sequence[View], size: tuple[int, int], board: Checkerboard
-) -> tuple[list[tuple[str, str, Floats]], list[ExcludedView]]:
+    views: Sequence[View], size: tuple[int, int], board: Board
+) -> tuple[list[tuple[str, str, SeenCorners]], list[ExcludedView]]:
     """Return name, SHA-256 and corners of the views that show the board, and the other views."""
     sharp, skipped = [], []
     for view in views:
@@ -163,9 +162,9 @@ def _corners_in(
                 f"{view.name} is {view.image.shape[1]}x{view.image.shape[0]} and the views before it "
                 f"{size[0]}x{size[1]}"
             )
-        corners = find_corners(view.image, board.pattern)
+        corners = seen_corners(board, view.image)
         if corners is None:
-            skipped.append(ExcludedView(view.name, no_board(view.image, board.pattern), view.sha256))
+            skipped.append(ExcludedView(view.name, no_board(view.image, board), view.sha256))
         else:
             sharp.append((view.name, view.sha256, corners))
     return sharp, skipped
@@ -174,7 +173,7 @@ def _corners_in(
 def _world_view(wanted: str, extrinsics: ExtrinsicCalibration, views: SeenBoards) -> str:
     """Return the key of the view that defines the world: the wanted one, or the one that most cameras see."""
     if not wanted:
-        return max(extrinsics.boards, key=lambda key: sum(key in seen for seen in extrinsics.corners_px.values()))
+        return max(extrinsics.boards, key=lambda key: sum(key in seen for seen in extrinsics.corners.values()))
     for files in views.files.values():
         for key, (file, _) in files.items():
             if wanted in (file, Path(file).stem, key) and key in extrinsics.boards:

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.cross_validation import CrossValidation
-from calibration.vision.checkerboard import Checkerboard
 from rig.calibrate import file_sections, inputs
 from rig.calibrate.dlt_fit import DLTCalibrationResult
 from rig.config import calibration_schema
+from rig.config.board_sections import BoardSection
 from rig.config.calibration_files import origin, rounded
 from rig.config.optics import placement_of
 from rig.config.schema import RigConfig
@@ -18,13 +18,14 @@ from rig.config.schema import RigConfig
 _MM = 1e3
 
 
-def _points(names: tuple[str, ...], *, boards: bool) -> tuple[str, ...]:
-    """Names of control points, or of the views whose corners they are."""
-    return tuple(dict.fromkeys(name.rpartition(":")[0] for name in names)) if boards else names
+def _points(names: tuple[str, ...], corners: int) -> tuple[str, ...]:
+    """Names of control points; or of views, if each shows all `corners` of the board."""
+    views = tuple(dict.fromkeys(name.rpartition(":")[0] for name in names))
+    return views if len(names) == corners * len(views) else names
 
 
 def _section(
-    name: str, result: DLTCalibrationResult, identity: calibration_schema.CameraIdentity
+    name: str, result: DLTCalibrationResult, identity: calibration_schema.CameraIdentity, corners: int
 ) -> calibration_schema.DLTCamera:
     dlt, observation = result.dlts[name], result.observations[name]
     place, covariance = result.places[name]
@@ -47,7 +48,7 @@ def _section(
         placement=placement,
         placement_covariance=file_sections.matrix(spread if known else np.zeros((6, 6))),
         placement_known=known,
-        points=_points(observation.names, boards=bool(result.world_view)),
+        points=_points(observation.names, corners),
         residuals_px=rounded(dlt.residuals_px.ravel(), 3),
     )
 
@@ -56,19 +57,22 @@ def dlt_file(
     result: DLTCalibrationResult,
     rig: RigConfig | None,
     sources: tuple[calibration_schema.SourceFileSection, ...],
-    board: Checkerboard | None,
+    board: BoardSection | None,
     *,
     in_base: bool,
     note: str = "",
 ) -> calibration_schema.DLTFile:
     """Return the file of a result; `board` is None for control points, `in_base`: the world is the rod-base frame."""
-    cameras = [_section(name, result, inputs.identity_sized(rig, name, result.sizes_px[name])) for name in result.dlts]
+    corners = 0 if board is None else board.corner_count
+    cameras = [
+        _section(name, result, inputs.identity_sized(rig, name, result.sizes_px[name]), corners) for name in result.dlts
+    ]
     return calibration_schema.DLTFile(
         **origin(note),
         kind="dlt",
         world="rod base" if in_base else "board",
         world_view=result.world_view,
-        board=None if board is None else file_sections.board_section(board.pattern, board.square_m),
+        board=None if board is None else board.printed,
         cameras=tuple(cameras),
         test_error=_test(result.trial, by_point=board is None),
         views=result.views,
@@ -87,6 +91,6 @@ def _test(trial: CrossValidation, *, by_point: bool) -> calibration_schema.Leave
         rms_mm=rounded(float(np.sqrt(np.mean(mm**2)))) if len(mm) else None,
         worst_mm=rounded(float(mm.max())) if len(mm) else None,
         rms_px=rounded(float(np.sqrt(np.mean(px**2)))) if len(px) else None,
-        square_mm=rounded(float(edges.mean()), 8) if len(edges) else None,
-        square_std_mm=rounded(float(edges.std())) if len(edges) else None,
+        edge_mm=rounded(float(edges.mean()), 8) if len(edges) else None,
+        edge_std_mm=rounded(float(edges.std())) if len(edges) else None,
     )

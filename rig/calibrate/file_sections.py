@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from calibration.camera import CameraCalibration, ExcludedView
 from calibration.vision.lens import Lens
 from rig.config import calibration_schema, sections
+from rig.config.board_sections import BoardSection
 from rig.config.calibration_files import origin, rounded
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.registry import serial_of
@@ -47,12 +48,6 @@ def lens_section(lens: Lens) -> sections.LensConfig:
     return sections.LensConfig(fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, distortion=(k1, k2, p1, p2, k3))
 
 
-def board_section(corners: tuple[int, int], square_m: float) -> calibration_schema.PrintedBoard:
-    """A board as files state it."""
-    (square_mm,) = rounded([square_m * 1e3], 9)
-    return calibration_schema.PrintedBoard(corners=corners, square_mm=square_mm)
-
-
 def matrix(covariance: NDArray[np.float64]) -> calibration_schema.Matrix:
     """A covariance as files state it, exactly symmetric."""
     even = (covariance + covariance.T) / 2
@@ -66,21 +61,21 @@ def left_out(skipped: tuple[ExcludedView, ...]) -> tuple[calibration_schema.Excl
 
 
 def camera_file(
-    found: CameraCalibration, identity: calibration_schema.CameraIdentity, note: str = ""
+    found: CameraCalibration, identity: calibration_schema.CameraIdentity, board: BoardSection, note: str = ""
 ) -> calibration_schema.CameraFile:
     """The file of a camera's intrinsics."""
     return calibration_schema.CameraFile(
         **origin(note),
         kind="camera",
         camera=identity,
-        board=board_section(found.corners, found.square_m),
+        board=board.printed,
         lens=lens_section(found.lens),
         covariance=matrix(found.covariance),
         rms_px=rounded(found.rms_px),
         coverage_percent=rounded(100 * found.coverage.share, 4),
         views=tuple(
             calibration_schema.UsedView(
-                name=v.name, sha256=v.sha256, corners=len(v.corners_px), rms_px=rounded(v.rms_px)
+                name=v.name, sha256=v.sha256, corners=len(v.corners.px), rms_px=rounded(v.rms_px)
             )
             for v in found.views
         ),

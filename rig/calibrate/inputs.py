@@ -10,6 +10,7 @@ from protocols import BadInputError, Problem
 from protocols.problems import closest
 from rig.calibrate import file_sections
 from rig.config import calibration_schema
+from rig.config.board_sections import BoardSection, CheckerboardPrint
 from rig.config.calibration_files import LoadedCalibration, read
 from rig.config.loader import load
 from rig.config.schema import RigConfig
@@ -30,22 +31,32 @@ def bad_input(option: str, value: str, expected: str, suggestion: str = "") -> B
     return BadInputError([Problem(option, 0, 0, "", value, expected, suggestion)])
 
 
+def shown_board(corners: str, square_mm: float, rig: RigConfig | None) -> BoardSection:
+    """The board in the views: the checkerboard that the options state, else the rig's board."""
+    if not corners and not square_mm and rig is not None and rig.board is not None:
+        return rig.board
+    stated = corners_of(corners)
+    return CheckerboardPrint(corners=stated, square_mm=checked_square(square_mm))
+
+
 def corners_of(text: str) -> tuple[int, int]:
     """Inner corners of a board from a text such as 9x6."""
     columns, cross, rows = text.strip().lower().partition("x")
     if not (cross and columns.isdecimal() and rows.isdecimal() and len(columns) < 4 and len(rows) < 4):
-        raise bad_input("--corners", text, "inner corners across and down, as 9x6")
+        raise bad_input(
+            "--corners", text, "inner corners across and down, as 9x6; or --rig alone, for the board of a rig"
+        )
     counts = int(columns), int(rows)
     if not (min(counts) >= 2 and 3 <= max(counts) <= MOST_CORNERS):
         raise bad_input("--corners", text, f"from 3x2 to {MOST_CORNERS}x{MOST_CORNERS} inner corners")
     return counts
 
 
-def square_of(square_mm: float) -> float:
-    """Edge of a square [m]."""
+def checked_square(square_mm: float) -> float:
+    """Edge of a square [mm]."""
     if not 0 < square_mm < 1e4:
         raise bad_input("--square-mm", f"{square_mm:g}", "the edge of one square in mm, more than 0")
-    return square_mm * 1e-3
+    return square_mm
 
 
 def sources_of(arguments: list[str], rig: RigConfig | None, camera: str | None = None) -> tuple[CameraViews, ...]:

@@ -37,7 +37,7 @@ def _frame(axes, found: CameraCalibration, title: str) -> None:  # type: ignore[
 
 
 def _residuals(axes, found: CameraCalibration) -> None:  # type: ignore[no-untyped-def]
-    corners = np.concatenate([v.corners_px for v in found.views])
+    corners = np.concatenate([v.corners.px for v in found.views])
     residuals = np.concatenate([v.residuals_px for v in found.views])
     length = np.linalg.norm(residuals, axis=1)
     usual = max(float(np.percentile(length, 95)), 1e-6)

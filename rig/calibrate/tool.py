@@ -14,7 +14,6 @@ from calibration.camera import CalibrationError, ExcludedView
 from calibration.mounting import Mounting, mount
 from calibration.views import View, views_in
 from calibration.vision.board import grey
-from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.transforms import RigidTransform
 from model.statics import statics
 from rig.calibrate import file_sections, inputs
@@ -26,7 +25,7 @@ from rig.config import calibration_schema
 from rig.config.arm_model import model_arm
 from rig.config.calibration_files import origin, rounded, views_beside
 from rig.config.loader import load
-from rig.config.optics import board_in_tip, board_of, camera_in_base, lens_of, placement_of
+from rig.config.optics import board_in_tip, board_of, board_section, camera_in_base, lens_of, placement_of
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.registry import open_camera
 
@@ -77,8 +76,6 @@ def run(request: ToolCalibrationRequest, operator: BenchOperator) -> ToolCalibra
         if not 0 < value < _LARGEST_STD:
             raise bad_input(option, f"{value:g}", "more than 0")
     board = board_of(config)
-    if not isinstance(board, Checkerboard):
-        raise bad_input("--rig", config.name, "a rig with a checkerboard: other boards are placed by measuring them")
     file = request.output.path(f"tool-{name}")
     if request.capture:
         if request.straight is not None or request.turned is not None:
@@ -93,7 +90,7 @@ def run(request: ToolCalibrationRequest, operator: BenchOperator) -> ToolCalibra
     tip = tip_in_camera(config, name, request.tip_std_mm * 1e-3, float(np.deg2rad(request.tip_std_deg)))
     stated = board_in_tip(config)
     found = mount(straight, turned, board, lens_of(config.cameras[name]), tip, stated)
-    made = request.output.write(tool_file(config, name, board, found, request.output.note), file)
+    made = request.output.write(tool_file(config, name, found, request.output.note), file)
     return ToolCalibration(found, stated, made, config.cameras[name].simulated)
 
 
@@ -108,16 +105,14 @@ def tip_in_camera(config: RigConfig, name: str, std_m: float, std_rad: float) ->
     return RigidTransform(tip.rotation, tip.translation_m, float(translation), float(rotation))
 
 
-def tool_file(
-    config: RigConfig, camera: str, board: Checkerboard, found: Mounting, note: str = ""
-) -> calibration_schema.ToolFile:
+def tool_file(config: RigConfig, camera: str, found: Mounting, note: str = "") -> calibration_schema.ToolFile:
     """Return the file of a mounting."""
     units = np.array([1e3] * 3 + [np.rad2deg(1)] * 3)
     return calibration_schema.ToolFile(
         **origin(note),
         kind="tool",
         camera=file_sections.identity_of(config, camera),
-        board=file_sections.board_section(board.pattern, board.square_m),
+        board=board_section(config).printed,
         placement=placement_of(found.board_in_tip),
         covariance=file_sections.matrix(found.covariance * np.outer(units, units)),
         views=tuple(

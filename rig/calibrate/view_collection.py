@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
@@ -10,11 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.camera import CalibrationError, find_corners
+from calibration.camera import CalibrationError
+from calibration.corner_search import SeenCorners, seen_corners
 from calibration.view_coverage import ViewCoverage, view_geometry
 from calibration.views import View
-from calibration.vision.board import grey
-from calibration.vision.checkerboard import Checkerboard
+from calibration.vision.board import Board, grey
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.registry import open_camera
 
@@ -27,7 +28,7 @@ _MOST_IDLE = 600
 """Pictures without a new view after which the collection ends."""
 
 
-def pictures(config: RigConfig, camera: str, board: Checkerboard, seed: int) -> Iterator[Image]:
+def pictures(config: RigConfig, camera: str, board: Board, seed: int) -> Iterator[Image]:
     """Pictures of a rig's camera as they come; a mock camera sees a board in simulated hands.
 
     Raises:
@@ -48,7 +49,7 @@ def pictures(config: RigConfig, camera: str, board: Checkerboard, seed: int) -> 
 
 def collect(
     source: Iterable[Image],
-    pattern: tuple[int, int],
+    board: Board,
     wanted: int,
     folder: Path,
     tell: Callable[[str], None],
@@ -63,18 +64,16 @@ def collect(
     """
     kept: list[View] = []
     coverage: ViewCoverage | None = None
-    before = None
+    before: SeenCorners | None = None
     last_line, idle = "", 0
     for picture in source:
         image = grey(picture)
         size = image.shape[1], image.shape[0]
         coverage = coverage or ViewCoverage(size)
-        corners = find_corners(image, pattern)
-        now = None if corners is None else view_geometry(corners, pattern, size)
+        corners = seen_corners(board, image)
+        now = None if corners is None else view_geometry(board, corners, size)
         still = (
-            corners is not None
-            and before is not None
-            and float(np.abs(corners - before).max()) < max(1.0, _STILL_SHARE * size[0])
+            corners is not None and before is not None and _moved_px(corners, before) < max(1.0, _STILL_SHARE * size[0])
         )
         before = corners
         idle += 1
@@ -90,8 +89,14 @@ def collect(
         if (len(kept) >= wanted and not advice) or enough() or idle > _MOST_IDLE:
             break
     if not kept:
-        raise CalibrationError(f"no picture showed a board of {pattern[0]}x{pattern[1]} inner corners held still")
+        raise CalibrationError(f"no picture showed a {board.description} held still: {board.remedy}")
     return kept
+
+
+def _moved_px(now: SeenCorners, before: SeenCorners) -> float:
+    """Largest motion [px] of the corners that both pictures show; infinite without one."""
+    here, there = now.shared(before)
+    return float(np.abs(here - there).max(initial=0.0)) if len(here) else math.inf
 
 
 def store(image: Image, folder: Path, stem: str) -> View:

@@ -108,7 +108,7 @@ def camera(
     seed: Seed = 0,
     json: AsJson = False,
 ) -> None:
-    """Find cameras' intrinsics and distortion from views of a checkerboard."""
+    """Find cameras' intrinsics and distortion from views of a board."""
     from rig.calibrate import camera as procedure
     from rig.calibrate.output_file import OutputFile
     from rig.cli import calibration_output

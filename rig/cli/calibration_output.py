@@ -87,8 +87,8 @@ def _print_camera(found: CameraCalibration, name: str) -> None:
     for parameter, value, std in zip(PARAMETERS, found.parameters, found.std, strict=True):
         values.add_row(parameter, f"{value:.5f}" if abs(value) < 10 else f"{value:.2f}", f"{std:.2g}")
     screen.print(
-        f"{name}: {len(found.views)} views of {found.width_px}x{found.height_px}, rms {found.rms_px:.3f} px, "
-        f"{found.coverage.share:.0%} of the picture covered",
+        f"{name}: {len(found.views)} views of a {found.board.description}, {found.width_px}x{found.height_px} px, "
+        f"rms {found.rms_px:.3f} px, {found.coverage.share:.0%} of the picture covered",
         soft_wrap=True,
     )
     screen.print(values)
@@ -195,9 +195,9 @@ def _test_words(found: calibration_schema.DLTFile) -> str:
     if test.rms_mm is None:
         return f"test ({test.method}): {test.points} points, rms {test.rms_px:.3f} px"
     words = f"test ({test.method}): {test.points} points, rms {test.rms_mm:.4f} mm, worst {test.worst_mm:.4f} mm"
-    if test.square_mm is not None and found.board is not None:
-        words += f"; square by triangulation {test.square_mm:.4f} +- {test.square_std_mm:.4f} mm"
-        words += f" ({found.board.square_mm:g} stated)"
+    if test.edge_mm is not None and found.board is not None:
+        name, stated_mm = next(iter(found.board.lengths_mm.items()))
+        words += f"; {name} by triangulation {test.edge_mm:.4f} +- {test.edge_std_mm:.4f} mm ({stated_mm:g} stated)"
     return words
 
 

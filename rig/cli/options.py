@@ -128,7 +128,9 @@ Scheduler = Annotated[
 ]
 Every = Annotated[int, typer.Option("--every", metavar="N", help="Use every Nth frame.", min=1)]
 
-Corners = Annotated[str, typer.Option("--corners", help="Inner corners of the board, as 9x6.")]
-SquareMm = Annotated[float, typer.Option("--square-mm", help="Edge of a square [mm].")]
+Corners = Annotated[
+    str, typer.Option("--corners", help="Inner corners of a checkerboard, as 9x6; default: the board of --rig.")
+]
+SquareMm = Annotated[float, typer.Option("--square-mm", help="Edge of a square of that checkerboard [mm].")]
 Camera = Annotated[str | None, typer.Option("--camera", help="Name of the camera in the rig file.")]
 Capture = Annotated[bool, typer.Option("--capture", help="Capture the views with the rig's camera now.")]

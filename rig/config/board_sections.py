@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from calibration.vision.marker_families import MARKERS, MarkerFamily
 from protocols.validation import ValidationFault, faults
-from rig.config.sections import Index, LengthMm, Placement, Section
+from rig.config.sections import Count, Index, LengthMm, Placement, Positive, Section
 
 if TYPE_CHECKING:
     from calibration.vision.board import Board
@@ -35,7 +35,7 @@ class BoardSection(Section):
 
     @property
     @abstractmethod
-    def corners(self) -> int:
+    def corner_count(self) -> int:
         """How many corners it has."""
 
     @property
@@ -44,10 +44,15 @@ class BoardSection(Section):
         """What was measured on the print, by name."""
 
     @property
+    @abstractmethod
+    def printed(self) -> BoardSection:
+        """The print alone, as calibration files state it."""
+
+    @property
     def words(self) -> str:
         """The board in a few words."""
         lengths = ", ".join(f"{name} {value:g} mm" for name, value in self.lengths_mm.items())
-        return f"{self.kind} of {self.corners} corners, {lengths}"
+        return f"{self.kind} of {self.corner_count} corners, {lengths}"
 
 
 class BoardConfig(BoardSection):
@@ -56,6 +61,35 @@ class BoardConfig(BoardSection):
     """
 
     placement: Placement
+
+
+class CheckerboardPrint(BoardSection):
+    """Any checkerboard: inner corners across and down, and the edge of a square."""
+
+    kind: Literal["checkerboard"] = "checkerboard"
+    corners: tuple[Count, Count]
+    square_mm: Positive
+
+    def board(self) -> Board:
+        """The board, in SI units."""
+        from calibration.vision.checkerboard import Checkerboard
+
+        return Checkerboard(self.corners[0] + 1, self.corners[1] + 1, self.square_mm * 1e-3)
+
+    @property
+    def corner_count(self) -> int:
+        """Inner corners."""
+        return self.corners[0] * self.corners[1]
+
+    @property
+    def lengths_mm(self) -> dict[str, float]:
+        """The edge of a square."""
+        return {"square": self.square_mm}
+
+    @property
+    def printed(self) -> CheckerboardPrint:
+        """Itself."""
+        return self
 
 
 class CheckerboardConfig(BoardConfig):
@@ -73,7 +107,7 @@ class CheckerboardConfig(BoardConfig):
         return Checkerboard(self.squares_x, self.squares_y, self.square_mm * 1e-3)
 
     @property
-    def corners(self) -> int:
+    def corner_count(self) -> int:
         """Inner corners."""
         return (self.squares_x - 1) * (self.squares_y - 1)
 
@@ -81,6 +115,11 @@ class CheckerboardConfig(BoardConfig):
     def lengths_mm(self) -> dict[str, float]:
         """The edge of a square."""
         return {"square": self.square_mm}
+
+    @property
+    def printed(self) -> CheckerboardPrint:
+        """The print alone, as calibration files state it."""
+        return CheckerboardPrint(corners=(self.squares_x - 1, self.squares_y - 1), square_mm=self.square_mm)
 
     @model_validator(mode="after")
     def _odd_by_even(self) -> CheckerboardConfig:
@@ -114,7 +153,7 @@ class CharucoPrint(BoardSection):
         )
 
     @property
-    def corners(self) -> int:
+    def corner_count(self) -> int:
         """Inner corners."""
         return (self.squares_x - 1) * (self.squares_y - 1)
 
@@ -122,6 +161,11 @@ class CharucoPrint(BoardSection):
     def lengths_mm(self) -> dict[str, float]:
         """The edges of a square and of a marker."""
         return {"square": self.square_mm, "marker": self.marker_mm}
+
+    @property
+    def printed(self) -> CharucoPrint:
+        """The print alone, as calibration files state it."""
+        return CharucoPrint.model_validate(self.model_dump(include=set(CharucoPrint.model_fields)))
 
     @model_validator(mode="after")
     def _fits(self) -> CharucoPrint:
@@ -157,7 +201,7 @@ class TagPrint(BoardSection):
         )
 
     @property
-    def corners(self) -> int:
+    def corner_count(self) -> int:
         """Four of each tag."""
         return 4 * self.tags_x * self.tags_y
 
@@ -165,6 +209,11 @@ class TagPrint(BoardSection):
     def lengths_mm(self) -> dict[str, float]:
         """The edge of a tag and the gap between two."""
         return {"tag": self.tag_mm, "gap": self.gap_mm}
+
+    @property
+    def printed(self) -> TagPrint:
+        """The print alone, as calibration files state it."""
+        return TagPrint.model_validate(self.model_dump(include=set(TagPrint.model_fields)))
 
     @model_validator(mode="after")
     def _fits(self) -> TagPrint:
@@ -179,6 +228,7 @@ class TagConfig(TagPrint, BoardConfig):
     """The grid of tags on the end cap."""
 
 
+PRINT_KINDS: tuple[type[BoardSection], ...] = (CheckerboardPrint, CharucoPrint, TagPrint)
 BOARD_KINDS: tuple[type[BoardConfig], ...] = (CheckerboardConfig, CharucoConfig, TagConfig)
 
 
@@ -196,9 +246,17 @@ def _enough_markers(needed: int, first: int, family: str) -> None:
 
 if TYPE_CHECKING:
     AnyBoard = BoardConfig
+    AnyPrint = BoardSection
 else:
-    AnyBoard = Annotated[
-        Annotated[functools.reduce(operator.or_, BOARD_KINDS), Field(discriminator="kind")],
-        BeforeValidator(with_default_kind),
-    ]
-    """The board of the rig file, of the registered kind that its key `kind` names."""
+
+    def _by_kind(kinds: tuple[type[BoardSection], ...]) -> Any:
+        """The registered kind that the key `kind` names."""
+        return Annotated[
+            Annotated[functools.reduce(operator.or_, kinds), Field(discriminator="kind")],
+            BeforeValidator(with_default_kind),
+        ]
+
+    AnyBoard = _by_kind(BOARD_KINDS)
+    """The board of the rig file."""
+    AnyPrint = _by_kind(PRINT_KINDS)
+    """The board of a calibration file."""

@@ -10,7 +10,6 @@ import numpy as np
 
 from protocols import Problem
 from protocols.problems import closest
-from rig.config.board_sections import CheckerboardConfig
 from rig.config.calibration_files import LoadedCalibration
 from rig.config.calibration_schema import (
     CalibrationFile,
@@ -151,18 +150,16 @@ class BoardOverlay(CalibrationOverlay[ToolFile]):
             expected = f"no calibration of a tool: rig {config.name} has no board"
             yield self.calibration.problem(("board",), "a board", expected)
             return
-        if not isinstance(config.board, CheckerboardConfig):
-            expected = f"no calibration of a tool: the board of rig {config.name} is no checkerboard"
-            yield self.calibration.problem(("board",), "a checkerboard", expected)
+        board, wanted = self.found.board, config.board.printed
+        if board.kind != wanted.kind:
+            expected = f"a {wanted.kind}, as the board of rig {config.name}"
+            yield self.calibration.problem(("board",), f"a {board.kind}", expected)
             return
-        have = (config.board.squares_x - 1, config.board.squares_y - 1)
-        board = self.found.board
-        if tuple(board.corners) != have:
-            expected = f"{have[0]}x{have[1]} inner corners, as the board of rig {config.name}"
-            yield self.calibration.problem(("board", "corners"), "x".join(map(str, board.corners)), expected)
-        if abs(board.square_mm - config.board.square_mm) > 1e-3 * config.board.square_mm:
-            expected = f"{config.board.square_mm:g}, as the board of rig {config.name}"
-            yield self.calibration.problem(("board", "square_mm"), board.square_mm, expected)
+        for key, wants in wanted.model_dump().items():
+            has = getattr(board, key)
+            if _differs(has, wants):
+                expected = f"{_short(wants)}, as the board of rig {config.name}"
+                yield self.calibration.problem(("board", key), _short(has), expected)
 
 
 class PressureOverlay(CalibrationOverlay[PressureFile]):
@@ -243,6 +240,20 @@ OVERLAYS: dict[type[CalibrationFile], type[CalibrationOverlay[Any]]] = {
 def overlay_of(calibration: LoadedCalibration) -> CalibrationOverlay[Any]:
     """Return the overlay of a file."""
     return OVERLAYS[type(calibration.found)](calibration, calibration.found)
+
+
+def _differs(has: object, wants: object) -> bool:
+    """Whether a count, a name or a length on a print is another one; lengths are measured to a thousandth."""
+    if isinstance(has, float) and isinstance(wants, float):
+        return abs(has - wants) > 1e-3 * wants
+    return has != wants
+
+
+def _short(value: object) -> str:
+    """A pair of counts as 9x6, a length without needless digits."""
+    if isinstance(value, tuple):
+        return "x".join(map(str, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _place_camera(data: dict[str, Any], config: RigConfig, name: str, found: Placement) -> None:

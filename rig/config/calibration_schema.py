@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from protocols.validation import ValidationFault, faults
+from rig.config.board_sections import AnyPrint
 from rig.config.sections import (
     ActuatorNumber,
     Count,
@@ -58,13 +59,6 @@ class CardIdentity(Section):
     device: Word
 
 
-class PrintedBoard(Section):
-    """The checkerboard that was shown: inner corners across and down, and the edge of a square."""
-
-    corners: tuple[Count, Count]
-    square_mm: Positive
-
-
 class UsedView(Section):
     """One picture that was used, and what of its corners the result does not explain."""
 
@@ -104,7 +98,7 @@ class CameraFile(CalibrationFile):
 
     kind: Literal["camera"]
     camera: CameraIdentity
-    board: PrintedBoard
+    board: AnyPrint
     lens: LensConfig
     covariance: Annotated[Matrix, Field(description="of fx, fy, cx, cy [px], k1, k2, p1, p2, k3")]
     rms_px: NonNegative
@@ -143,7 +137,10 @@ class DLTCamera(Section):
     ] = True
     points: Annotated[
         tuple[Word, ...],
-        Field(min_length=1, description="control points; or views of a board, each for all its corners in their order"),
+        Field(
+            min_length=1,
+            description="control points; or views of a board, each for all its corners in their order, or VIEW:CORNER",
+        ),
     ]
     residuals_px: Annotated[
         tuple[Number, ...], Field(min_length=2, description="u, v of one point after the other, measured - projected")
@@ -157,15 +154,15 @@ class DLTCamera(Section):
 
 
 class LeaveOneOut(Section):
-    """What points that were left out, each in turn, tell of the calibration; square of boards only."""
+    """What points that were left out, each in turn, tell of the calibration; edges are of a board's squares or tags."""
 
     method: Literal["leave one point out", "leave one view out"]
     points: Count
     rms_mm: NonNegative | None = None
     worst_mm: NonNegative | None = None
     rms_px: NonNegative | None = None
-    square_mm: Positive | None = None
-    square_std_mm: NonNegative | None = None
+    edge_mm: Positive | None = None
+    edge_std_mm: NonNegative | None = None
 
 
 class DLTFile(CalibrationFile):
@@ -174,7 +171,7 @@ class DLTFile(CalibrationFile):
     kind: Literal["dlt"]
     world: Literal["rod base", "board"] = Field(description="the frame of the control points")
     world_view: str = Field(default="", description="view whose board is the world's frame")
-    board: PrintedBoard | None = None
+    board: AnyPrint | None = None
     cameras: Annotated[tuple[DLTCamera, ...], Field(min_length=1)]
     test_error: LeaveOneOut | None = None
     views: tuple[UsedView, ...] = ()
@@ -198,7 +195,7 @@ class ToolFile(CalibrationFile):
 
     kind: Literal["tool"]
     camera: CameraIdentity
-    board: PrintedBoard
+    board: AnyPrint
     placement: Placement
     covariance: Annotated[Matrix, Field(description="of translation [mm] and rotation vector [deg]")]
     views: Annotated[tuple[ToolView, ...], Field(min_length=1)]

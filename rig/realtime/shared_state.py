@@ -120,7 +120,7 @@ class StateLayout:
     def of(cls, config: RigConfig, adapted: int = 0) -> StateLayout:
         """The layout for one rig and `adapted` estimated parameters. A picture slot holds the largest camera frame."""
         largest = max((c.width_px * c.height_px for c in config.cameras.values()), default=0)
-        corners = 0 if config.board is None else config.board.corners
+        corners = 0 if config.board is None else config.board.corner_count
         return cls(
             actuators=config.actuators,
             valves=len(config.valves),

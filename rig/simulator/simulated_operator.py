@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.vision.checkerboard import Checkerboard
+from calibration.vision.board import Board
 from calibration.vision.transforms import RigidTransform
 from model.statics import statics
 from rig.config.arm_model import true_arm
@@ -28,7 +28,7 @@ _TREMBLE_M = 2e-5
 _TURN_STD_DEG = 1.5
 
 
-def shown_boards(config: RigConfig, camera: str, board: Checkerboard, seed: int) -> Iterator[Image]:
+def shown_boards(config: RigConfig, camera: str, board: Board, seed: int) -> Iterator[Image]:
     """Pictures of a hand-held board at varied positions, distances and tilts, each held for a while."""
     assert config.simulator is not None
     assert config.simulator.scene is not None
@@ -36,7 +36,7 @@ def shown_boards(config: RigConfig, camera: str, board: Checkerboard, seed: int)
     lens, size = lens_of(chosen), (chosen.width_px, chosen.height_px)
     scene = Scene(board, lens, size, Optics(truth.blur_px, truth.noise_grey, truth.lighting), seed)
     rng = np.random.default_rng([seed, 0xCA11])
-    extent = np.array(board.pattern) * board.square_m
+    extent = np.ptp(board.corners_m[:, :2], axis=0) + board.unit_m
     index = 0
     while True:
         # The position in the picture is chosen first: the outline must lie inside.

@@ -11,7 +11,9 @@ import pytest
 
 from calibration.camera import PARAMETERS, CalibrationError, calibrate, calibrate_views
 from calibration.views import View, ViewsError, views_in
+from calibration.vision.board import Board
 from calibration.vision.checkerboard import Checkerboard
+from calibration.vision.tag_grid import TagGrid
 from calibration.vision.transforms import RigidTransform
 from rig.simulator.scene import Optics
 from tests.support.shared_data import shared_data
@@ -21,7 +23,7 @@ BOARD = Checkerboard(10, 7, 0.016)
 
 
 def test_real_views_give_the_published_focal_length() -> None:
-    found = calibrate(shared_data("chessboard"), (9, 6), 0.025)
+    found = calibrate(shared_data("chessboard"), Checkerboard(10, 7, 0.025))
     published = 535.92
     fx, fy = found.parameters[:2]
     assert fx == pytest.approx(published, rel=0.01)
@@ -43,7 +45,7 @@ def _rendered(count: int, seed: int = 4) -> Iterator[View]:
 
 @pytest.fixture(scope="module")
 def calibrated() -> object:
-    return calibrate_views(_rendered(16), (9, 6), 0.016)
+    return calibrate_views(_rendered(16), BOARD)
 
 
 def test_rendered_views_give_the_lens_back_within_its_stated_uncertainty(calibrated: object) -> None:
@@ -71,7 +73,7 @@ def _write(folder: Path, views: Iterator[View]) -> Path:
 def test_unusable_views_of_a_folder_are_reported_with_a_remedy(tmp_path: Path) -> None:
     folder = _write(tmp_path, _rendered(5))
     cv2.imwrite(str(folder / "blank.png"), np.full((480, 640), 90, np.uint8))
-    found = calibrate(folder, (9, 6), 0.016)
+    found = calibrate(folder, BOARD)
     assert [name for name, _, _ in found.skipped] == ["blank.png"]
     assert "no board" in found.skipped[0][1]
     assert any("at least 10 views" in want for want in found.advice)
@@ -82,7 +84,7 @@ def test_an_overexposed_view_is_reported_as_one(times: float, result: str) -> No
     views = list(_rendered(6))
     bright = np.clip(views[2].image.astype(np.float64) * times, 0, 255).astype(np.uint8)
     views[2] = View("bright", bright, "")
-    found = calibrate_views(iter(views), (9, 6), 0.016)
+    found = calibrate_views(iter(views), BOARD)
     ((name, reason, _),) = found.skipped
     assert name == "bright"
     assert result in reason
@@ -95,7 +97,7 @@ def test_a_view_with_mistaken_corners_is_left_out_with_its_residual() -> None:
     y, x = np.mgrid[0:480, 0:640].astype(np.float32)
     wavy = cv2.remap(straight, x + 4 * np.sin(y / 30), y, cv2.INTER_LINEAR)
     views[3] = View("bent", np.asarray(wavy, dtype=np.uint8), "")
-    found = calibrate_views(iter(views), (9, 6), 0.016)
+    found = calibrate_views(iter(views), BOARD)
     assert [name for name, _, _ in found.skipped] == ["bent"]
     assert "residual" in found.skipped[0][1]
     assert found.rms_px < 0.05
@@ -110,7 +112,7 @@ def test_a_video_is_as_good_as_a_folder(tmp_path: Path) -> None:
         writer.write(cv2.cvtColor(view.image, cv2.COLOR_GRAY2BGR))
     writer.release()
     assert len(list(views_in(file, every=3))) == 4
-    assert calibrate(file, (9, 6), 0.016, every=2).parameters[0] == pytest.approx(900, rel=0.01)
+    assert calibrate(file, BOARD, every=2).parameters[0] == pytest.approx(900, rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -125,21 +127,30 @@ def test_a_video_is_as_good_as_a_folder(tmp_path: Path) -> None:
 )
 def test_sources_without_views_are_named(tmp_path: Path, make: object, message: str) -> None:
     with pytest.raises(ViewsError, match=message):
-        calibrate(make(tmp_path), (9, 6), 0.025)  # type: ignore[operator]
+        calibrate(make(tmp_path), BOARD)  # type: ignore[operator]
 
 
 def test_a_wrong_count_of_corners_is_explained(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match="count the inner corners, not the squares"):
-        calibrate(_write(tmp_path, _rendered(4)), (10, 7), 0.016)
+        calibrate(_write(tmp_path, _rendered(4)), Checkerboard(11, 8, 0.016))
 
 
 def test_views_of_two_sizes_are_refused() -> None:
     views = [*_rendered(2), View("small", np.zeros((240, 320), np.uint8), "")]
     with pytest.raises(CalibrationError, match="small is 320x240"):
-        calibrate_views(iter(views), (9, 6), 0.016)
+        calibrate_views(iter(views), BOARD)
 
 
-@pytest.mark.parametrize(("corners", "square"), [((1, 6), 0.02), ((9, 6), 0.0), ((9, 6), float("nan"))])
-def test_invalid_boards_are_refused(corners: tuple[int, int], square: float) -> None:
-    with pytest.raises(CalibrationError):
-        calibrate_views(iter(()), corners, square)
+@pytest.mark.parametrize(
+    "board",
+    [
+        Checkerboard(2, 7, 0.02),
+        Checkerboard(10, 7, 0.0),
+        Checkerboard(10, 7, float("nan")),
+        TagGrid(1, 1, 0.04, 0.01),
+    ],
+    ids=["one row", "no size", "no number", "one tag"],
+)
+def test_invalid_boards_are_refused(board: Board) -> None:
+    with pytest.raises(CalibrationError, match=r"too small|has no size"):
+        calibrate_views(iter(()), board)

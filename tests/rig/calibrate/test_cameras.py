@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from calibration.camera import CalibrationError, find_corners
+from calibration.camera import CalibrationError
+from calibration.corner_search import SeenCorners, every_corner, find_corners
 from calibration.cross_validation import PointObservations, leave_out
 from calibration.extrinsics import CameraSightings, locate
 from calibration.view_coverage import ViewCoverage, view_geometry
@@ -108,16 +109,19 @@ def test_an_invalid_command_gets_one_clear_message(here: Path, arguments: list[s
 # --- coverage -------------------------------------------------------------------------------------------------------
 
 
-def _corners(x_m: float, y_m: float, lean_deg: tuple[float, float] = (0.0, 0.0), distance_m: float = 0.5) -> np.ndarray:
+def _corners(
+    x_m: float, y_m: float, lean_deg: tuple[float, float] = (0.0, 0.0), distance_m: float = 0.5
+) -> SeenCorners:
     """Corners of a board whose left and top edges are nearer by so much."""
     lean = RigidTransform.from_vectors(np.deg2rad((lean_deg[1], -lean_deg[0], 0.0)), (0, 0, 0)).rotation
     pose = RigidTransform(lean @ FACING, np.array([x_m, y_m, distance_m]))
-    return LENS.project(BOARD.corners_m, cv2.Rodrigues(pose.rotation)[0].ravel(), pose.translation_m)
+    px = LENS.project(BOARD.corners_m, cv2.Rodrigues(pose.rotation)[0].ravel(), pose.translation_m)
+    return every_corner(px)
 
 
 @pytest.mark.parametrize("lean", [(25, 0), (-25, 0), (0, 25), (0, -25)])
 def test_a_tilt_is_named_after_the_nearer_edge(lean: tuple[float, float]) -> None:
-    seen = view_geometry(_corners(0, 0, lean), BOARD.pattern, SIZE, LENS)
+    seen = view_geometry(BOARD, _corners(0, 0, lean), SIZE, LENS)
     assert seen.lean_deg == pytest.approx(lean, abs=1)
 
 
@@ -136,28 +140,28 @@ def test_live_views_do_not_overwrite_those_of_another_calibration(here: Path, wo
 
 def test_the_operator_is_told_where_to_move_until_everything_is_covered() -> None:
     coverage = ViewCoverage(SIZE)
-    middle = view_geometry(_corners(0, 0, distance_m=0.9), BOARD.pattern, SIZE)
+    middle = view_geometry(BOARD, _corners(0, 0, distance_m=0.9), SIZE)
     assert "whole board" in coverage.next_step(None)
     coverage.add(middle)
     assert "further up and left" in coverage.next_step(middle)
     assert "the top left" in coverage.missing_regions()
     for x in (-0.08, 0, 0.08):
         for y in (-0.06, 0, 0.06):
-            coverage.add(view_geometry(_corners(x, y, distance_m=0.45), BOARD.pattern, SIZE))
+            coverage.add(view_geometry(BOARD, _corners(x, y, distance_m=0.45), SIZE))
     assert coverage.missing_regions() == ()
     assert "tilt more" in coverage.next_step(middle)
     for lean in ((25, 0), (-25, 0), (0, 25), (0, -25)):
-        coverage.add(view_geometry(_corners(0, 0, lean, 0.25), BOARD.pattern, SIZE, LENS))
+        coverage.add(view_geometry(BOARD, _corners(0, 0, lean, 0.25), SIZE, LENS))
     assert coverage.missing_tilts() == ()
     assert coverage.next_step(middle) == ""
     assert coverage.advice() == ()
 
 
 def test_a_view_like_another_is_not_new() -> None:
-    coverage = ViewCoverage(SIZE, [view_geometry(_corners(0, 0), BOARD.pattern, SIZE)])
-    assert not coverage.is_new(view_geometry(_corners(0.002, 0), BOARD.pattern, SIZE))
-    assert coverage.is_new(view_geometry(_corners(0.06, 0), BOARD.pattern, SIZE))
-    assert coverage.is_new(view_geometry(_corners(0, 0, (12, 0)), BOARD.pattern, SIZE))
+    coverage = ViewCoverage(SIZE, [view_geometry(BOARD, _corners(0, 0), SIZE)])
+    assert not coverage.is_new(view_geometry(BOARD, _corners(0.002, 0), SIZE))
+    assert coverage.is_new(view_geometry(BOARD, _corners(0.06, 0), SIZE))
+    assert coverage.is_new(view_geometry(BOARD, _corners(0, 0, (12, 0)), SIZE))
 
 
 @pytest.mark.parametrize("roll", [0, 90, 180, 270])
@@ -191,7 +195,7 @@ PLACES = {
 
 
 def _seen(board: Checkerboard, rng: np.random.Generator, noise_px: float, views: int = 6) -> list[CameraSightings]:
-    found: dict[str, dict[str, np.ndarray]] = {name: {} for name in PLACES}
+    found: dict[str, dict[str, SeenCorners]] = {name: {} for name in PLACES}
     for k in range(views):
         turn = RigidTransform.from_vectors(rng.uniform(-0.4, 0.4, 3) * (1, 1, 6), (0, 0, 0)).rotation
         pose = RigidTransform(turn @ FACING, rng.uniform((-0.03, -0.03, 0.5), (0.03, 0.03, 0.6)))
@@ -201,7 +205,7 @@ def _seen(board: Checkerboard, rng: np.random.Generator, noise_px: float, views:
             if (k + rng.integers(2)) % 2 and (board.squares_x + board.squares_y) % 2 == 0:
                 px = px[::-1]  # which end is first is anyone's guess on such a board
             if (k, name) != (3, "c"):
-                found[name][str(k)] = px + rng.normal(0, noise_px, px.shape)
+                found[name][str(k)] = every_corner(px + rng.normal(0, noise_px, px.shape))
     return [CameraSightings(name, IDEAL, corners) for name, corners in found.items()]
 
 
@@ -235,8 +239,8 @@ def test_baselines_are_off_by_what_their_uncertainties_say() -> None:
 def test_a_view_that_moved_between_the_cameras_is_left_out() -> None:
     board = Checkerboard(10, 7, 0.02)
     cameras = _seen(board, np.random.default_rng(6), 0.05)
-    moved = dict(cameras[1].corners_px)
-    moved["4"] = moved["4"] + 5.0
+    moved = dict(cameras[1].corners)
+    moved["4"] = every_corner(moved["4"].px + 5.0)
     found = locate([cameras[0], CameraSightings("b", IDEAL, moved), cameras[2]], board)
     assert [key for key, _ in found.left_out] == ["4"]
 
@@ -244,7 +248,7 @@ def test_a_view_that_moved_between_the_cameras_is_left_out() -> None:
 def test_views_that_are_not_of_the_same_moments_contradict_each_other() -> None:
     board = Checkerboard(10, 7, 0.02)
     cameras = _seen(board, np.random.default_rng(7), 0.05)
-    wrong = {str((int(key) + 1) % 6): px for key, px in cameras[1].corners_px.items()}
+    wrong = {str((int(key) + 1) % 6): px for key, px in cameras[1].corners.items()}
     with pytest.raises(CalibrationError, match="contradict each other"):
         locate([cameras[0], CameraSightings("b", IDEAL, wrong)], board)
 
@@ -389,9 +393,9 @@ def test_leaving_views_out_recovers_the_boards_square() -> None:
     groups = {key: tuple(f"{key}:{k}" for k in range(54)) for key in found.boards}
     sights = [
         PointObservations(
-            tuple(n for key in found.corners_px[c.name] for n in groups[key]),
-            np.concatenate([found.boards[key].apply(board.corners_m) for key in found.corners_px[c.name]]),
-            np.concatenate(list(found.corners_px[c.name].values())),
+            tuple(n for key in found.corners[c.name] for n in groups[key]),
+            np.concatenate([found.boards[key].apply(board.corners_m) for key in found.corners[c.name]]),
+            np.concatenate([seen.px for seen in found.corners[c.name].values()]),
             IDEAL,
         )
         for c in cameras
