@@ -38,6 +38,15 @@ class BoardPrint:
     margin: float
 
 
+@dataclass(frozen=True)
+class FinestDetail:
+    """The smallest thing that a picture must resolve: its name, its size in units, and the pixels that it needs."""
+
+    name: str
+    size: float
+    least_px: float
+
+
 class Board(ABC):
     """A flat print with corners at known places.
 
@@ -85,6 +94,11 @@ class Board(ABC):
     @abstractmethod
     def check_points_m(self) -> Floats:
         """Points (k, 3) in the board's frame at which `agrees` reads the grey values."""
+
+    @property
+    @abstractmethod
+    def finest(self) -> FinestDetail:
+        """What a picture must resolve for the board to be found."""
 
     @abstractmethod
     def find(self, image: Image) -> Floats | None:

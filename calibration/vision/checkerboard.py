@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.vision import board
-from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, BoardPrint
+from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, BoardPrint, FinestDetail
 from calibration.vision.board_candidates import board_candidates
 from calibration.vision.corners import Corners, sharpen
 from calibration.vision.square_grid import SquareGrid
@@ -25,6 +25,7 @@ exact_kernel = partial(kernel, sources=(__file__, board.__file__), fastmath=Fals
 _QUIET_CHECK = 0.45
 # A place no larger than this holds squares so small that the detector sees them better magnified.
 _SMALL_PX = 240
+_LEAST_SQUARE_PX = 10.0
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,11 @@ class Checkerboard(SquareGrid):
     def printed(self) -> BoardPrint:
         """The squares."""
         return self.squares
+
+    @property
+    def finest(self) -> FinestDetail:
+        """A square; with 6 px it is still found, with large errors."""
+        return FinestDetail("square", 1.0, _LEAST_SQUARE_PX)
 
     @cached_property
     def check_points_m(self) -> Floats:

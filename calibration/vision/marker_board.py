@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, Board, BoardPrint
+from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, Board, BoardPrint, FinestDetail
 from calibration.vision.corners import Corners
 from calibration.vision.partial_corners import CornerKind, mapped, plane_to_image, sharpen_seen
 
@@ -19,6 +19,7 @@ Image = NDArray[np.uint8]
 
 # Markers seen, if the board has so many: one alone is read out of clutter too easily.
 _LEAST_MARKERS = 2
+_LEAST_CELL_PX = 3.0
 # A marker that lies so far [px] off where the others place it is another thing, or a wrong reading.
 _OFF_PLANE_PX = 3.0
 LEAST_CORNERS = 4
@@ -68,6 +69,11 @@ class MarkerBoard(Board):
     def remedy(self) -> str:
         """Markers of another family or with other numbers are another board."""
         return "compare its counts, its family of markers and its first marker with the print"
+
+    @property
+    def finest(self) -> FinestDetail:
+        """A cell of a marker: the detector misreads smaller ones."""
+        return FinestDetail("cell of a marker", self.markers.cell, _LEAST_CELL_PX)
 
     @cached_property
     @abstractmethod

@@ -14,6 +14,7 @@ import typer
 from rig.cli import (
     annotate,
     archives,
+    board,
     calibrate,
     completion,
     design,
@@ -303,6 +304,7 @@ app.command(cls=NumericalCommand)(archives.replay)
 app.command("import", cls=NumericalCommand)(archives.import_)
 app.command(cls=NumericalCommand)(reproduce.reproduce)
 app.command(cls=PlottingCommand)(workspace.workspace)
+app.command(cls=PlottingCommand)(board.board)
 app.command()(init.init)
 app.command()(drivers.drivers)
 app.command("test-driver")(drivers.check_drivers)

@@ -70,6 +70,7 @@ def _file(default: str | bool) -> Any:
 
 OutputFile = Annotated[Path, _file(True)]
 DatedFile = Annotated[Path | None, _file("a dated name")]
+BoardFile = Annotated[Path | None, _file("board-RIG.pdf")]
 ParametersFile = Annotated[Path | None, _file("none; with --rig-file: beside it")]
 DrawingFile = Annotated[Path | None, _file("no drawing")]
 ReportFile = Annotated[Path | None, _file("beside the first archive")]

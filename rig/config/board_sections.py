@@ -49,6 +49,11 @@ class BoardSection(Section):
         """The print alone, as calibration files state it."""
 
     @property
+    def marker_texts(self) -> tuple[str, ...]:
+        """Family and numbers of the markers; nothing for a board without."""
+        return ()
+
+    @property
     def words(self) -> str:
         """The board in a few words."""
         lengths = ", ".join(f"{name} {value:g} mm" for name, value in self.lengths_mm.items())
@@ -163,6 +168,11 @@ class CharucoPrint(BoardSection):
         return {"square": self.square_mm, "marker": self.marker_mm}
 
     @property
+    def marker_texts(self) -> tuple[str, ...]:
+        """Family and numbers of the markers."""
+        return _numbered(self.dictionary, self.first_marker, self.squares_x * self.squares_y // 2)
+
+    @property
     def printed(self) -> CharucoPrint:
         """The print alone, as calibration files state it."""
         return CharucoPrint.model_validate(self.model_dump(include=set(CharucoPrint.model_fields)))
@@ -211,6 +221,11 @@ class TagPrint(BoardSection):
         return {"tag": self.tag_mm, "gap": self.gap_mm}
 
     @property
+    def marker_texts(self) -> tuple[str, ...]:
+        """Family and numbers of the markers."""
+        return _numbered(self.dictionary, self.first_marker, self.tags_x * self.tags_y)
+
+    @property
     def printed(self) -> TagPrint:
         """The print alone, as calibration files state it."""
         return TagPrint.model_validate(self.model_dump(include=set(TagPrint.model_fields)))
@@ -235,6 +250,13 @@ BOARD_KINDS: tuple[type[BoardConfig], ...] = (CheckerboardConfig, CharucoConfig,
 def with_default_kind(value: Any) -> Any:
     """A board without `kind` is a checkerboard."""
     return {"kind": _DEFAULT_KIND, **value} if isinstance(value, dict) and "kind" not in value else value
+
+
+def _numbered(family: str, first: int, count: int) -> tuple[str, ...]:
+    """The markers of a board in words."""
+    if count == 1:
+        return (f"marker {family}, number {first}",)
+    return (f"markers {family}, numbers {first} to {first + count - 1}, row by row from the top left",)
 
 
 def _enough_markers(needed: int, first: int, family: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rig.config.schema import RigConfig
-from rig.doctor import cameras, cards, machine, plugins, trackers
+from rig.doctor import boards, cameras, cards, machine, plugins, trackers
 from rig.hardware.finding import Finding
 
 
@@ -20,6 +20,7 @@ def examine(folder: Path, config: RigConfig | None = None) -> tuple[Finding, ...
         *(cards.rig_cards(config) if config else ()),
         *cameras.cameras(),
         *(cameras.rig_cameras(config) if config else ()),
+        *(boards.rig_boards(config) if config else ()),
         *(trackers.rig_trackers(config) if config else ()),
         *(plugins.rig_devices(config) if config else ()),
         machine.processor(),

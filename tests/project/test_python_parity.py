@@ -83,6 +83,11 @@ COUNTERPARTS = {
         {"out": "rig.reproduce.page:write", "replace": "rig.reproduce.page:write"},
     ),
     "workspace": Counterpart("rig.tip_planning.workspace:workspace", {"rig": "config", "model": "variant"}, FILE),
+    "board": Counterpart(
+        "rig.calibrate.board_drawing:write",
+        {"rig": "name", "to": "path"},
+        {"replace": "runs.overwriting:refuse_existing"},
+    ),
     "init": Counterpart("rig.cli.init:commented", {"like": "text"}, FILE),
     "drivers": Counterpart("rig.hardware.installed_drivers:installed_drivers"),
     "test-driver": Counterpart(
