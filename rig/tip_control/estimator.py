@@ -26,8 +26,8 @@ SOFTNESS_STD = 0.04
 """A soft arm yields to all valves and to a payload alike."""
 LAG_STD_S, LAG_WALK_S = 0.01, 2e-4
 PAYLOAD_STD_KG, PAYLOAD_WALK_KG = 0.003, 2e-4
-OFFSET_STD_M, OFFSET_WALK_M = 2e-3, 3e-5
-HARMONIC_STD_M, HARMONIC_WALK_M = 1e-3, 1.5e-5
+OFFSET_STD_M, OFFSET_WALK_M = 3e-4, 3e-5
+HARMONIC_STD_M, HARMONIC_WALK_M = 3e-4, 1.5e-5
 LEARNED_SHARE = 0.1
 """Share of the prior standard deviations that is left when earlier runs have shown the disturbance."""
 MODEL_STD_M = 1.2e-4
