@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.fit import UNDETERMINED_SPANS
 from calibration.identify.information import covariance
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.parameters import Parameter, Prior
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from calibration.identify.tip_predictor import Predictor
+from calibration.identify.undetermined import UNDETERMINED_SPANS
 
 Array = NDArray[np.float64]
 

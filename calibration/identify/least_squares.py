@@ -185,9 +185,9 @@ class LeastSquaresProblem:
 
     def solve(self, z: Array, fixed: Sequence[int] = (), rounds: int = _ROUNDS, evaluations: int = 40) -> Solution:
         """Maximise the likelihood from z (n,) by iteratively reweighted Gauss-Newton; `fixed` unknowns keep their z."""
-        only = [i for i in range(len(self.unknowns)) if i not in set(fixed)]
+        only = [i for i in range(len(z)) if i not in set(fixed)]
         z = z.copy()
-        weights, sigma = self.weights(z, sum(self.unknowns[i].parameter.name not in self.priors for i in only))
+        weights, sigma = self.weights(z, self.without_prior(only))
         solved, before = True, Discrepancy(np.inf, np.inf)
         for _ in range(rounds):
             if only:
@@ -197,6 +197,15 @@ class LeastSquaresProblem:
                 break
             before = sigma
         return self.solution(z, only, weights, sigma, solved)
+
+    def without_prior(self, only: Sequence[int]) -> int:
+        """Number of the unknowns `only` that have no prior."""
+        return sum(self.unknowns[i].parameter.name not in self.priors for i in only)
+
+    def bounds(self, only: Sequence[int]) -> tuple[Array, Array]:
+        """Lower and upper bounds of z of the unknowns `only`."""
+        chosen = [self.unknowns[i] for i in only]
+        return np.array([one.lower for one in chosen]), np.array([one.upper for one in chosen])
 
     def _fitted(self, z: Array, only: list[int], weights: tuple[Weights, ...]) -> float:
         """Effective number of unknowns that the data determine: a narrow prior leaves them nothing to determine."""
@@ -310,7 +319,7 @@ class LeastSquaresProblem:
             lambda x: self._rows(whole(x), only, weights),
             lambda x: self._slope_rows(whole(x), only, weights),
             z[only],
-            bounds=tuple(np.array([getattr(self.unknowns[i], side) for i in only]) for side in ("lower", "upper")),
+            bounds=self.bounds(only),
             evaluations=evaluations,
             progress=lambda x: self.progress(self.rms_m(whole(x))),
         )

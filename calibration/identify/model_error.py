@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.poses import Poses
-from calibration.identify.tip_predictor import PushResponse
+from calibration.identify.setup import Setup
+from calibration.identify.tip_predictor import Predictor, PushResponse
 from model.arm import Arm
 
 Array = NDArray[np.float64]
@@ -139,3 +140,17 @@ def error_columns(
         columns.append(column)
         numbers += [k] * column.shape[2]
     return ErrorColumns(np.concatenate(columns, axis=2), np.array(numbers))
+
+
+def reference_pressure_pa(data: Sequence[Poses]) -> float:
+    """The highest pressure in some runs: the one at which sizes of effects that grow with it are stated."""
+    return max(float(np.abs(poses.pressure_pa).max()) for poses in data) or 1.0
+
+
+def columns_of(data: Sequence[Poses], arm: Arm, setup: Callable[[int], Setup]) -> list[ErrorColumns]:
+    """The columns of what an arm's model lacks, for each run; setup: of a run, by its number."""
+    reference_pa, terms = reference_pressure_pa(data), lacking(arm)
+    return [
+        error_columns(poses, Predictor(poses).push_response(setup(run)), reference_pa, terms)
+        for run, poses in enumerate(data)
+    ]

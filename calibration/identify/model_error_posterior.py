@@ -20,8 +20,7 @@ from scipy.special import ndtri
 
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.likelihood import Discrepancy, Weights, outlying, whitened
-from calibration.identify.model_error import ModelErrorTerm, error_columns, lacking
-from calibration.identify.tip_predictor import Predictor
+from calibration.identify.model_error import ModelErrorTerm, columns_of, lacking, reference_pressure_pa
 
 Array = NDArray[np.float64]
 
@@ -35,6 +34,8 @@ _QUANTILES = (np.arange(6) + 0.5) / 6
 _SWEEPS, _BURN_IN = 200, 30
 # Independent errors of the tips that are considered, as shares of the discrepancy of the fit.
 _NOISE_SHARES = (0.05, 0.3, 0.6, 1.0)
+# Smallest amplitude of a term that is stated, as a share of its scale.
+_LEAST_SHARE = 1e-3
 # Standard deviation, in spans, of the ridge term of the search.
 _RIDGE_SPANS = 5.0
 
@@ -62,15 +63,25 @@ class Effect:
 class ModelErrorPosterior:
     """Posterior of the errors of the fitted unknowns and of the coefficients of the model error, together.
 
-    second (n + m, n + m): mean squares and products of both, about the fit and zero; unknowns in spans. noise_m:
-    independent error of the tips. effects: one for each term. absent: probability that no term is present.
+    second (n + m, n + m): mean squares and products of both, about the fit and zero; unknowns in spans. amplitude
+    (m,): root mean square of the coefficients, the same for all of a term. noise_m: independent error of the tips.
+    effects: one for each term. absent: probability that no term is present.
     """
 
     second: Array
+    amplitude: Array
     noise_m: float
     reference_pa: float
     effects: tuple[Effect, ...]
     absent: float
+
+    unknowns: int
+    """Number n of the unknowns."""
+
+    @property
+    def of_unknowns(self) -> Array:
+        """The part (n, n) of `second` of the unknowns."""
+        return self.second[: self.unknowns, : self.unknowns]
 
     @property
     def found(self) -> tuple[Effect, ...]:
@@ -95,31 +106,31 @@ class NormalEquations:
 
 def model_error_posterior(problem: LeastSquaresProblem, solution: Solution, assumed: Array) -> ModelErrorPosterior:
     """The posterior at the solution of a fit; assumed (n,): information on unknowns that are held, in spans."""
-    reference_pa = max(float(np.abs(poses.pressure_pa).max()) for poses in problem.data) or 1.0
     terms = lacking(problem.start.arm)
-    columns = [
-        error_columns(poses, Predictor(poses).push_response(problem.setup(solution.z, run)), reference_pa, terms)
-        for run, poses in enumerate(problem.data)
-    ]
+    columns = columns_of(problem.data, problem.start.arm, lambda run: problem.setup(solution.z, run))
     off = solution.discrepancy
     shares = _NOISE_SHARES if off.tip_m or off.rotation_rad else (0.0,)
     noises = [off.scaled(share) for share in shares]
     equations = [normal_equations(problem, solution, assumed, [c.pose for c in columns], noise) for noise in noises]
-    drawn = sample(equations, columns[0].term, np.array([one.scale for one in terms]))
+    scale = np.array([one.scale for one in terms])
+    drawn = sample(equations, columns[0].term, scale)
     sizes = np.column_stack(
         [
             one.size(drawn.coefficients[:, columns[0].term == k], problem.data[0].actuators)
             for k, one in enumerate(terms)
         ]
     )
+    mean_square = np.array([(drawn.coefficients[:, columns[0].term == k] ** 2).mean() for k in range(len(terms))])
     return ModelErrorPosterior(
         second=drawn.second,
+        amplitude=np.sqrt(np.maximum(mean_square, (_LEAST_SHARE * scale) ** 2))[columns[0].term],
         noise_m=off.tip_m * float(np.sqrt(np.mean(np.square(shares)[drawn.noise]))),
-        reference_pa=reference_pa,
+        reference_pa=reference_pressure_pa(problem.data),
         effects=tuple(
             _effect(one, float(drawn.probability[k]), sizes[:, k], drawn.present[:, k]) for k, one in enumerate(terms)
         ),
         absent=drawn.absent,
+        unknowns=len(solution.z),
     )
 
 

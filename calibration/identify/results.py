@@ -30,6 +30,7 @@ class Verdict(StrEnum):
     NO_EFFECT = "no effect on the data"
     UNDECIDED = "the data leave it open"
     ENTANGLED = "only in combination with others"
+    OBSCURED = "errors of the model leave it open"
     PRIOR = "known from its prior alone"
 
 
