@@ -20,7 +20,7 @@ OpenBoard = Callable[..., ComediCard]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip outside the virtual machine, where the card is somebody's with valves on it."""
+    """Skip outside the virtual machine, where a real card may have valves on it."""
     for item in items:
         if Path(__file__).parent in item.path.parents and not os.environ.get("SOFTRIG_BOARD"):
             item.add_marker(pytest.mark.skip(reason="part of make test-board"))

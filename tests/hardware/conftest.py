@@ -23,7 +23,7 @@ from tests.hardware.struck_run import Inputs, Struck
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip outside the virtual machine, where the card is somebody's with valves on it; the archive is the host's."""
+    """Skip outside the virtual machine, where a real card may have valves on it; the archive is the host's."""
     for item in items:
         if Path(__file__).parent not in item.path.parents:
             continue

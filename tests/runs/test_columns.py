@@ -67,7 +67,7 @@ def test_a_declared_column_is_checked(tmp_path: Path) -> None:
         runs.open(archive)
 
 
-def test_a_record_that_nobody_fills_is_missing_and_not_zero() -> None:
+def test_a_record_that_is_not_filled_is_missing_and_not_zero() -> None:
     zero = {"weight_kg", "force_n", "moment_n_m"}
     for dtype in (sample_dtype(3, 2, 4), observation_dtype(3, 2), adaptation_dtype(4)):
         rows = blank(2, dtype)

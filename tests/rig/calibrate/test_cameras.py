@@ -32,12 +32,6 @@ def rig(*arguments: str) -> Result:
     return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 def test_real_views_leave_a_dated_file_with_covariance_hashes_and_a_picture(here: Path) -> None:
     views = shared_data("chessboard")
     done = rig("calibrate", "camera", f"front={views}", "--corners", "9x6", "--square-mm", "25", "--json")

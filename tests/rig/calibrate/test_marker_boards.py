@@ -36,12 +36,6 @@ def rig(*arguments: str) -> Result:
     return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 def _views(board: Board, count: int, reach_m: tuple[float, float], seed: int) -> Iterator[View]:
     view, rng = scene(Optics(0.6, 2.0), board=board), np.random.default_rng(seed)
     for k in range(count):

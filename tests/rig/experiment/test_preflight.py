@@ -73,7 +73,7 @@ def test_a_violation_points_to_the_line_of_its_step(tmp_path: Path, step: str, f
     assert any(found in problem.value and expected in problem.expected for problem in problems)
 
 
-def test_a_set_point_below_the_atmosphere_is_refused_whoever_made_the_trajectory() -> None:
+def test_a_set_point_below_the_atmosphere_is_refused_in_every_trajectory() -> None:
     dips = ((0, LinearSegment(0.0, -2000.0, 1.0)),)
     segment = Segment(0.0, 1.0, "ramp", "down", (1,), 7, (-2000.0, 0.0, 0.0), dips)
     (problem,) = check(RIG, SetPointTrajectory(1.0, 3, (segment,), (), "made.py"))

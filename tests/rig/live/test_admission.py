@@ -1,4 +1,4 @@
-"""Whoever has no session can neither shut the page nor stay in it: the operator is answered while they try."""
+"""Clients without a session can neither block the page nor stay on it: the operator is answered while they try."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def test_a_process_that_stalled_does_not_blame_its_cameras(monkeypatch: pytest.M
     try:
         before = cameras.read(1.0)
         with cameras._changed:
-            # Nobody looks and no picture gets in.
+            # The lock is held: no picture is taken in.
             time.sleep(1.2)
             after = cameras.read(1.0)
         assert after.t_ns > before.t_ns

@@ -38,7 +38,7 @@ def followed(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 def held(run: Run, at_s: float) -> Any:
-    """The same run, but its protocol time stood still at a moment for WAIT_S, as in a prompt or a pause."""
+    """The same run, but its protocol time stops at a moment for WAIT_S, as in a prompt or a pause."""
     pressure, tip, reference = run.pressure, run.tip, run.reference
     assert reference is not None
     row = int(np.searchsorted(pressure.protocol_s, at_s))
