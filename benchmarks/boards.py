@@ -24,7 +24,7 @@ from calibration.vision.charuco import CharucoBoard
 from calibration.vision.lens import Lens
 from calibration.vision.marker_board import LEAST_CORNERS
 from calibration.vision.tag_grid import TagGrid
-from calibration.vision.tracker import Tracker
+from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
 from rig.simulator.print_rendering import Cover
 from rig.simulator.scene import Optics, Scene
@@ -189,7 +189,7 @@ def measure(
     free = [free_corners(board, cover) for cover in covers]
     tips, covariances, bounds = [], [], []
     for k, pose in enumerate(where):
-        found = Tracker(board, LENS).detect(draws[k % len(draws)](pose, k)).pose
+        found = BoardTracker(board, LENS).detect(draws[k % len(draws)](pose, k)).pose
         tip, covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
         if found is not None:
             measured, covariance = found.point(TIP_IN_BOARD)

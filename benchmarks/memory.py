@@ -21,8 +21,8 @@ from calibration.identify.simulated_experiments import MeasurementErrors, perfor
 from model import Arm
 from model.actuation import Proportional, StopElement
 from model.material import MaxwellBranch
-from rig.simulator.arm_effects.creep import Creep
-from rig.simulator.arm_effects.hysteresis import Hysteresis
+from rig.simulator.arm_effects.creep import CreepEffect
+from rig.simulator.arm_effects.hysteresis import HysteresisEffect
 
 Array = NDArray[np.float64]
 
@@ -71,8 +71,8 @@ def planned() -> list[Poses]:
 def felt_pa(poses: Poses, memory: Memory) -> Array:
     """Effective pressures of the simulated bench under those of the poses."""
     retardation_s = memory.time_s * (1 + memory.modulus)
-    friction = Hysteresis(poses.actuators, [(memory.weight, memory.width_pa / BAR)])
-    creep = Creep(poses.actuators, PERIOD_S, [(memory.modulus, retardation_s)])
+    friction = HysteresisEffect(poses.actuators, [(memory.weight, memory.width_pa / BAR)])
+    creep = CreepEffect(poses.actuators, PERIOD_S, [(memory.modulus, retardation_s)])
     rows = [creep.advance(friction.advance((row / BAR).tolist())) for row in poses.pressure_pa]
     # The branch is stated over the modulus at rest, the bench's creep over the sudden response.
     return BAR * np.array(rows) / (1 + memory.modulus)

@@ -26,7 +26,7 @@ from calibration.vision.lens import Lens
 from calibration.vision.multiview_pose import board_pose
 from calibration.vision.planar_motion import PlaneOfMotion
 from calibration.vision.pose import Pose
-from calibration.vision.tracker import Tracker
+from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
 from rig.simulator.scene import Optics, Scene
 
@@ -169,7 +169,7 @@ def _tilted(angle: float) -> RigidTransform:
 def measure(setting: Setting, frames: int, draw: list[Draw]) -> VisionBenchmark:
     """Render and measure; every frame's truth is known."""
     lens, places = setting.lens, setting.places
-    trackers = [Tracker(BOARD, lens, _known(setting)) for _ in places]
+    trackers = [BoardTracker(BOARD, lens, _known(setting)) for _ in places]
     cameras = [DLT.of_camera(lens, place) for place in places]
     errors, distances, render_s, see_s = [], [], [], []
     lost = 0
@@ -194,7 +194,7 @@ def measure(setting: Setting, frames: int, draw: list[Draw]) -> VisionBenchmark:
 
 
 def _tip(
-    trackers: list[Tracker], cameras: list[DLT], places: list[RigidTransform], pictures: list[NDArray[np.uint8]]
+    trackers: list[BoardTracker], cameras: list[DLT], places: list[RigidTransform], pictures: list[NDArray[np.uint8]]
 ) -> tuple[Floats, Floats] | None:
     sightings = [tracker.detect(grey(picture)) for tracker, picture in zip(trackers, pictures, strict=True)]
     if any(s.pose is None for s in sightings):
@@ -250,10 +250,10 @@ def speed(optics: Optics) -> None:
         boards = list(motion(setting, 150))
         pictures = [draw(place.inverse() @ board, k) for k, board in enumerate(boards)]
         nothing = draw(RigidTransform(np.eye(3), np.array([9.0, 0.0, 1.0])), 0)
-        follower = Tracker(BOARD, setting.lens)
+        follower = BoardTracker(BOARD, setting.lens)
         following = _cpu_ms((follower.detect, picture) for picture in pictures)
-        finding = _cpu_ms((Tracker(BOARD, setting.lens).detect, picture) for picture in pictures[:60])
-        looking = _cpu_ms((Tracker(BOARD, setting.lens).detect, nothing) for _ in range(20))
+        finding = _cpu_ms((BoardTracker(BOARD, setting.lens).detect, picture) for picture in pictures[:60])
+        looking = _cpu_ms((BoardTracker(BOARD, setting.lens).detect, nothing) for _ in range(20))
         cells = (f"{np.median(t):.2f}/{np.quantile(t, 0.95):.2f}" for t in (following, finding, looking))
         print(f"| {size[0]}x{size[1]} | " + " | ".join(cells) + " |", flush=True)
 

@@ -24,7 +24,7 @@ def _known_unit(unit: str) -> str:
 Unit = Annotated[str, AfterValidator(_known_unit), Field(json_schema_extra={"enum": list(UNITS)})]
 
 
-class Parameter(StepPart):
+class ProtocolParameter(StepPart):
     """A number that the steps use by name, and that `rig run --set NAME=VALUE` changes."""
 
     default: Number = Field(description="the value where it is not set")
@@ -36,7 +36,7 @@ class Parameter(StepPart):
     description: str = ""
 
     @model_validator(mode="after")
-    def _check(self) -> Parameter:
+    def _check(self) -> ProtocolParameter:
         if self.lowest is not None and self.highest is not None and self.lowest > self.highest:
             faults([ValidationFault(("highest",), f"a number of {self.lowest:.12g} or more, as `lowest` is")])
         if not self.admits(self.default):
@@ -73,18 +73,18 @@ class ParameterValue:
         return f"{self.name} = {self.value:.12g}{f' {self.unit}' if self.unit else ''}"
 
 
-def unit_in(name: str, declared: Parameter) -> str:
+def unit_in(name: str, declared: ProtocolParameter) -> str:
     """The unit of a parameter; an empty string for a plain number."""
     return declared.unit or unit_of(name)
 
 
-def declared(data: Any) -> dict[str, Parameter | None]:
+def declared(data: Any) -> dict[str, ProtocolParameter | None]:
     """The parameters under the key `parameters`, by name; None for an invalid one."""
     return {name: _read(raw) for name, raw in data.items()} if isinstance(data, Mapping) else {}
 
 
-def _read(raw: Any) -> Parameter | None:
+def _read(raw: Any) -> ProtocolParameter | None:
     try:
-        return Parameter.model_validate(raw)
+        return ProtocolParameter.model_validate(raw)
     except ValidationError:
         return None

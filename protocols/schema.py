@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols.expressions import PATTERN
-from protocols.parameters import Parameter
+from protocols.parameters import ProtocolParameter
 from protocols.steps.base import MOST_SEGMENTS, LeafStep, StepPart, Text
 from protocols.steps.csv_file import Csv
 from protocols.steps.hold import Hold
@@ -17,7 +17,7 @@ from protocols.steps.ramp import Ramp
 from protocols.steps.sine import Sine
 from protocols.steps.staircase import Staircase
 from protocols.steps.stream import Stream
-from protocols.steps.tip import Tip
+from protocols.steps.tip import TipStep
 from protocols.validation import ValidationFault, faults
 
 
@@ -54,7 +54,7 @@ class Step(StepPart):
     sine: Sine | SkipJsonSchema[None] = None
     hold: Hold | SkipJsonSchema[None] = None
     csv: Csv | SkipJsonSchema[None] = None
-    tip: Tip | SkipJsonSchema[None] = None
+    tip: TipStep | SkipJsonSchema[None] = None
     stream: Stream | SkipJsonSchema[None] = None
     prompt: (
         Annotated[
@@ -108,7 +108,7 @@ class ProtocolFile(StepPart):
 
     title: Text
     description: str = ""
-    parameters: dict[str, Parameter] = Field(default={}, description="numbers that the steps use by name")
+    parameters: dict[str, ProtocolParameter] = Field(default={}, description="numbers that the steps use by name")
     steps: Annotated[tuple[Step, ...], Field(min_length=1)]
 
 
@@ -116,7 +116,8 @@ def editor_schema() -> dict[str, Any]:
     """The JSON Schema of protocols as written: a number of a step may be an expression of the parameters."""
     schema = ProtocolFile.model_json_schema()
     parts = {
-        name: part if name == Parameter.__name__ else _with_expressions(part) for name, part in schema["$defs"].items()
+        name: part if name == ProtocolParameter.__name__ else _with_expressions(part)
+        for name, part in schema["$defs"].items()
     }
     expression = {
         "description": "parameters, times or over numbers, and their sums: peak_bar / 2",

@@ -12,7 +12,7 @@ from yaml.resolver import Resolver
 
 from protocols.expectations import Expectation, Schema, unit_of, wants_number
 from protocols.expressions import NAME, Expression, parsed
-from protocols.parameters import Parameter, ParameterValue, declared, unit_in
+from protocols.parameters import ParameterValue, ProtocolParameter, declared, unit_in
 from protocols.problems import Problem, closest
 from protocols.source_positions import Document, SourcePosition, path_text, shortened
 
@@ -98,14 +98,14 @@ class _Substituter:
             if parameter is not None and name not in self._used:
                 yield self._problem_at_key((KEY, name), name, "a parameter that a step uses; none uses this one", "")
 
-    def _set(self, name: str, parameter: Parameter, settings: Mapping[str, float]) -> None:
+    def _set(self, name: str, parameter: ProtocolParameter, settings: Mapping[str, float]) -> None:
         value, unit = settings.get(name, parameter.default), unit_in(name, parameter)
         if not parameter.admits(value):
             self._add_at_key((KEY, name), f"{name} = {value:.12g}, as set", parameter.expected(unit))
             value = parameter.default
         self.values[name] = ParameterValue(name, float(value), unit, name in settings)
 
-    def _check_name(self, name: str, parameter: Parameter | None, reserved: frozenset[str]) -> None:
+    def _check_name(self, name: str, parameter: ProtocolParameter | None, reserved: frozenset[str]) -> None:
         path, ending = (KEY, name), unit_of(name)
         tag = Resolver().resolve(yaml.ScalarNode, name, (True, False))  # type: ignore[no-untyped-call]
         if not re.fullmatch(NAME, name) or not tag.endswith(":str"):

@@ -49,7 +49,7 @@ class Detection:
     pose: Pose | None = None
 
 
-class Tracker:
+class BoardTracker:
     """Finds the board, then tracks it with constant velocity; keeps corner order and side of the flip."""
 
     def __init__(self, board: Board, lens: Lens, known: PlaneOfMotion | None = None) -> None:

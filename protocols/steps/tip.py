@@ -17,7 +17,7 @@ AXES: tuple[Coordinate, ...] = ("x", "y", "z")
 SHAPES = ("circle", "figure_eight", "star", "points", "hold", "csv")
 
 
-class Tip(MotionStep):
+class TipStep(MotionStep):
     """The tip follows a path in the rod-base frame. In `lead_in_s` it goes over smoothly from where it stands to the
     moving path. The set-points follow from the arm of the rig; a path that it cannot follow within `tolerance_mm` is
     refused.
@@ -38,7 +38,7 @@ class Tip(MotionStep):
     )
 
     @model_validator(mode="after")
-    def _check(self) -> Tip:
+    def _check(self) -> TipStep:
         given = [name for name in SHAPES if getattr(self, name) is not None]
         found = []
         if not given:

@@ -30,7 +30,7 @@ Point = tuple[Millimetres, Millimetres, Millimetres]
 
 
 class TipShape(StepPart, ABC):
-    """A shape with its own timing. A field of `protocols.steps.tip.Tip` registers it."""
+    """A shape with its own timing. A field of `protocols.steps.tip.TipStep` registers it."""
 
     @abstractmethod
     def path(self, data: Any) -> TipPath:

@@ -32,7 +32,7 @@ from rig.config.sections import (
     Word,
 )
 from rig.config.simulator_sections import Simulator
-from rig.config.tip_control_section import TipControl
+from rig.config.tip_control_section import TipControlSection
 from rig.config.tracker_sections import AnyTracker, TrackerConfig
 from rig.config.uncertainties import Uncertainties
 from rig.valves.registry import Valve
@@ -69,7 +69,7 @@ class RigConfig(Section):
     arm: ArmConfig
     uncertainties: Uncertainties = Field(default_factory=Uncertainties)
     model: ModelConfig = ModelConfig()
-    tip_control: TipControl = TipControl()
+    tip_control: TipControlSection = TipControlSection()
     recording: Recording = Recording()
     simulator: Simulator | SkipJsonSchema[None] = None
 

@@ -15,7 +15,7 @@ TIP_CONTROLLERS = ("feed-forward", "horizon", "static-inverse", "inverse-integra
 _CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
-class TipControl(Section):
+class TipControlSection(Section):
     """How the tip follows the reference of a protocol's `tip` steps."""
 
     controller: Word = Field(

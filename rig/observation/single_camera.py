@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.vision.tcp import tip_in_base
-from calibration.vision.tracker import Detection, Tracker
+from calibration.vision.tracker import BoardTracker, Detection
 from rig.config.optics import board_in_tip, board_of, camera_in_base, lens_of, plane_of
 from rig.config.schema import RigConfig
 from runs.records import DetectionStatus
@@ -61,7 +61,7 @@ class SingleCameraTipEstimator:
 
     def __init__(self, config: RigConfig, camera_name: str) -> None:
         camera = config.cameras[camera_name]
-        self.tracker = Tracker(board_of(config), lens_of(camera), plane_of(config, camera))
+        self.tracker = BoardTracker(board_of(config), lens_of(camera), plane_of(config, camera))
         self._board_in_tip = board_in_tip(config)
         self._camera_in_base = camera_in_base(camera)
 

@@ -73,11 +73,11 @@ def test_loops_between_the_same_pressures_are_congruent(one: list[float], other:
 
 
 def test_the_operator_is_that_of_the_simulated_bench() -> None:
-    from rig.simulator.arm_effects.hysteresis import Hysteresis as Simulated
+    from rig.simulator.arm_effects.hysteresis import HysteresisEffect
 
     rng = np.random.default_rng(2)
     pressure = np.vstack([np.zeros((1, 3)), rng.uniform(0, 0.6, (50, 3)) * BAR])
-    bench = Simulated(3, [(e.weight, e.width_pa / BAR) for e in ELEMENTS])
+    bench = HysteresisEffect(3, [(e.weight, e.width_pa / BAR) for e in ELEMENTS])
     expected = BAR * np.array([bench.advance((row / BAR).tolist()) for row in pressure])
     assert effective_pa(ELEMENTS, pressure) == pytest.approx(expected, abs=1e-6)
 

@@ -212,8 +212,8 @@ def test_editors_accept_expressions_in_numbers_of_steps_and_nowhere_else() -> No
         return str(schema).count("#/$defs/Expression")
 
     plain, editor = ProtocolFile.model_json_schema(), editor_schema()
-    assert editor["$defs"]["Parameter"] == plain["$defs"]["Parameter"]
+    assert editor["$defs"]["ProtocolParameter"] == plain["$defs"]["ProtocolParameter"]
     for name in plain["$defs"]:
-        wanted = 0 if name == "Parameter" else numbers(plain["$defs"][name])
+        wanted = 0 if name == "ProtocolParameter" else numbers(plain["$defs"][name])
         assert expressions(editor["$defs"][name]) == wanted, name
     assert expressions(editor["$defs"]["Sine"]) > 10

@@ -17,10 +17,10 @@ class CouplingSection(ArmEffectSection):
 
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
         """It has no state."""
-        return Coupling(self.share)
+        return CouplingEffect(self.share)
 
 
-class Coupling(ArmEffect):
+class CouplingEffect(ArmEffect):
     """P_i + c sum_{j != i} P_j."""
 
     def __init__(self, share: float) -> None:

@@ -26,10 +26,10 @@ class CreepSection(ArmEffectSection):
 
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
         """The chain at rest."""
-        return Creep(actuators, step_s, [(branch.amount, branch.time_s) for branch in self.branches])
+        return CreepEffect(actuators, step_s, [(branch.amount, branch.time_s) for branch in self.branches])
 
 
-class Creep(ArmEffect):
+class CreepEffect(ArmEffect):
     """P + sum_k g_k y_k with T_k dy_k/dt = P - y_k: exact for a pressure that is constant over a step."""
 
     def __init__(self, actuators: int, step_s: float, branches: list[tuple[float, float]]) -> None:

@@ -21,7 +21,7 @@ class GainsSection(ArmEffectSection):
 
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
         """It has no state."""
-        return Gains(self.gains)
+        return GainsEffect(self.gains)
 
     def actuator_faults(self, actuators: int) -> Iterator[ValidationFault]:
         """One gain for each actuator."""
@@ -29,7 +29,7 @@ class GainsSection(ArmEffectSection):
             yield ValidationFault(("gains",), f"{actuators} of them, one for each actuator")
 
 
-class Gains(ArmEffect):
+class GainsEffect(ArmEffect):
     """g_i P_i."""
 
     def __init__(self, gains: tuple[float, ...]) -> None:

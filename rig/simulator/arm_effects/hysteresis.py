@@ -25,10 +25,10 @@ class HysteresisSection(ArmEffectSection):
 
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
         """Relaxed elements; the step does not matter, because the effect does not depend on the rate."""
-        return Hysteresis(actuators, [(element.weight, element.slip_bar) for element in self.elements])
+        return HysteresisEffect(actuators, [(element.weight, element.slip_bar) for element in self.elements])
 
 
-class Hysteresis(ArmEffect):
+class HysteresisEffect(ArmEffect):
     """P - sum_k w_k s_k, where the stop s_k follows P within -r_k and r_k."""
 
     def __init__(self, actuators: int, elements: list[tuple[float, float]]) -> None:

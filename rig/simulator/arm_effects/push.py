@@ -18,10 +18,10 @@ class PushSection(ArmEffectSection):
 
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
         """It has no state."""
-        return OwnPush(self.per_bar) if self.pressure == "own" else SumPush(self.per_bar)
+        return OwnPressurePushEffect(self.per_bar) if self.pressure == "own" else SumPressurePushEffect(self.per_bar)
 
 
-class OwnPush(ArmEffect):
+class OwnPressurePushEffect(ArmEffect):
     """P_i (1 + k P_i)."""
 
     def __init__(self, per_bar: float) -> None:
@@ -32,7 +32,7 @@ class OwnPush(ArmEffect):
         return [pressure * (1.0 + self._per_bar * pressure) for pressure in pressure_bar]
 
 
-class SumPush(ArmEffect):
+class SumPressurePushEffect(ArmEffect):
     """P_i (1 + k sum_j P_j)."""
 
     def __init__(self, per_bar: float) -> None:

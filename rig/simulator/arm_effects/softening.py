@@ -24,10 +24,10 @@ class SofteningSection(ArmEffectSection):
 
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
         """An arm that has never been pressed; the step does not matter."""
-        return Softening(actuators, self)
+        return SofteningEffect(actuators, self)
 
 
-class Softening(ArmEffect):
+class SofteningEffect(ArmEffect):
     """P (1 + a (1 - exp(-max P / p)) + b (1 - exp(-integral |dP| / q))) with the maximum and travel so far."""
 
     def __init__(self, actuators: int, section: SofteningSection) -> None:

@@ -10,7 +10,7 @@ from benchmarks.boards import BOARDS, LENS, TIP_IN_BOARD, measure, ours, patches
 from calibration.vision.board import Board
 from calibration.vision.charuco import CharucoBoard
 from calibration.vision.tag_grid import TagGrid
-from calibration.vision.tracker import Tracker
+from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
 from rig.simulator.print_rendering import Cover, print_painter
 from runs.records import DetectionStatus
@@ -62,7 +62,7 @@ def test_with_a_third_covered_the_stated_intervals_hold_the_truth_and_are_wider(
 @pytest.mark.parametrize("name", ["charuco 6x5", "tags"])
 def test_a_board_that_is_hidden_but_for_a_rim_gives_no_measurement(name: str) -> None:
     board = BOARDS[name]
-    detection = Tracker(board, LENS).detect(ours(board, MOST, 1)(facing(), 0))
+    detection = BoardTracker(board, LENS).detect(ours(board, MOST, 1)(facing(), 0))
     assert detection.status is DetectionStatus.NO_BOARD
 
 
@@ -80,7 +80,7 @@ def test_a_board_a_square_beside_is_refused() -> None:
 @pytest.mark.parametrize("name", ["charuco 6x5", "tags"])
 def test_a_moving_board_is_followed_while_a_hand_crosses_it(name: str) -> None:
     board = BOARDS[name]
-    draw, tracker = ours(board, None, 1), Tracker(board, LENS)
+    draw, tracker = ours(board, None, 1), BoardTracker(board, LENS)
     for k in range(8):
         pose = facing(0.02 * np.sin(0.3 * k), roll_deg=5.0 * k)
         picture = draw(pose, k)

@@ -10,7 +10,7 @@ import pytest
 
 from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.corners import Corners
-from calibration.vision.tracker import Tracker
+from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
 from rig.simulator.scene import Optics
 from runs.records import DetectionStatus
@@ -44,7 +44,7 @@ def test_boards_of_either_parity_are_found(size: tuple[int, int]) -> None:
 
 
 def test_a_moving_board_is_followed() -> None:
-    view, tracker = scene(), Tracker(BOARD, LENS)
+    view, tracker = scene(), BoardTracker(BOARD, LENS)
     for k in range(60):
         a = 0.25 * k
         pose = facing(0.05 * np.sin(a), 0.01 * np.cos(a), roll_deg=30 * np.sin(0.7 * a))
@@ -65,7 +65,7 @@ def test_a_grid_shifted_by_a_square_is_refused(slip: tuple[int, int]) -> None:
 
 
 def test_the_tracker_does_not_slip_when_the_board_jumps_by_a_square() -> None:
-    view, tracker = scene(), Tracker(BOARD, LENS)
+    view, tracker = scene(), BoardTracker(BOARD, LENS)
     for k in range(3):
         assert tracker.detect(still(facing(), k, view)).status is DetectionStatus.MEASURED
     for k, step in enumerate((0.008, -0.008, 0.016, 0.0, 0.012), start=3):
@@ -76,7 +76,7 @@ def test_the_tracker_does_not_slip_when_the_board_jumps_by_a_square() -> None:
 
 
 def test_a_board_that_leaves_and_returns_is_detected_again() -> None:
-    view, tracker = scene(), Tracker(BOARD, LENS)
+    view, tracker = scene(), BoardTracker(BOARD, LENS)
     assert tracker.detect(still(facing(), 0, view)).status is DetectionStatus.MEASURED
     for k in range(1, 4):
         gone = tracker.detect(still(facing(x_m=1.0), k, view))
@@ -119,7 +119,7 @@ def _ink(picture: np.ndarray) -> None:
 @pytest.mark.parametrize("spoil", [_hand, _corner_covered, _glare, _darkness, _ink])
 @pytest.mark.parametrize("tracking", [False, True])
 def test_a_spoilt_picture_gives_no_measurement(spoil: object, tracking: bool) -> None:
-    view, tracker = scene(), Tracker(BOARD, LENS)
+    view, tracker = scene(), BoardTracker(BOARD, LENS)
     if tracking:
         for k in range(3):
             assert tracker.detect(still(facing(), k, view)).status is DetectionStatus.MEASURED
@@ -133,7 +133,7 @@ def test_a_spoilt_picture_gives_no_measurement(spoil: object, tracking: bool) ->
 
 
 def test_pictures_without_structure_give_no_measurement() -> None:
-    tracker = Tracker(BOARD, LENS)
+    tracker = BoardTracker(BOARD, LENS)
     rng = np.random.default_rng(0)
     flat = np.full((480, 640), 128, np.uint8)
     noise = rng.integers(0, 255, (480, 640), dtype=np.uint8)
@@ -143,7 +143,7 @@ def test_pictures_without_structure_give_no_measurement() -> None:
 
 def test_a_cornerless_picture_that_leaves_every_seed_in_place_is_not_a_perfect_fit() -> None:
     """cornerSubPix returns its seeds where it diverges: the residual is then zero, and means nothing."""
-    view, tracker = scene(), Tracker(BOARD, LENS)
+    view, tracker = scene(), BoardTracker(BOARD, LENS)
     for k in range(3):
         tracker.detect(still(facing(), k, view))
     assert tracker.detect(np.full((480, 640), 90, np.uint8)).status is DetectionStatus.NO_BOARD
@@ -158,12 +158,12 @@ def test_corners_with_an_impossibly_small_residual_are_refused(monkeypatch: pyte
         return replace(corners, px=_corners(pose))
 
     monkeypatch.setattr(Checkerboard, "refine", too_good)
-    assert Tracker(BOARD, LENS).detect(still(pose)).status is DetectionStatus.POOR_FIT
+    assert BoardTracker(BOARD, LENS).detect(still(pose)).status is DetectionStatus.POOR_FIT
 
 
 def test_fast_motion_is_measured_through_its_blur() -> None:
     """400 mm/s at 8 ms: seven pixels of smear; the position is that of mid-exposure."""
-    view, tracker = scene(), Tracker(BOARD, LENS)
+    view, tracker = scene(), BoardTracker(BOARD, LENS)
     step = np.array([0.0032, 0.0, 0.0])
     for k in range(8):
         middle = facing(-0.05 + 0.0133 * k)
@@ -178,14 +178,14 @@ def test_fast_motion_is_measured_through_its_blur() -> None:
 def test_a_colour_picture_is_measured_like_its_grey_one() -> None:
     picture = still(facing())
     colour = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
-    one, other = Tracker(BOARD, LENS).detect(picture), Tracker(BOARD, LENS).detect(colour)
+    one, other = BoardTracker(BOARD, LENS).detect(picture), BoardTracker(BOARD, LENS).detect(colour)
     assert one.pose is not None
     assert other.pose is not None
     assert np.allclose(one.pose.translation_m, other.pose.translation_m, atol=1e-9)
 
 
 def test_a_board_cut_by_the_pictures_edge_is_not_measured() -> None:
-    tracker = Tracker(BOARD, LENS)
+    tracker = BoardTracker(BOARD, LENS)
     assert tracker.detect(still(facing(x_m=0.125), view=scene(Optics(0.6, 2.0)))).pose is None
 
 
@@ -197,11 +197,11 @@ def _two_boards() -> np.ndarray:
 def test_with_two_boards_in_view_none_is_measured() -> None:
     assert BOARD.find(still(facing(-0.07))) is not None
     assert BOARD.find(_two_boards()) is None
-    assert Tracker(BOARD, LENS).detect(_two_boards()).status is DetectionStatus.NO_BOARD
+    assert BoardTracker(BOARD, LENS).detect(_two_boards()).status is DetectionStatus.NO_BOARD
 
 
 def test_a_followed_board_is_kept_when_a_second_comes_into_view() -> None:
-    view, tracker = scene(), Tracker(BOARD, LENS)
+    view, tracker = scene(), BoardTracker(BOARD, LENS)
     for k in range(3):
         assert tracker.detect(still(facing(-0.07), k, view)).status is DetectionStatus.MEASURED
     for _ in range(3):
@@ -225,14 +225,14 @@ def test_a_board_among_clutter_is_found(seed: int) -> None:
     quad = LENS.project(outline, np.asarray(vector, dtype=np.float64), pose.translation_m)
     inside = cv2.fillConvexPoly(np.zeros_like(picture), quad.round().astype(np.int32), 1).astype(bool)
     picture[inside] = clean[inside]
-    sighting = Tracker(BOARD, LENS).detect(picture)
+    sighting = BoardTracker(BOARD, LENS).detect(picture)
     assert sighting.pose is not None
     assert _off_mm(sighting.pose.rigid, pose) < 0.5
 
 
 def test_a_wrong_flip_is_corrected_when_the_picture_resolves_it() -> None:
     """Head-on either side fits; once the board tilts, only one does."""
-    view, tracker = scene(), Tracker(BOARD, LENS)
+    view, tracker = scene(), BoardTracker(BOARD, LENS)
     for k, tilt in enumerate(np.linspace(25, -25, 40)):
         pose = facing(tilt_deg=float(tilt))
         sighting = tracker.detect(still(pose, k, view))
