@@ -21,8 +21,8 @@ from calibration.identify.simulated_experiments import MeasurementErrors, perfor
 from model import Arm
 from model.actuation import Proportional, StopElement
 from model.material import MaxwellBranch
-from rig.simulator.arm_effects.creep import CreepEffect
-from rig.simulator.arm_effects.hysteresis import HysteresisEffect
+from rig.arm_effects.creep import CreepEffect
+from rig.arm_effects.hysteresis import HysteresisEffect
 
 Array = NDArray[np.float64]
 

@@ -29,13 +29,13 @@ from calibration.identify.pressure_history import pressure_history
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, perform, plan
 from calibration.parallel_map import parallel_map
-from rig.simulator.arm_effects.base import ArmEffectSection
-from rig.simulator.arm_effects.coupling import CouplingSection
-from rig.simulator.arm_effects.creep import CreepBranch, CreepSection
-from rig.simulator.arm_effects.gains import GainsSection
-from rig.simulator.arm_effects.hysteresis import HysteresisSection, SlipElement
-from rig.simulator.arm_effects.push import PushSection
-from rig.simulator.arm_effects.softening import SofteningSection
+from rig.arm_effects.base import ArmEffectSection
+from rig.arm_effects.coupling import CouplingSection
+from rig.arm_effects.creep import CreepBranch, CreepSection
+from rig.arm_effects.gains import GainsSection
+from rig.arm_effects.hysteresis import HysteresisSection, SlipElement
+from rig.arm_effects.push import PushSection
+from rig.arm_effects.softening import SofteningSection
 
 Array = NDArray[np.float64]
 

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 import model
 from benchmarks.tip_closed_loop import CYCLE_S, ClosedLoop, Task, Truth, simulate
 from model.inverse.static_map import StaticMap
+from rig.arm_effects.base import ArmEffect
 from rig.config.loader import load
-from rig.simulator.arm_effects.base import ArmEffect
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.learning import DisturbanceLearner, Repetition
 from rig.tip_control.registry import CONTROLLERS, FEED_FORWARD, controller_class

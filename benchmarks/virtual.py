@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rig.hardware.cameras.mock import Exposure
+    from rig.simulator.mock_camera import Exposure
     from rig.virtual.frame_pipeline import FrameResult, FrameSamples, FrameStages
 
 
@@ -98,10 +98,10 @@ def parts(protocol: str) -> None:
     from rig.control import control_loop
     from rig.experiment import report_process
     from rig.experiment import run as experiment
-    from rig.hardware.cameras.mock import MockCamera
     from rig.observation import picture_recorder
     from rig.observation.multi_camera import MultiCameraTipEstimator
     from rig.observation.observer import Observer, _DynamicModel
+    from rig.simulator.mock_camera import MockCamera
     from rig.simulator.plant import Plant
     from rig.virtual import executor
     from runs.archive import writer

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dlt import DLT
+from calibration.multiview_pose import board_pose
 from calibration.vision.board import grey
 from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.lens import Lens
-from calibration.vision.multiview_pose import board_pose
 from calibration.vision.planar_motion import PlaneOfMotion
 from calibration.vision.pose import Pose
 from calibration.vision.tracker import BoardTracker

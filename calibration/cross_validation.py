@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dlt import DLTError, calibrate, reconstruct, undistort
+from calibration.multiview_pose import fit_rigid
 from calibration.vision.board import Board
 from calibration.vision.lens import Lens
-from calibration.vision.multiview_pose import fit_rigid
 
 Floats = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from protocols.csv_samples import read_samples
 from protocols.decimals import pa
 from protocols.steps.base import Actuators, MotionStep, Player, SecondsOrNone, Text, fits
+from protocols.steps.csv_samples import read_samples
 from protocols.validation import faults
 from protocols.waveforms import Samples, Smooth
 

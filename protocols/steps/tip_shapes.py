@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
-from protocols.csv_samples import read_columns
 from protocols.steps.base import Positive, Seconds, SecondsOrNone, StepPart, Text, one_of
+from protocols.steps.csv_samples import read_columns
 from protocols.tip_paths import HarmonicPath, PiecewisePath, TipPath, closed_polyline, length_m
 from protocols.validation import ValidationFault, faults
 

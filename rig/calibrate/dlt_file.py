@@ -11,7 +11,7 @@ from rig.calibrate import file_sections, inputs
 from rig.calibrate.dlt_fit import DLTCalibrationResult
 from rig.config import calibration_schema
 from rig.config.board_sections import BoardSection
-from rig.config.calibration_files import origin, rounded
+from rig.config.calibration_files import rounded
 from rig.config.optics import placement_of
 from rig.config.schema import RigConfig
 
@@ -68,7 +68,7 @@ def dlt_file(
         _section(name, result, inputs.identity_sized(rig, name, result.sizes_px[name]), corners) for name in result.dlts
     ]
     return calibration_schema.DLTFile(
-        **origin(note),
+        **file_sections.origin(note),
         kind="dlt",
         world="rod base" if in_base else "board",
         world_view=result.world_view,

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
+from datetime import UTC, datetime
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,11 +14,23 @@ from calibration.camera import CameraCalibration, ExcludedView
 from calibration.vision.lens import Lens
 from rig.config import calibration_schema, sections
 from rig.config.board_sections import BoardSection
-from rig.config.calibration_files import origin, rounded
+from rig.config.calibration_files import rounded
 from rig.config.schema import RigConfig
-from rig.hardware.cameras.registry import serial_of
+from rig.experiment.provenance import git_state, versions
 
 COVARIANCE_DIGITS = 8
+
+
+def origin(note: str = "") -> dict[str, Any]:
+    """Return the header of a new file: format, date, software, command line."""
+    commit, diff = git_state()
+    return {
+        "softrig_calibration": 1,
+        "made": datetime.now(UTC).isoformat(timespec="seconds"),
+        "software": calibration_schema.Software(versions=versions(), git_commit=commit, git_changed=bool(diff)),
+        "command": shlex.join(sys.argv),
+        "note": note,
+    }
 
 
 def identity_of(config: RigConfig, name: str) -> calibration_schema.CameraIdentity:
@@ -23,7 +40,7 @@ def identity_of(config: RigConfig, name: str) -> calibration_schema.CameraIdenti
         name=name,
         driver=camera.driver,
         device=camera.device,
-        serial=serial_of(camera),
+        serial=camera.serial(),
         width_px=camera.width_px,
         height_px=camera.height_px,
     )

@@ -10,13 +10,14 @@ import numpy as np
 from rig.calibrate.bench_driver import BenchDriver
 from rig.calibrate.bench_operator import BenchOperator, StopRequest
 from rig.calibrate.bench_session import real, virtual
+from rig.calibrate.file_sections import origin
 from rig.calibrate.inputs import bad_input
 from rig.calibrate.output_file import OutputFile
 from rig.calibrate.sensor_scale import Gauge, from_readings, read_gauge, sensor_section, simulated_gauge, typed_gauge
 from rig.calibrate.valve_fit import RateMeasurement
 from rig.calibrate.valve_sweep import sweep, valve_section
 from rig.config import calibration_schema
-from rig.config.calibration_files import origin, sha256_of
+from rig.config.calibration_files import sha256_of
 from rig.config.loader import load, path_of
 from rig.config.schema import RigConfig
 from rig.execution.plan import StoppedError

@@ -17,8 +17,8 @@ from rig.calibrate.bench_operator import Keys
 from rig.config import calibration_schema
 from rig.config.calibration_files import rounded
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR
 from rig.execution.plan import StoppedError
+from rig.sections.quantities import PA_PER_BAR
 from rig.simulator.plant import Plant
 from rig.valves.iso6358 import ATMOSPHERE_PA
 

@@ -23,7 +23,7 @@ from rig.calibrate.output_file import OutputFile
 from rig.calibrate.view_collection import CAMERA_TIMEOUT_S, store
 from rig.config import calibration_schema
 from rig.config.arm_model import model_arm
-from rig.config.calibration_files import origin, rounded, views_beside
+from rig.config.calibration_files import rounded, views_beside
 from rig.config.loader import load
 from rig.config.optics import board_in_tip, board_of, board_section, camera_in_base, lens_of, placement_of
 from rig.config.schema import RigConfig
@@ -109,7 +109,7 @@ def tool_file(config: RigConfig, camera: str, found: Mounting, note: str = "") -
     """Return the file of a mounting."""
     units = np.array([1e3] * 3 + [np.rad2deg(1)] * 3)
     return calibration_schema.ToolFile(
-        **origin(note),
+        **file_sections.origin(note),
         kind="tool",
         camera=file_sections.identity_of(config, camera),
         board=board_section(config).printed,

@@ -17,8 +17,8 @@ from rig.config import calibration_schema
 from rig.config.arm_model import model_arm
 from rig.config.calibration_files import rounded
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR
 from rig.control.interlocks.actuator_interlocks import PressureRate
+from rig.sections.quantities import PA_PER_BAR
 from rig.valves.flow import FlowValve
 from rig.valves.iso6358 import ATMOSPHERE_PA
 

@@ -19,17 +19,17 @@ from rig.cli.column_table import ColumnTable
 from rig.cli.exit_status import DONE, FAULT, INTERRUPTED
 from rig.cli.printable import printable
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR
 from rig.execution.plan import RunPlan
 from rig.experiment.preflight import peak_pa
 from rig.experiment.run import RunRequest, RunResult
 from rig.hardware.safe_state import safe_voltages
 from rig.realtime.scheduling import obtainable
 from rig.realtime.timing_limits import remedies, stated, valves_at_stake
+from rig.sections.quantities import PA_PER_BAR
 from runs.records import Status
 
 if TYPE_CHECKING:
-    from rig.hardware.finding import Finding
+    from rig.config.finding import Finding
 
 _EXIT = {Status.FINISHED: DONE, Status.ABORTED: FAULT, Status.INTERRUPTED: INTERRUPTED}
 _VERDICT = {"ok": "green", "missing": "bold red", "note": "yellow"}

@@ -23,8 +23,8 @@ from rich.text import Text
 from rig.cli.keyboard import Keyboard
 from rig.cli.nonblocking_writer import NonBlockingWriter
 from rig.cli.printable import printable
-from rig.config.sections import PA_PER_BAR
 from rig.execution.plan import Progress
+from rig.sections.quantities import PA_PER_BAR
 from runs.records import DetectionStatus, Event, Level, Quantity
 
 LINE_EVERY_S = 2.0

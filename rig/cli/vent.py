@@ -9,8 +9,9 @@ from rig.config.loader import load, named_rig
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import described, locked_devices, running_rigs
-from rig.hardware.vent import Vented, is_absent
+from rig.hardware.vent import Vented
 from rig.hardware.vent import vent as vent_rig
+from rig.simulator.plant_launcher import is_absent
 
 NOTHING = "nothing to vent: --rig, SOFTRIG_RIG or softrig.yaml here names no rig, and no experiment of this user runs"
 

@@ -15,7 +15,9 @@ from model.actuation import (
     StopElement,
     actuation_law_named,
 )
-from rig.config.sections import Flag, GeometryConfig, MassG, MaterialConfig, Section, Triple
+from rig.config.sections import GeometryConfig, MaterialConfig
+from rig.sections.base import Section
+from rig.sections.quantities import Flag, MassG, Triple
 
 
 def _actuation_law(name: str) -> str:

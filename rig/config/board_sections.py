@@ -11,7 +11,9 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from calibration.vision.marker_families import MARKERS, MarkerFamily
 from protocols.validation import ValidationFault, faults
-from rig.config.sections import Count, Index, LengthMm, Placement, Positive, Section
+from rig.config.sections import Placement
+from rig.sections.base import Section
+from rig.sections.quantities import Count, Index, LengthMm, Positive
 
 if TYPE_CHECKING:
     from calibration.vision.board import Board

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import shlex
-import sys
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +13,7 @@ import yaml
 from protocols import BadInputError, Problem, document
 from protocols.document import Document
 from protocols.problems import closest
-from rig.config.calibration_schema import KINDS, AnyFile, CalibrationFile, Software
-from rig.experiment.provenance import git_state, versions
+from rig.config.calibration_schema import KINDS, AnyFile, CalibrationFile
 from runs.overwriting import refuse_existing
 
 SUFFIX = ".yaml"
@@ -67,18 +64,6 @@ def parse(source: Document) -> LoadedCalibration:
         )
     found: AnyFile = document.validate(model, source)
     return LoadedCalibration(found, source)
-
-
-def origin(note: str = "") -> dict[str, Any]:
-    """Return the header of a new file: format, date, software, command line."""
-    commit, diff = git_state()
-    return {
-        "softrig_calibration": 1,
-        "made": datetime.now(UTC).isoformat(timespec="seconds"),
-        "software": Software(versions=versions(), git_commit=commit, git_changed=bool(diff)),
-        "command": shlex.join(sys.argv),
-        "note": note,
-    }
 
 
 def text_of(found: CalibrationFile) -> str:

@@ -74,12 +74,10 @@ def check_serials(config: RigConfig, calibrations: Sequence[LoadedCalibration]) 
     Raises:
         BadInputError: every camera that has another serial number.
     """
-    from rig.hardware.cameras.registry import serial_of
-
     problems = []
     for calibration in calibrations:
         for here, identity in overlay_of(calibration).cameras():
-            serial = serial_of(config.cameras[identity.name]) if identity.serial is not None else None
+            serial = config.cameras[identity.name].serial() if identity.serial is not None else None
             if serial is not None and serial != identity.serial:
                 where = f"cameras, {identity.name} of rig {config.name}"
                 expected = f"{serial}, the serial number of the camera that is plugged in for {where}"

@@ -10,17 +10,16 @@ from pydantic import Field, model_validator
 
 from protocols.validation import ValidationFault, faults
 from rig.config.board_sections import AnyPrint
-from rig.config.sections import (
+from rig.config.sections import LensConfig, Placement
+from rig.sections.base import Section
+from rig.sections.quantities import (
     ActuatorNumber,
     Count,
     Index,
-    LensConfig,
     Moment,
     NonNegative,
     Number,
-    Placement,
     Positive,
-    Section,
     Volt,
     VoltSpan,
     Word,

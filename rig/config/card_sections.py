@@ -8,7 +8,8 @@ from pydantic import ConfigDict, Field, model_validator
 
 from protocols.validation import ValidationFault, faults
 from rig.config.drivers import Driver, DriverRegistry
-from rig.config.sections import Index, Positive, Section, Word
+from rig.sections.base import Section
+from rig.sections.quantities import Index, Positive, Word
 
 
 class CardConfig(Section):
@@ -139,7 +140,7 @@ CARD_DRIVERS = DriverRegistry(
     ),
     Driver(
         "mock",
-        "rig.hardware.cards.mock",
+        "rig.simulator.mock_card",
         "a card of the simulated bench",
         _KEPT,
         simulated=True,

@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from rig.config.board_sections import BoardConfig
     from rig.config.card_sections import CardConfig
     from rig.config.input_sections import AuxiliaryInput, EmergencyStop
-    from rig.config.sections import CameraConfig, Control, GeometryConfig, Limits, Sensor
+    from rig.config.sections import CameraConfig, GeometryConfig, Sensor
     from rig.config.simulator_sections import Simulator
     from rig.config.tracker_sections import TrackerConfig
+    from rig.sections.control import Control, Limits
     from rig.valves.base import ValveSection
 
     Cards = Mapping[str, CardConfig | None]

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, Field
 
-from rig.config.plugins import PluginError, PluginGroup, PluginSections, package_of
+from rig.sections.plugins import PluginError, PluginGroup, PluginSections, package_of
 
 if TYPE_CHECKING:
-    from rig.hardware.finding import Finding
+    from rig.config.finding import Finding
 
 
 @dataclass(frozen=True)
@@ -177,5 +177,5 @@ CAMERA_DRIVERS = DriverRegistry(
     "cameras",
     Driver("opencv", "rig.hardware.cameras.opencv", "V4L2 cameras, folders of pictures and video files"),
     Driver("realsense", "rig.hardware.cameras.realsense", "Intel RealSense by librealsense (softrig[realsense])"),
-    Driver("mock", "rig.hardware.cameras.mock", "a camera of the simulated bench", simulated=True),
+    Driver("mock", "rig.simulator.mock_camera", "a camera of the simulated bench", simulated=True),
 )

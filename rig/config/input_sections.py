@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 from pydantic.json_schema import SkipJsonSchema
 
-from rig.config.sections import Index, NonNegative, Number, Positive, Section, Triple, VoltSpan, Word
+from rig.sections.base import Section
+from rig.sections.quantities import Index, NonNegative, Number, Positive, Triple, VoltSpan, Word
 
 
 def _two_values(span: tuple[float, float]) -> tuple[float, float]:

@@ -17,9 +17,9 @@ from protocols import BadInputError, Problem, document
 from protocols.library import find
 from rig.config import consistency
 from rig.config.metadata import run_metadata
-from rig.config.plugins import RECORDED
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
+from rig.sections.plugins import RECORDED
 from runs.records import RecordedFile, RunHeader
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from protocols.problems import Problem
 from protocols.source_positions import Document
 from protocols.validation import ValidationFault, faults
-from rig.config.sections import Section
+from rig.sections.base import Section
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 TAKEN = {"name": "specimen, or the option --operator", "operator": "the option --operator"}

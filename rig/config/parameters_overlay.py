@@ -17,20 +17,9 @@ from rig.config.arm_sections import ActuationConfig
 from rig.config.calibration_overlay import as_stated
 from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
-from rig.config.sections import (
-    Count,
-    Flag,
-    GeometryConfig,
-    MaterialConfig,
-    NonNegative,
-    Number,
-    Placement,
-    Positive,
-    Section,
-    Triple,
-    Variant,
-    Word,
-)
+from rig.config.sections import GeometryConfig, MaterialConfig, Placement, Variant
+from rig.sections.base import Section
+from rig.sections.quantities import Count, Flag, NonNegative, Number, Positive, Triple, Word
 
 _SAME = 1e-6
 """Relative tolerance for equal lengths and angles."""

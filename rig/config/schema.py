@@ -17,24 +17,14 @@ from rig.config.board_sections import AnyBoard
 from rig.config.card_sections import AnyCard
 from rig.config.input_sections import AuxiliaryInput, EmergencyStop
 from rig.config.metadata import Metadata
-from rig.config.sections import (
-    AnyCamera,
-    CameraConfig,
-    Control,
-    Limits,
-    ModelConfig,
-    Name,
-    Named,
-    NamedOrNone,
-    Recording,
-    Section,
-    Sensor,
-    Word,
-)
+from rig.config.sections import AnyCamera, CameraConfig, ModelConfig, Recording, Sensor
 from rig.config.simulator_sections import Simulator
 from rig.config.tip_control_section import TipControlSection
 from rig.config.tracker_sections import AnyTracker, TrackerConfig
 from rig.config.uncertainties import Uncertainties
+from rig.sections.base import Section
+from rig.sections.control import Control, Limits
+from rig.sections.quantities import Name, Named, NamedOrNone, Word
 from rig.valves.registry import Valve
 
 

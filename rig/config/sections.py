@@ -4,21 +4,35 @@
 
 from __future__ import annotations
 
-import re
-from datetime import datetime
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from model.material import MOST_BRANCHES
 from model.variants import VARIANTS, variant_named
 from protocols.validation import ValidationFault, faults
 from rig.config.drivers import CAMERA_DRIVERS
-
-PA_PER_BAR = 1e5
+from rig.sections.base import Section
+from rig.sections.quantities import (
+    PA_PER_BAR,
+    ActuatorNumber,
+    BarSpan,
+    Count,
+    Index,
+    LengthMm,
+    ModulusPa,
+    NonNegative,
+    Number,
+    Positive,
+    RotationDeg,
+    TranslationMm,
+    Triple,
+    VoltSpan,
+    Word,
+)
 
 
 def _variant(name: str) -> str:
@@ -27,127 +41,6 @@ def _variant(name: str) -> str:
 
 
 Variant = Annotated[str, AfterValidator(_variant), Field(json_schema_extra={"enum": list(VARIANTS)})]
-
-
-def _rising(span: tuple[float, float]) -> tuple[float, float]:
-    if span[0] >= span[1]:
-        raise ValueError("two numbers, the lower one first")
-    return span
-
-
-def _moment(text: str) -> str:
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError:
-        moment = None
-    if moment is None or moment.tzinfo is None:
-        raise ValueError("a date with time and zone in ISO 8601, such as '2026-11-21T14:05:00+01:00'")
-    return text
-
-
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}")
-"""Names of rigs, cards and cameras; they become parts of file names, HDF5 paths and topics."""
-
-
-_NAMED = "a name of up to 40 letters (a-z, A-Z), digits, '-' and '_', a letter or digit first"
-
-
-_IN_SCHEMA: dict[str, JsonValue] = {"pattern": f"^{_NAME.pattern}$"}
-
-
-Item = TypeVar("Item")
-
-
-def _name(text: str) -> str:
-    if not _NAME.fullmatch(text):
-        raise ValueError(_NAMED)
-    return text
-
-
-def _names(items: dict[str, Item]) -> dict[str, Item]:
-    faults(ValidationFault((key, "its name"), _NAMED) for key in items if not _NAME.fullmatch(key))
-    return items
-
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
-
-
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
-
-
-Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
-
-
-Volt = Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False, strict=True)]
-
-
-Bar = Annotated[float, Field(gt=0, le=100, allow_inf_nan=False, strict=True)]
-
-
-LengthMm = Annotated[float, Field(ge=0.01, le=10_000, allow_inf_nan=False, strict=True)]
-
-
-MassG = Annotated[float, Field(ge=0, le=5_000, allow_inf_nan=False, strict=True)]
-
-
-ModulusPa = Annotated[float, Field(ge=1e3, le=1e10, allow_inf_nan=False, strict=True)]
-"""The lower bound rejects a modulus in kPa or MPa."""
-
-
-Flag = Annotated[bool, Field(strict=True)]
-
-
-Word = Annotated[str, Field(min_length=1, pattern=r"^[^\x00-\x1f\x7f]*$")]
-
-
-Name = Annotated[str, Field(min_length=1, json_schema_extra=_IN_SCHEMA), AfterValidator(_name)]
-
-
-Named = Annotated[
-    dict[str, Item], Field(min_length=1, json_schema_extra={"propertyNames": _IN_SCHEMA}), AfterValidator(_names)
-]
-
-
-NamedOrNone = Annotated[dict[str, Item], Field(json_schema_extra={"propertyNames": _IN_SCHEMA}), AfterValidator(_names)]
-
-
-Moment = Annotated[str, AfterValidator(_moment)]
-
-
-Index = Annotated[int, Field(ge=0, strict=True)]
-
-
-Count = Annotated[int, Field(ge=1, strict=True)]
-
-
-ActuatorNumber = Annotated[int, Field(ge=1, strict=True)]
-
-
-Triple = tuple[Number, Number, Number]
-
-
-TranslationMm = Annotated[float, Field(ge=-100_000, le=100_000, allow_inf_nan=False, strict=True)]
-
-
-RotationDeg = Annotated[float, Field(ge=-3_600, le=3_600, allow_inf_nan=False, strict=True)]
-
-
-BarSpan = Annotated[
-    tuple[
-        Annotated[float, Field(ge=-1, le=100, allow_inf_nan=False, strict=True)],
-        Annotated[float, Field(ge=-1, le=100, allow_inf_nan=False, strict=True)],
-    ],
-    AfterValidator(_rising),
-]
-
-
-VoltSpan = Annotated[tuple[Volt, Volt], AfterValidator(_rising)]
-
-
-class Section(BaseModel):
-    """A mapping of the YAML: unknown keys are errors, values are never coerced from text."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 class Sensor(Section):
@@ -197,42 +90,6 @@ class Sensor(Section):
             other = (name for name in volts if getattr(self, name) != type(self).model_fields[name].default)
             faults(ValidationFault((name,), "no such key for a sensor with `unit: bar`") for name in other)
         return self
-
-
-class Limits(Section):
-    """Limits of set-points and measured values."""
-
-    pressure_bar: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False, strict=True)] = Field(
-        description="highest set-point and, with its margin, highest pressure"
-    )
-    lowest_pressure_bar: Annotated[float, Field(ge=-1, le=0, allow_inf_nan=False, strict=True)] = Field(
-        default=0.0, description="lowest set-point and, with the margin, lowest pressure; below 0 with a vacuum supply"
-    )
-    pressure_margin_bar: NonNegative = 0.05
-    rate_bar_per_s: Positive = Field(description="fastest set-point change of a continuous segment")
-    rate_margin_bar_per_s: NonNegative = Field(default=1.0, description="with it, fastest change a sensor may show")
-    tracking_bar: Positive = Field(description="largest error once the set-point has been constant for tracking_s")
-    tracking_s: Positive
-    frozen_s: Positive = Field(description="a sensor whose reading has not moved by one count for so long is dead")
-    stale_s: Positive = Field(description="longest time without a sample")
-    no_tip_s: Positive = Field(description="longest time without a camera frame, or without a prediction of the model")
-    least_cameras: Count = Field(
-        default=1, description="cameras that must deliver, if there are any; with fewer the run ends"
-    )
-    hung_s: Positive | SkipJsonSchema[None] = Field(
-        default=None,
-        description="longest silence of control before the watchdog takes the valves; default: by what is at stake",
-    )
-    duration_s: Positive = 4 * 3600.0
-
-
-class Control(Section):
-    """The regulator's rate and gains; the gains are those of a flow-metering valve."""
-
-    rate_hz: Positive = Field(default=200.0, le=1000)
-    bandwidth_hz: Positive = Field(description="closed loop, of the proportional action")
-    integral_s: Positive = Field(description="integration time")
-    volume_ml: Positive = Field(description="one chamber and its tube at rest, for the feed-forward")
 
 
 class LensConfig(Section):
@@ -293,6 +150,11 @@ class CameraConfig(Section):
     def simulated(self) -> bool:
         """True for a simulated camera, of the bench or of another driver."""
         return CAMERA_DRIVERS.simulates(self.driver)
+
+    def serial(self) -> str | None:
+        """Serial number of the camera as it is plugged in now; None where it has none or is not there."""
+        number: str | None = CAMERA_DRIVERS[self.driver].load()().serial(self)
+        return number
 
 
 class UninstalledCameraConfig(CameraConfig):

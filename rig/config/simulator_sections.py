@@ -8,18 +8,11 @@ from pydantic import Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import ValidationFault, faults
+from rig.arm_effects.registry import ArmEffectEntry
 from rig.config.input_sections import SimulatedInput
-from rig.config.sections import (
-    GeometryConfig,
-    LensConfig,
-    MassG,
-    MaterialConfig,
-    NonNegative,
-    Placement,
-    Section,
-    Sensor,
-)
-from rig.simulator.arm_effects.registry import ArmEffectEntry
+from rig.config.sections import GeometryConfig, LensConfig, MaterialConfig, Placement, Sensor
+from rig.sections.base import Section
+from rig.sections.quantities import MassG, NonNegative
 from rig.valves.base import SimulatedValve
 from rig.valves.registry import Valve
 

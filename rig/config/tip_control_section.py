@@ -7,7 +7,8 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
-from rig.config.sections import Section, Word
+from rig.sections.base import Section
+from rig.sections.quantities import Word
 
 TIP_CONTROLLERS = ("feed-forward", "horizon", "static-inverse", "inverse-integral")
 """Names of the tip controllers; `rig.tip_control.registry` has their classes."""

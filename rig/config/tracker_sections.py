@@ -10,7 +10,9 @@ from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import ValidationFault, faults
 from rig.config.drivers import Driver, DriverRegistry
-from rig.config.sections import NonNegative, Placement, Positive, Section
+from rig.config.sections import Placement
+from rig.sections.base import Section
+from rig.sections.quantities import NonNegative, Positive
 
 
 def _address(text: str) -> str:
@@ -107,7 +109,7 @@ TRACKER_DRIVERS = DriverRegistry(
     Driver("udp", "rig.hardware.trackers.udp", "poses in UDP datagrams from another program", section=UdpTrackerConfig),
     Driver(
         "mock",
-        "rig.hardware.trackers.mock",
+        "rig.simulator.mock_tracker",
         "a tracker of the simulated bench",
         simulated=True,
         section=MockTrackerConfig,

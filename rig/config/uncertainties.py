@@ -10,7 +10,7 @@ from typing import Annotated
 from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
-from rig.config.sections import Section
+from rig.sections.base import Section
 
 _Std = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 _Stated = _Std | SkipJsonSchema[None]

@@ -11,7 +11,7 @@ import numpy as np
 from rig.config.schema import RigConfig
 from rig.contract.check import BrokenContractError, Check
 from rig.hardware.cameras.base import Frame
-from rig.hardware.cameras.registry import open_camera, serial_of
+from rig.hardware.cameras.registry import open_camera
 
 FRAMES = 15
 TIMEOUT_S = 2.0
@@ -69,7 +69,7 @@ def reopening(subject: CameraSubject) -> str:
     for _ in range(2):
         with closing(open_camera(subject.config, subject.name)) as camera:
             camera.read(TIMEOUT_S)
-    serial = serial_of(subject.config.cameras[subject.name])
+    serial = subject.config.cameras[subject.name].serial()
     return f"opened twice in {time.monotonic() - began:.1f} s, serial number {serial or 'none'}"
 
 

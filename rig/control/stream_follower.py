@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from protocols import SetPointTrajectory
 from protocols.trajectory import StreamInterval
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR
 from rig.control.interlocks.base import StreamSilence
+from rig.sections.quantities import PA_PER_BAR
 from runs.columns import StreamStatus
 
 Array = NDArray[np.float64]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rig.config.finding import Finding
 from rig.config.schema import RigConfig
 from rig.doctor import boards, cameras, cards, machine, plugins, trackers
-from rig.hardware.finding import Finding
 
 
 def examine(folder: Path, config: RigConfig | None = None) -> tuple[Finding, ...]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from rig.config.finding import Finding
 from rig.config.schema import RigConfig
-from rig.hardware.finding import Finding
 
 
 def rig_boards(config: RigConfig) -> list[Finding]:

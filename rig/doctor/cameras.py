@@ -9,11 +9,11 @@ import struct
 from pathlib import Path
 from typing import Any
 
+from rig.config.finding import Finding
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
 from rig.doctor.machine import group_name
 from rig.hardware.cameras.realsense import ANY, RECORDINGS, why_unusable
-from rig.hardware.finding import Finding
 
 _VIDIOC_QUERYCAP = 0x80685600
 _CAPABILITIES = "<16s32s32sIII12x"

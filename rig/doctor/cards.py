@@ -6,6 +6,7 @@ import platform
 from collections import Counter
 from pathlib import Path
 
+from rig.config.finding import Finding
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.comedi import ComediCard
@@ -13,7 +14,6 @@ from rig.hardware.cards.comedi_device import closed, device_paths, require
 from rig.hardware.cards.comedi_survey import ComediCardSurvey, survey
 from rig.hardware.cards.kernel_devices import ComediModule, PciCard, comedi, has_module, pci_cards
 from rig.hardware.cards.setup import card_setup
-from rig.hardware.finding import Finding
 
 ADVANTECH = "0x13fe"
 FAMILY_DRIVER = "adv_pci1710"

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 from rig.config.card_sections import CARD_DRIVERS, CardConfig
 from rig.config.drivers import CAMERA_DRIVERS, Driver
+from rig.config.finding import Finding
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
 from rig.config.tracker_sections import TRACKER_DRIVERS, TrackerConfig
-from rig.hardware.finding import Finding
 
 
 def rig_devices(config: RigConfig) -> Iterator[Finding]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from contextlib import closing
 
+from rig.config.finding import Finding
 from rig.config.schema import RigConfig
 from rig.config.tracker_sections import UdpTrackerConfig
-from rig.hardware.finding import Finding
 from rig.hardware.trackers.base import TrackerError
 from rig.hardware.trackers.registry import open_tracker
 from runs.records import DATAGRAM_COUNTS

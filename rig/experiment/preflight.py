@@ -7,7 +7,7 @@ from pathlib import Path
 
 from protocols import Problem, Protocol, Segment, SetPointTrajectory
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR
+from rig.sections.quantities import PA_PER_BAR
 
 JUMP_PA = 500.0
 """Largest change between segments that is not a jump; half the accuracy of the paper's sensors."""

@@ -19,12 +19,13 @@ from rig.config import loader
 from rig.config.loader import RigFile
 from rig.config.parameters_overlay import read as read_parameters
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR, Variant
+from rig.config.sections import Variant
 from rig.experiment.provenance import git_state, quantities, versions
 from rig.experiment.run import free_id
 from rig.hardware.cameras.base import Frame, FrameSet
 from rig.observation.observer import Observer
 from rig.observation.tip_force import MeasuredTipForce
+from rig.sections.quantities import PA_PER_BAR
 from runs.archive.writer import ArchiveError, finalise
 from runs.data_folder import DATA
 from runs.journal.journal import SUFFIX, JournalWriter

@@ -30,8 +30,8 @@ def measure_frames(rig: str = "mock") -> bool:
 
     from rig.config.loader import load
     from rig.hardware.cameras.base import FrameSet
-    from rig.hardware.cameras.mock import MockCamera
     from rig.observation.observer import Observer
+    from rig.simulator.mock_camera import MockCamera
     from rig.simulator.plant import Plant
 
     config = load(rig)

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 from rig.config.card_sections import CARD_DRIVERS, CardConfig
 from rig.config.drivers import CAMERA_DRIVERS, InstalledDriver
-from rig.config.plugins import PluginError, package_of
 from rig.config.sections import CameraConfig
 from rig.config.tracker_sections import TRACKER_DRIVERS, TrackerConfig
+from rig.sections.plugins import PluginError, package_of
 from rig.valves.base import ValveSection
 from rig.valves.registry import BUILT_IN, VALVE_PLUGINS
 

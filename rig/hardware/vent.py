@@ -13,7 +13,6 @@ from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.lock import described, held_by_unseen, holders
 from rig.hardware.safe_state import SafeOutputs, cards_with_valves, open_outputs, safe_voltages
 from rig.hardware.vent_verification import LONGEST_VENTING_S, verify_venting
-from rig.simulator.registers import Registers
 
 REPEATED_S = 0.25
 NOTICED_S = 0.1
@@ -25,12 +24,6 @@ FREED_S = 2.0
 ENDED_S = 3.0
 LOOK_S = 0.02
 _STOP_IT = "it may move the valves again; shut the air off, and stop it as its user or as root"
-
-
-def is_absent(config: RigConfig) -> bool:
-    """Return True for a rig of simulated cards that has never run: no device exists, and no process holds it."""
-    absent = (card.is_mock and not Registers.exist(card.device) for card in config.cards.values())
-    return all(absent) and not holders(config)
 
 
 @dataclass(frozen=True)

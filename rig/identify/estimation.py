@@ -23,9 +23,10 @@ from rig.config.arm_model import model_arm
 from rig.config.loader import RigFile
 from rig.config.parameters_overlay import read as read_parameters
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR, Placement
+from rig.config.sections import Placement
 from rig.identify.initial_setup import rig_of
 from rig.observation.online_estimation import default_parameters
+from rig.sections.quantities import PA_PER_BAR
 from runs.report.drawing import save
 from runs.run import Run
 

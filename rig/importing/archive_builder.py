@@ -19,7 +19,6 @@ from protocols.problems import BadInputError, Problem
 from protocols.source_positions import Document
 from rig.config import loader
 from rig.config.calibration_files import sha256_of
-from rig.config.sections import PA_PER_BAR
 from rig.experiment.provenance import git_state, versions
 from rig.experiment.run import free_id
 from rig.importing.columns import ColumnReader
@@ -28,6 +27,7 @@ from rig.importing.tables import read as read_table
 from rig.importing.timestamps import RowTimes, times
 from rig.importing.tracker_frames import PlacedTips, placed, wrench
 from rig.importing.units import KILOGRAMS, PASCALS, VOLTS, PressureUnit
+from rig.sections.quantities import PA_PER_BAR
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from runs.archive.writer import finalise
 from runs.data_folder import DATA

@@ -16,7 +16,7 @@ from protocols.document import Document, read
 from protocols.document import validate as validated
 from protocols.source_positions import path_text
 from protocols.validation import ValidationFault, faults
-from rig.config.sections import Flag, Moment, Placement, Section, Word
+from rig.config.sections import Placement
 from rig.importing.mapping_sections import (
     BaseSensor,
     PressureColumnsSection,
@@ -28,6 +28,8 @@ from rig.importing.mapping_sections import (
     WeightColumn,
     Wrench,
 )
+from rig.sections.base import Section
+from rig.sections.quantities import Flag, Moment, Word
 
 
 class Mapping(Section):

@@ -8,8 +8,9 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import ValidationFault, faults
-from rig.config.sections import Bar, Count, Flag, Index, NonNegative, Positive, Section, Triple, Word
 from rig.importing.units import ForceUnit, LengthUnit, MassUnit, MomentUnit, PressureUnit, TimeUnit, VoltUnit
+from rig.sections.base import Section
+from rig.sections.quantities import Bar, Count, Flag, Index, NonNegative, Positive, Triple, Word
 
 
 def _list_or_one(value: Any) -> str:

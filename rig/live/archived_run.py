@@ -17,7 +17,6 @@ from protocols import BadInputError
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.loader import recorded
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR
 from rig.live.messages import Message
 from rig.live.packets import ViewOverlay, ViewUpdate, lateness_cycles
 from rig.live.view_state import (
@@ -33,6 +32,7 @@ from rig.live.view_state import (
 )
 from rig.observation.overlay import arm_lines
 from rig.realtime.picture_rings import LINE_POINTS
+from rig.sections.quantities import PA_PER_BAR
 from runs.records import DetectionStatus
 from runs.run import Run
 

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config.sections import PA_PER_BAR
 from rig.live.view_state import ViewState
+from rig.sections.quantities import PA_PER_BAR
 
 Floats = NDArray[np.float64]
 MM = 1e3

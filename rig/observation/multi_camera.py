@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dlt import DLT, DLTError
+from calibration.multiview_pose import board_pose
 from calibration.vision.corners import Corners
-from calibration.vision.multiview_pose import board_pose
 from calibration.vision.tcp import tip_in_base
 from calibration.vision.tracker import Detection
 from calibration.vision.transforms import RigidTransform
@@ -51,7 +51,7 @@ class _PreviousEstimate:
 class MultiCameraTipEstimator:
     """Measures the tip in the rig's frame sets, in order.
 
-    Two or more pictures with the board give one pose in the world (`calibration.vision.multiview_pose`). Where only
+    Two or more pictures with the board give one pose in the world (`calibration.multiview_pose`). Where only
     one camera sees the board, that camera alone measures the tip.
     """
 

@@ -15,7 +15,8 @@ from model.statics import statics
 from model.variants import variant_named
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR, Variant
+from rig.config.sections import Variant
+from rig.sections.quantities import PA_PER_BAR
 from runs.records import Quantity, adaptation_dtype, blank
 
 

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.trajectory import StreamInterval
-from rig.config.sections import PA_PER_BAR
 from rig.control.stream_follower import StreamLimits, StreamPosition, judged
 from rig.execution.plan import RunPlan
 from rig.realtime.shared_state import SharedState
+from rig.sections.quantities import PA_PER_BAR
 from runs.columns import StreamStatus
 from runs.records import DetectionStatus, Level, blank, streamed_dtype
 

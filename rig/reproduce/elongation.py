@@ -23,9 +23,9 @@ from calibration.identify.paper_identification import (
 from model.tube import BallooningError, Tube
 from rig.config.arm_model import model_geometry
 from rig.config.loader import recorded
-from rig.config.sections import PA_PER_BAR
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
+from rig.sections.quantities import PA_PER_BAR
 from runs.report.colours import INK, MEASURED, MODEL, MUTED
 from runs.report.drawing import legend
 from runs.run import Run

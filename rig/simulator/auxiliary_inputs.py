@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rig.config.input_sections import SimulatedInput
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR
+from rig.sections.quantities import PA_PER_BAR
 
 G_PER_KG = 1e3
 SEED_STREAM = 7

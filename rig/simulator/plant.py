@@ -11,8 +11,8 @@ from model import NotConverged
 from model.dynamics import Dynamics
 from rig.config.arm_model import TipLoad, true_arm, true_geometry
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR
 from rig.hardware.cards.base import CardError, Scans
+from rig.sections.quantities import PA_PER_BAR
 from rig.simulator import pneumatics
 from rig.simulator.auxiliary_inputs import SimulatedInputs
 from rig.simulator.converter import sixteen_bits

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
+from rig.hardware.lock import holders
 from rig.simulator.registers import Registers
 
 READY = b"ready\n"
@@ -119,3 +120,9 @@ def simulated(config: RigConfig, rig_file: Path, seed: int) -> Iterator[Simulati
         while simulation is not None and not simulation.ready():
             time.sleep(LOOK_S)
         yield simulation
+
+
+def is_absent(config: RigConfig) -> bool:
+    """Return True for a rig of simulated cards that has never run: no device exists, and no process holds it."""
+    absent = (card.is_mock and not Registers.exist(card.device) for card in config.cards.values())
+    return all(absent) and not holders(config)

@@ -13,7 +13,7 @@ from model.statics import statics
 from rig.config.arm_model import true_arm
 from rig.config.optics import lens_of
 from rig.config.schema import RigConfig
-from rig.hardware.cameras.mock import MockCamera
+from rig.simulator.mock_camera import MockCamera
 from rig.simulator.scene import Optics, Scene
 from rig.simulator.tip_pose import TipPose
 

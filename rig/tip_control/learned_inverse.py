@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from protocols.tip_inverse import HISTORY_STEP_S, TipInverse, TipRequest, TipSolution
 from protocols.tip_paths import fade
-from rig.config.sections import PA_PER_BAR
+from rig.sections.quantities import PA_PER_BAR
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.learning import STEP_S, DisturbanceLearner, Repetition
 from runs.interpolation import interpolated

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from protocols.tip_reference import TipMotion
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR, Variant
+from rig.config.sections import Variant
 from rig.execution.plan import RunPlan
+from rig.sections.quantities import PA_PER_BAR
 from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory, TipControlSettings
 from rig.tip_control.plan_record import StampedPlan
 from rig.tip_control.registry import controller_class

@@ -15,7 +15,8 @@ from model.variation import Variation
 from protocols import SetPointTrajectory, TipMotion
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR, Variant
+from rig.config.sections import Variant
+from rig.sections.quantities import PA_PER_BAR
 from rig.tip_planning.path_follower import drive_of
 
 Array = NDArray[np.float64]

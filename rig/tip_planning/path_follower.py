@@ -17,7 +17,8 @@ from protocols.tip_inverse import HISTORY_S, HISTORY_STEP_S, TipRequest
 from protocols.tip_paths import ScaledPath, TipPath, TipStart, fade
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import RigConfig
-from rig.config.sections import PA_PER_BAR, Variant
+from rig.config.sections import Variant
+from rig.sections.quantities import PA_PER_BAR
 from runs.interpolation import interpolated
 
 Array = NDArray[np.float64]

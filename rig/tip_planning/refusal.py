@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from model.inverse.reachable import ReachablePoint, nearest_reachable
 from protocols.tip_inverse import TipRefusedError, TipRequest
 from protocols.tip_paths import length_m
-from rig.config.sections import PA_PER_BAR
+from rig.sections.quantities import PA_PER_BAR
 from rig.tip_planning.path_follower import PathFollower, TimedFollowing
 
 Array = NDArray[np.float64]

@@ -16,17 +16,9 @@ from typing import Annotated, Literal, NamedTuple
 from pydantic import Field
 
 from protocols.validation import ValidationFault
-from rig.config.sections import (
-    PA_PER_BAR,
-    ActuatorNumber,
-    Control,
-    Index,
-    Limits,
-    NonNegative,
-    Section,
-    VoltSpan,
-    Word,
-)
+from rig.sections.base import Section
+from rig.sections.control import Control, Limits
+from rig.sections.quantities import PA_PER_BAR, ActuatorNumber, Index, NonNegative, VoltSpan, Word
 from rig.valves.iso6358 import ATMOSPHERE_PA
 
 REFERENCE_SHARE = 0.5

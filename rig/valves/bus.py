@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from protocols.validation import ValidationFault
-from rig.config.sections import PA_PER_BAR, BarSpan, Control, Limits
+from rig.sections.control import Control, Limits
+from rig.sections.quantities import PA_PER_BAR, BarSpan
 from rig.valves.base import Faults, SimulatedValve, ValveTruth
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from rig.valves.pressure import PressureRegulator, RegulatingValve, range_faults

@@ -18,7 +18,8 @@ import numpy as np
 from pydantic import Field
 
 from protocols.validation import ValidationFault
-from rig.config.sections import PA_PER_BAR, Bar, Control, Limits, NonNegative, Positive, Volt
+from rig.sections.control import Control, Limits
+from rig.sections.quantities import PA_PER_BAR, Bar, NonNegative, Positive, Volt
 from rig.valves.base import Faults, Regulator, RegulatorState, SimulatedValve, ValveTruth, VoltageValve
 from rig.valves.iso6358 import ANR_PA, ATMOSPHERE_PA, flow_function, sonic_conductance
 

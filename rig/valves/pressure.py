@@ -12,7 +12,8 @@ from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import ValidationFault
-from rig.config.sections import PA_PER_BAR, Bar, BarSpan, Control, Limits, VoltSpan
+from rig.sections.control import Control, Limits
+from rig.sections.quantities import PA_PER_BAR, Bar, BarSpan, VoltSpan
 from rig.valves.base import Faults, Regulator, RegulatorState, SimulatedValve, ValveSection, ValveTruth, VoltageValve
 from rig.valves.iso6358 import ATMOSPHERE_PA
 

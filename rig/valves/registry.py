@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, get_args
 
 from pydantic import ConfigDict, Field
 
-from rig.config.plugins import PluginError, PluginGroup, PluginSections
-from rig.config.sections import Control, Limits
+from rig.sections.control import Control, Limits
+from rig.sections.plugins import PluginError, PluginGroup, PluginSections
 from rig.valves.base import Regulator, SimulatedValve, ValveSection, ValveTruth
 from rig.valves.bus import BusValve
 from rig.valves.flow import FlowValve

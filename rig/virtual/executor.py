@@ -22,17 +22,17 @@ from rig.control.control_loop import ControlLoop
 from rig.execution.plan import OpenRecord, OperatorInterface, Outcome, Progress, Recorder, RunPlan, StartError
 from rig.hardware.bench import Bench
 from rig.hardware.cameras.base import CameraError, FrameSet
-from rig.hardware.cameras.mock import Exposure, MockCamera
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import armed_sentence, failure_of
 from rig.hardware.tip_source import TipSourceError
-from rig.hardware.trackers.mock import LEAD_S, MockTracker
 from rig.hardware.vent_verification import VentOutcome, VentVerification
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
 from rig.observation.reading_sequence import ReadingSequence
 from rig.observation.tracker_source import silence
 from rig.realtime.health_monitor import HealthMonitor
+from rig.simulator.mock_camera import Exposure, MockCamera
+from rig.simulator.mock_tracker import LEAD_S, MockTracker
 from rig.simulator.plant import Plant
 from rig.tip_control.monitor import SOURCE, TipControlMonitor, failure_message
 from rig.virtual.frame_pipeline import MOST_IN_FLIGHT, FramePipeline, FrameProcessError, FrameSamples, FrameStages

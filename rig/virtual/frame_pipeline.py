@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.hardware.cameras.base import Frame, FrameSet
-from rig.hardware.cameras.mock import Exposure, MockCamera
 from rig.hardware.trackers.base import TrackerReading
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
 from rig.observation.tip_force import auxiliary_values
+from rig.simulator.mock_camera import Exposure, MockCamera
 from runs.records import Picture
 
 MOST_IN_FLIGHT = 40

@@ -9,7 +9,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-PA_PER_BAR = 1e5
 CHUNK_ROWS = 16384
 """Rows of a chunk of a dataset, and rows that are held at once."""
 QUANTITY_GROUPS = {
@@ -18,13 +17,6 @@ QUANTITY_GROUPS = {
     "model": "entry/model",
 }
 """The group of the quantities of each room."""
-
-LARGEST = 1e12
-"""Numbers are at most as large as this in their units, unless their field says otherwise; none is infinite."""
-LARGEST_S = 1e9
-"""The same of times in seconds: 30 years."""
-LARGEST_NS = 1 << 62
-"""The same of clocks in nanoseconds, so that a time can be added."""
 
 Value = NDArray[np.generic] | np.generic | str | int | float | list[str]
 

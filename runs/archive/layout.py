@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs.archive import column_groups, provenance
-from runs.archive.fields import LARGEST_NS, ComputedColumn, Field, Group, Pictures, named, row_chunks
+from runs.archive.fields import ComputedColumn, Field, Group, Pictures, named, row_chunks
 from runs.columns import COUNT, SECONDS
+from runs.columns.conversions import LARGEST_NS
 from runs.journal.journal import Journal
 from runs.records import Event, Level, Status
 

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from runs.archive.fields import PA_PER_BAR, QUANTITY_GROUPS, Field, Group, named
+from runs.archive.fields import QUANTITY_GROUPS, Field, Group, named
+from runs.columns.conversions import PA_PER_BAR
 from runs.journal.journal import Journal
 from runs.records import Interval, Quantity, StudyRole, StudyRun
 

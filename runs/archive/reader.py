@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs.archive.checked import content_sha256, opened
-from runs.archive.fields import PA_PER_BAR, QUANTITY_GROUPS
+from runs.archive.fields import QUANTITY_GROUPS
 from runs.archive.provenance import metadata, study_run
 from runs.columns import (
     Adaptation,
@@ -28,6 +28,7 @@ from runs.columns import (
     TipControl,
     TrackerClock,
 )
+from runs.columns.conversions import PA_PER_BAR
 from runs.columns.declaration import Table, Values
 from runs.records import AuxiliaryChannel, Event, Interval, Level, Quantity, RecordedFile, RunHeader, Status
 

@@ -15,7 +15,8 @@ import h5py
 import numpy as np
 
 from runs.archive import checksum, layout
-from runs.archive.fields import LARGEST, QUANTITY_GROUPS, ComputedColumn, Field, Group, Pictures
+from runs.archive.fields import QUANTITY_GROUPS, ComputedColumn, Field, Group, Pictures
+from runs.columns.conversions import LARGEST
 from runs.journal.journal import Journal
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
 from runs.records import (

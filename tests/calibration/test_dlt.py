@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.dlt import DLT, DLTError, calibrate, reconstruct
+from calibration.multiview_pose import board_pose
 from calibration.vision.corners import Corners
 from calibration.vision.lens import Lens
-from calibration.vision.multiview_pose import board_pose
 from calibration.vision.transforms import RigidTransform
 from tests.support.budget import examples
 from tests.support.vision_bench import BOARD

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from model.statics import statics
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
-from rig.config.sections import PA_PER_BAR
 from rig.hardware.cameras.base import FrameSet
-from rig.hardware.cameras.mock import MockCamera
 from rig.hardware.cards.base import CardSetup, Channel
 from rig.hardware.cards.comedi import ComediCard
 from rig.observation.observer import Observer
+from rig.sections.quantities import PA_PER_BAR
+from rig.simulator.mock_camera import MockCamera
 from rig.simulator.tip_pose import TipPose
 from runs.records import DetectionStatus
 from tests.hardware.kernel_card import CARD

@@ -1,26 +1,84 @@
-"""The structure of the code: what may import what, and one name for one thing."""
+"""The structure of the code: imports point down without cycles, and one class name stands for one class."""
 
 from __future__ import annotations
 
 import ast
+import re
 from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
-ROOMS = ("calibration", "model", "protocols", "rig", "runs")
+PAGE = ROOT / "docs" / "explanation" / "architecture.md"
+BELOW = {
+    "rig": {"calibration", "model", "protocols", "runs"},
+    "calibration": {"model", "runs"},
+    "model": set(),
+    "protocols": set(),
+    "runs": set(),
+}
+"""The rooms that a room may import."""
 
 
 def modules() -> dict[str, ast.Module]:
     """Every module of the rooms by its dotted name."""
     found = {}
-    for room in ROOMS:
+    for room in BELOW:
         for path in sorted((ROOT / room).rglob("*.py")):
             parts = path.relative_to(ROOT).with_suffix("").parts
             found[".".join(parts).removesuffix(".__init__")] = ast.parse(path.read_text())
     return found
 
 
-def duplicate_classes(trees: dict[str, ast.Module]) -> dict[str, list[str]]:
+def imports(trees: Mapping[str, ast.Module]) -> Iterator[tuple[str, str]]:
+    """Pairs (importing module, imported module); also imports inside functions and for types only."""
+    for name, tree in trees.items():
+        for node in ast.walk(tree):
+            targets = []
+            if isinstance(node, ast.Import):
+                targets = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                assert node.module is not None, f"{name}, line {node.lineno}: a relative import"
+                of_package = [f"{node.module}.{alias.name}" for alias in node.names]
+                targets = [target if target in trees else node.module for target in of_package]
+            yield from ((name, target) for target in targets if target in trees and target != name)
+
+
+def folder_graphs(trees: Mapping[str, ast.Module]) -> dict[str, dict[str, set[str]]]:
+    """For each folder the graph between its entries, modules and packages; "" is the folder of the rooms.
+
+    An import counts in the folder where the two paths part. A package's own `__init__` is one of its entries.
+    """
+    graphs: dict[str, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+    for importing, imported in imports(trees):
+        one, other = importing.split("."), imported.split(".")
+        shared = sum(1 for _ in _equal_start(one, other))
+        folder = ".".join(one[:shared])
+        start, end = ((*path, "__init__")[shared] for path in (one, other))
+        graphs[folder][start].add(end)
+    return graphs
+
+
+def _equal_start(one: list[str], other: list[str]) -> Iterator[str]:
+    for a, b in zip(one, other, strict=False):
+        if a != b:
+            return
+        yield a
+
+
+def cycle(graph: Mapping[str, set[str]]) -> list[str]:
+    """Entries of one cycle, the first again at the end; empty without a cycle."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+def duplicate_classes(trees: Mapping[str, ast.Module]) -> dict[str, list[str]]:
     """Public class names that several modules define, with these modules."""
     places = defaultdict(list)
     for name, tree in trees.items():
@@ -30,13 +88,51 @@ def duplicate_classes(trees: dict[str, ast.Module]) -> dict[str, list[str]]:
     return {name: found for name, found in places.items() if len(found) > 1}
 
 
-def test_a_class_name_stands_for_one_class() -> None:
-    assert not duplicate_classes(modules())
+@pytest.fixture(scope="module")
+def trees() -> dict[str, ast.Module]:
+    """The modules of the rooms."""
+    return modules()
+
+
+def test_rooms_import_only_the_rooms_below(trees: dict[str, ast.Module]) -> None:
+    graph = folder_graphs(trees)[""]
+    assert {room: below - BELOW[room] for room, below in graph.items() if below - BELOW[room]} == {}
+
+
+def test_no_folder_has_a_cycle_of_imports_between_its_packages_and_modules(trees: dict[str, ast.Module]) -> None:
+    cycles = {folder: cycle(graph) for folder, graph in folder_graphs(trees).items()}
+    assert {folder: found for folder, found in cycles.items() if found} == {}
+
+
+def test_the_architecture_page_lists_each_package_of_rig_above_those_that_it_imports(
+    trees: dict[str, ast.Module],
+) -> None:
+    listed = re.findall(r"^\| `(\w+)` \|", PAGE.read_text().split("## The packages of `rig`")[1], re.MULTILINE)
+    graph = folder_graphs(trees)["rig"]
+    assert sorted(listed) == sorted(path.parent.name for path in (ROOT / "rig").glob("*/__init__.py"))
+    upward = [(one, other) for one in listed for other in graph[one] if listed.index(other) <= listed.index(one)]
+    assert upward == []
+
+
+def test_a_class_name_stands_for_one_class(trees: dict[str, ast.Module]) -> None:
+    assert not duplicate_classes(trees)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "from rig.b import two",
+        "import rig.b.two",
+        "def lazy():\n    from rig.b.two import x",
+        "if TYPE:\n    import rig.b",
+    ],
+)
+def test_a_cycle_between_packages_is_found_wherever_its_imports_stand(text: str) -> None:
+    sources = {"rig.a.one": text, "rig.b": "", "rig.b.two": "", "rig.b.three": "from rig.a.one import y"}
+    graphs = folder_graphs({name: ast.parse(source) for name, source in sources.items()})
+    assert sorted(set(cycle(graphs["rig"]))) == ["a", "b"]
 
 
 def test_a_class_name_that_two_modules_define_is_found() -> None:
-    trees = {
-        "a": ast.parse("class Tip: ...\nclass _Own: ..."),
-        "b.c": ast.parse("if True:\n    class Tip: ...\nclass _Own: ..."),
-    }
-    assert duplicate_classes(trees) == {"Tip": ["a", "b.c"]}
+    sources = {"a": "class Tip: ...\nclass _Own: ...", "b.c": "if True:\n    class Tip: ...\nclass _Own: ..."}
+    assert duplicate_classes({name: ast.parse(source) for name, source in sources.items()}) == {"Tip": ["a", "b.c"]}

@@ -19,9 +19,9 @@ from pydantic import Field
 
 from rig.config.card_sections import CardConfig
 from rig.config.drivers import Plugin
-from rig.config.sections import Positive
+from rig.config.finding import Finding
 from rig.hardware.cards.base import CardError, CardSetup, Scans
-from rig.hardware.finding import Finding
+from rig.sections.quantities import Positive
 
 CHANNELS = 8
 BAR_PER_V = 0.2

@@ -21,8 +21,3 @@ def open_camera(config: RigConfig, name: str, seed: int = 0) -> Camera:
         CameraError: the camera cannot be opened.
     """
     return camera_driver(config.cameras[name]).open(config, name, seed)
-
-
-def serial_of(camera: CameraConfig) -> str | None:
-    """Serial number of a rig's camera as it is plugged in now; None where it has none or is not there."""
-    return camera_driver(camera).serial(camera)

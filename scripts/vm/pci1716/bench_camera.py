@@ -13,7 +13,7 @@ from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.transforms import RigidTransform
 from rig.config.optics import camera_in_base, lens_of
 from rig.config.schema import RigConfig
-from rig.hardware.cameras.mock import MockCamera
+from rig.simulator.mock_camera import MockCamera
 from rig.simulator.plant import Plant
 from rig.simulator.scene import Optics, Scene
 from rig.simulator.simulated_operator import shown_boards

@@ -38,7 +38,7 @@ def _matrix(size: int) -> calibration_schema.Matrix:
 def camera_file(**changed: Any) -> calibration_schema.CameraFile:
     """A camera's calibration for the mock rig."""
     values: dict[str, Any] = {
-        **calibration_files.origin(),
+        **file_sections.origin(),
         "kind": "camera",
         "camera": calibration_schema.CameraIdentity(
             name="front", driver="mock", device="mock0", width_px=640, height_px=480
@@ -56,7 +56,7 @@ def camera_file(**changed: Any) -> calibration_schema.CameraFile:
 def tool_file(**changed: Any) -> calibration_schema.ToolFile:
     """A tool calibration for the mock rig."""
     values: dict[str, Any] = {
-        **calibration_files.origin(),
+        **file_sections.origin(),
         "kind": "tool",
         "camera": calibration_schema.CameraIdentity(
             name="front", driver="mock", device="mock0", width_px=640, height_px=480
@@ -284,7 +284,7 @@ def test_a_calibration_of_something_else_is_refused_with_its_line(
 
 def test_a_camera_with_another_serial_number_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(camera_file(camera=_identity(serial="A1")), tmp_path / "c.yaml")
-    monkeypatch.setattr("rig.hardware.cameras.registry.serial_of", lambda camera: "B2")
+    monkeypatch.setattr("rig.config.sections.CameraConfig.serial", lambda camera: "B2")
     with pytest.raises(BadInputError, match="B2, the serial number of the camera that is plugged in"):
         loader.load(_rig(tmp_path, "c.yaml"))
 

@@ -26,7 +26,7 @@ import time
 import numpy as np
 from rig.config.drivers import Plugin
 from rig.config.card_sections import CardConfig
-from rig.config.sections import Positive
+from rig.sections.quantities import Positive
 from rig.hardware.cards.base import Scans
 
 class BoxConfig(CardConfig):
@@ -48,7 +48,7 @@ class Box:
         pass
 
 def examine(name, section):
-    from rig.hardware.finding import Finding
+    from rig.config.finding import Finding
     if section.gain > 100:
         raise RuntimeError("no such gain")
     return [Finding(f"box {name}", "ok", f"gain {section.gain:g}")]

@@ -14,13 +14,13 @@ from types import SimpleNamespace
 import pytest
 
 import rig.config.loader
+from rig.config.finding import Finding
 from rig.config.schema import RigConfig
 from rig.doctor import cameras, cards, examine
 from rig.doctor import machine as computer
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.comedi_survey import ComediCardSurvey, SubdeviceSurvey
 from rig.hardware.cards.kernel_devices import AttachedDevice, ComediModule, comedi, has_module, pci_cards
-from rig.hardware.finding import Finding
 
 RELEASE = platform.release()
 NOTHING_ATTACHED = """comedi version 0.7.76

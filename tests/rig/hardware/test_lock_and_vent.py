@@ -22,12 +22,12 @@ from rig.hardware import lock
 from rig.hardware.bench import open_bench
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.cards.kernel_devices import AttachedDevice, ComediModule, processes_with
-from rig.hardware.cards.mock import MockCard
 from rig.hardware.lock import cards_locked, holders, lock_file
 from rig.hardware.safe_state import SafeOutputs, open_outputs
 from rig.hardware.vent import vent
 from rig.realtime import control_process as control
 from rig.realtime.shared_state import SharedState, StateLayout, Stop
+from rig.simulator.mock_card import MockCard
 from rig.simulator.registers import Registers
 
 HOLD = (

@@ -23,11 +23,11 @@ import rig.hardware.vent
 from rig.config.schema import RigConfig
 from rig.hardware import lock, runtime_folder
 from rig.hardware.cards.base import CardBusyError, CardError
-from rig.hardware.cards.mock import MockCard
 from rig.hardware.lock import cards_locked, held_by_unseen, holders, lock_file, running_rigs
 from rig.hardware.runtime_folder import open_private
 from rig.hardware.vent_verification import VentOutcome
 from rig.realtime.control_socket import socket_paths
+from rig.simulator.mock_card import MockCard
 from rig.simulator.registers import Registers, path_of
 
 OTHER_USER = 65534

@@ -8,8 +8,8 @@ import pytest
 import rig.config.loader
 import rig.config.schema
 from rig.hardware.cameras.base import Frame, FrameSet
-from rig.hardware.cameras.mock import MockCamera
 from rig.observation.observer import Observer, PressureInterpolator
+from rig.simulator.mock_camera import MockCamera
 from runs.records import DetectionStatus
 from tests.support.vision_bench import FRAME_NS, Sweep
 

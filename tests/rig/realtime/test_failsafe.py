@@ -287,6 +287,6 @@ def test_a_process_waits_for_its_start_and_gives_up_once_the_run_is_over(
 
 def test_control_and_watchdog_of_a_mock_card_do_not_load_numba() -> None:
     program = "import sys, rig.realtime.supervisor, rig.realtime.control_process, rig.realtime.watchdog_process\n"
-    program += "import rig.hardware.cards.mock\n"
+    program += "import rig.simulator.mock_card\n"
     program += "assert 'numba' not in sys.modules"
     subprocess.run([sys.executable, "-c", program], check=True)

@@ -39,7 +39,7 @@ RUNNING = [
     "control",
     "observation",
     "simulator",
-    "simulator/arm_effects",
+    "arm_effects",
     "execution",
     "tip_control",
 ]

@@ -14,13 +14,13 @@ from rig.execution.plan import RunPlan
 from rig.experiment import run as experiment
 from rig.hardware.bench import Bench
 from rig.hardware.cameras import mock
-from rig.hardware.cameras.mock import MockCamera
 from rig.realtime import process_group
 from rig.realtime.health_monitor import HealthMonitor
 from rig.realtime.process_group import ProcessGroup
 from rig.realtime.scheduling import HeartbeatMonitor
 from rig.realtime.shared_state import SharedState, Stage, StateLayout
 from rig.realtime.timing_limits import TimingLimits, TimingProfile
+from rig.simulator.mock_camera import MockCamera
 from rig.simulator.plant import Plant
 from rig.simulator.tip_pose import TipPose
 from runs.records import Level, sample_dtype

@@ -7,9 +7,9 @@ import pytest
 
 import rig.config.loader
 from rig.hardware.cameras.base import CameraError
-from rig.hardware.cameras.mock import MockCamera
 from rig.hardware.cards.base import CardError, Scans
 from rig.simulator.faults import CameraFault, Faults, SensorFault, ValveFault
+from rig.simulator.mock_camera import MockCamera
 from rig.simulator.plant import Plant, PlantCard
 from tests.support.vision_bench import Sweep
 

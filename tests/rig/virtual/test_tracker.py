@@ -10,7 +10,7 @@ import pytest
 import runs
 from rig.config import loader
 from rig.experiment import run as experiment
-from rig.hardware.trackers.mock import LEAD_S
+from rig.simulator.mock_tracker import LEAD_S
 from runs.records import DATAGRAM_COUNTS, DetectionStatus, Status
 from runs.run import Run
 from tests.rig.virtual.test_run import Silent, protocol_file

@@ -13,10 +13,10 @@ from rig.config.schema import RigConfig
 from rig.experiment import run as experiment
 from rig.experiment.replay import replay
 from rig.hardware.cameras.base import Frame, FrameSet
-from rig.hardware.cameras.mock import MockCamera
 from rig.live.archived_run import ArchivedRun
 from rig.observation.multi_camera import MultiCameraTipEstimator
 from rig.realtime.health_monitor import HealthMonitor
+from rig.simulator.mock_camera import MockCamera
 from runs.records import DetectionStatus, Level, observation_dtype
 from runs.run import Run
 from tests.rig.virtual.test_run import Silent, protocol_file

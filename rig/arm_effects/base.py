@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 
 from protocols.validation import ValidationFault
-from rig.config.sections import Section
+from rig.sections.base import Section
 
 
 class ArmEffect(ABC):

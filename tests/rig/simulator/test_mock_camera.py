@@ -10,7 +10,7 @@ import pytest
 import rig.config.loader
 import rig.config.schema
 from rig.hardware.cameras.base import CameraError
-from rig.hardware.cameras.mock import MockCamera
+from rig.simulator.mock_camera import MockCamera
 from rig.simulator.tip_pose import TipPose
 from tests.support.vision_bench import FRAME_NS, Sweep
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from rig.simulator.arm_effects.base import ArmEffect, ArmEffectSection
+from rig.arm_effects.base import ArmEffect, ArmEffectSection
 
 Amount = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False, strict=True)]
 Scale = Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False, strict=True)]

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from rig.simulator.arm_effects.base import ArmEffect, ArmEffectSection
+from rig.arm_effects.base import ArmEffect, ArmEffectSection
 
 
 class PushSection(ArmEffectSection):

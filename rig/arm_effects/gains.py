@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from protocols.validation import ValidationFault
-from rig.simulator.arm_effects.base import ArmEffect, ArmEffectSection
+from rig.arm_effects.base import ArmEffect, ArmEffectSection
 
 Gain = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False, strict=True)]
 

@@ -8,15 +8,15 @@ import pytest
 
 import protocols
 from rig.config import loader
-from rig.config.json_schemas import FILES, schema_text
+from scripts.json_schemas import FILES, schema_text
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_committed_schemas_are_up_to_date(name: str) -> None:
     committed = (ROOT / "docs" / "schemas" / name).read_text(encoding="utf-8")
-    assert committed == schema_text(FILES[name]), "run: python -m rig.config.json_schemas docs/schemas"
+    assert committed == schema_text(FILES[name]), "run: python -m scripts.json_schemas docs/schemas"
 
 
 @pytest.mark.parametrize(

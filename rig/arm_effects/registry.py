@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from rig.simulator.arm_effects.base import ArmEffectSection
-from rig.simulator.arm_effects.coupling import CouplingSection
-from rig.simulator.arm_effects.creep import CreepSection
-from rig.simulator.arm_effects.gains import GainsSection
-from rig.simulator.arm_effects.hysteresis import HysteresisSection
-from rig.simulator.arm_effects.push import PushSection
-from rig.simulator.arm_effects.softening import SofteningSection
+from rig.arm_effects.base import ArmEffectSection
+from rig.arm_effects.coupling import CouplingSection
+from rig.arm_effects.creep import CreepSection
+from rig.arm_effects.gains import GainsSection
+from rig.arm_effects.hysteresis import HysteresisSection
+from rig.arm_effects.push import PushSection
+from rig.arm_effects.softening import SofteningSection
 
 ARM_EFFECTS: tuple[type[ArmEffectSection], ...] = (
     CouplingSection,

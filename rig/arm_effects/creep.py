@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from rig.config.sections import Section
-from rig.simulator.arm_effects.base import ArmEffect, ArmEffectSection
+from rig.arm_effects.base import ArmEffect, ArmEffectSection
+from rig.sections.base import Section
 
 
 class CreepBranch(Section):

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from model.statics import statics
 from protocols import BadInputError
+from rig.arm_effects.base import ArmEffect
+from rig.arm_effects.creep import CreepSection
+from rig.arm_effects.hysteresis import HysteresisSection
+from rig.arm_effects.registry import ARM_EFFECTS
+from rig.arm_effects.softening import SofteningSection
 from rig.config import loader
 from rig.config.arm_model import true_arm
 from rig.config.simulator_sections import Simulator
-from rig.simulator.arm_effects.base import ArmEffect
-from rig.simulator.arm_effects.creep import CreepSection
-from rig.simulator.arm_effects.hysteresis import HysteresisSection
-from rig.simulator.arm_effects.registry import ARM_EFFECTS
-from rig.simulator.arm_effects.softening import SofteningSection
 from rig.simulator.plant import ARM_STEP_S, Plant
 from tests.support.plant_bench import mock_rig
 

@@ -1,6 +1,6 @@
 """JSON Schemas, for editors, of every YAML that people write.
 
-`python -m rig.config.json_schemas docs/schemas` writes them.
+`python -m scripts.json_schemas docs/schemas` writes them.
 """
 
 from __future__ import annotations
