@@ -14,10 +14,9 @@ from model.geometry import Geometry
 from model.kernels import layout
 from model.kernels.arguments import ArmArguments
 from model.kernels.law import Walls, kernel_law
-from model.laws.base import TubeLaw
-from model.laws.quadratic_compliance import QuadraticCompliance
 from model.loads import Loads
 from model.section import CrossSection, section, upper
+from model.variants import DEFAULT_TUBE_LAW
 from model.viscoelasticity import viscous_time_s
 
 Array = NDArray[np.float64]
@@ -129,8 +128,7 @@ def _no_load(nodes: int) -> Array:
 
 
 def _walls(arm: Arm, branched: bool) -> Walls:
-    # Where no tube follows a law any will do: kernels of the default one are always compiled.
-    law = arm.law if isinstance(arm.law, TubeLaw) else QuadraticCompliance()
+    law = arm.law.tube_law or DEFAULT_TUBE_LAW
     return Walls(arm.law.pointwise, kernel_law(law.name, law.response, branched), arm.geometry.actuators)
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from model.laws.base import ConstitutiveLaw
+from model.laws.base import ConstitutiveLaw, TubeLaw
 from model.laws.constant_modulus import ConstantModulus
 from model.laws.quadratic_compliance import FrozenCompliance, QuadraticCompliance
 
 POINTWISE = "pointwise"
+DEFAULT_TUBE_LAW: TubeLaw = QuadraticCompliance()
+"""The law for which the kernels are always compiled: an arm whose tubes follow none runs on the same kernels."""
 _FROZEN = (
     FrozenCompliance("secant", tangent=False, passive_share=False),
     FrozenCompliance("tangent", tangent=True, passive_share=False),
@@ -62,7 +64,5 @@ def variant_named(name: str) -> ModelVariant:
 register(ModelVariant("homogeneous", ConstantModulus(), radial_effect=False))
 register(ModelVariant("homogeneous+rpe", ConstantModulus(), radial_effect=True))
 register(
-    ModelVariant(
-        "inhomogeneous+rpe", QuadraticCompliance(), radial_effect=True, rules={law.name: law for law in _FROZEN}
-    )
+    ModelVariant("inhomogeneous+rpe", DEFAULT_TUBE_LAW, radial_effect=True, rules={law.name: law for law in _FROZEN})
 )

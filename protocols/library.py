@@ -19,7 +19,6 @@ from protocols.problems import BadInputError, Problem
 from protocols.schema import InnerSteps, ProtocolFile, Step
 from protocols.source_positions import path_text, shortened
 from protocols.steps.base import LeafStep
-from protocols.steps.tip import TipStep
 from protocols.substitution import KEY, Substitution, substitute
 from protocols.tip_inverse import TipInverse
 from protocols.trajectory import SetPointTrajectory
@@ -58,7 +57,7 @@ class Protocol:
     @property
     def moves_tip(self) -> bool:
         """True if a step gives a path of the tip."""
-        return any(isinstance(step, TipStep) for _, step in _leaves(self.steps, ("steps",)))
+        return any(step.moves_tip for _, step in _leaves(self.steps, ("steps",)))
 
     def step_at(self, line: int) -> tuple[str, int]:
         """The path in words and the column of the step that a segment's `line` points to."""

@@ -38,6 +38,11 @@ class ConstitutiveLaw(ABC):
         """The numbers that the kernels take of a `TubeLaw`."""
         return ()
 
+    @property
+    def tube_law(self) -> TubeLaw | None:
+        """Itself, if each tube follows it at its own place."""
+        return None
+
     def stiffness_under_pressure_n(
         self, material: Material, geometry: Geometry, pressure_pa: Array, push_pa: Array
     ) -> Array:
@@ -52,6 +57,11 @@ class TubeLaw(ConstitutiveLaw):
     """
 
     pointwise = True
+
+    @property
+    def tube_law(self) -> TubeLaw:
+        """Itself."""
+        return self
 
     @abstractmethod
     def constants(self, material: Material, geometry: Geometry) -> tuple[float, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, ClassVar, Protocol
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 from pydantic.json_schema import SkipJsonSchema
@@ -93,7 +93,12 @@ class Player(Protocol):
 
 
 class LeafStep(StepPart, ABC):
-    """A step that takes time. `protocols.schema.Step` registers the kinds."""
+    """A step that takes time. `protocols.schema.Step` registers the kinds.
+
+    moves_tip: the step gives a path of the tip, from which the set-points follow.
+    """
+
+    moves_tip: ClassVar[bool] = False
 
     @abstractmethod
     def play(self, player: Player) -> None:

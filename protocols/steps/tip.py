@@ -23,6 +23,8 @@ class TipStep(MotionStep):
     refused.
     """
 
+    moves_tip = True
+
     circle: Circle | SkipJsonSchema[None] = None
     figure_eight: FigureEight | SkipJsonSchema[None] = None
     star: Star | SkipJsonSchema[None] = None

@@ -18,7 +18,6 @@ from rig.control.interlocks import evaluation
 from rig.control.interlocks.base import Sample, Trip
 from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.hardware.bench import Bench
-from rig.valves.flow import FlowRegulator
 
 Floats = NDArray[np.float64]
 
@@ -84,8 +83,7 @@ class BenchDriver:
         """
         command_v = np.array(self._prepared.safe_v)
         settings = self._prepared.valves[valve]
-        assert isinstance(settings, FlowRegulator)
-        command_v[valve] = settings.closed_v + settings.fill_sign * offset_v
+        command_v[valve] = settings.opening_v(offset_v)
         chambers = list(settings.actuators)
         states = (SensorState(),) * self._config.actuators
         start: float | None = None
@@ -97,7 +95,7 @@ class BenchDriver:
             # The reference follows the reading, so only level, rate and a frozen reading can trip.
             demands = [
                 RegulatorDemand(
-                    math.nan, pressure, settings.rate_pa_s(offset_v, pressure) if i in chambers else 0.0, 0.0
+                    math.nan, pressure, settings.opening_rate_pa_s(offset_v, pressure) if i in chambers else 0.0, 0.0
                 )
                 for i, pressure in enumerate(sample.pressure_pa.tolist())
             ]

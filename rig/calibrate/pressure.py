@@ -22,7 +22,6 @@ from rig.config.loader import load, path_of
 from rig.config.schema import RigConfig
 from rig.execution.plan import StoppedError
 from rig.simulator.plant_launcher import simulated
-from rig.valves.flow import FlowValve
 
 _LARGEST_ML = 1e5
 _VOLUME_DOUBT = 0.1
@@ -152,7 +151,7 @@ def _drive(
     readings = read_gauge(config, driver, gauge, operator.tell) if request.by_gauge else {}
     rates = {}
     for index, valve in enumerate(config.valves) if request.valves else ():
-        if isinstance(valve, FlowValve):
+        if valve.metering is not None:
             operator.tell(f"valve {index + 1}: sweep of its voltage")
             rates[index] = sweep(config, driver, index)
     return PressureMeasurements(readings, rates)

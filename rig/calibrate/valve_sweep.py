@@ -19,8 +19,8 @@ from rig.config.calibration_files import rounded
 from rig.config.schema import RigConfig
 from rig.control.interlocks.actuator_interlocks import PressureRate
 from rig.sections.quantities import PA_PER_BAR
-from rig.valves.flow import FlowValve
 from rig.valves.iso6358 import ATMOSPHERE_PA
+from rig.valves.metering import FlowMetering
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ _LEAST_ROWS = 8
 def sweep(config: RigConfig, driver: BenchDriver, index: int) -> list[RateMeasurement]:
     """Open one valve to more and more voltages, either side, out and back; watch how fast the pressure moves."""
     valve = config.valves[index]
-    assert isinstance(valve, FlowValve)
+    metering = _metering(config, index)
     highest = config.limits.pressure_bar * PA_PER_BAR
     chambers = [a - 1 for a in valve.actuators]
 
@@ -60,7 +60,7 @@ def sweep(config: RigConfig, driver: BenchDriver, index: int) -> list[RateMeasur
     limit = FASTEST_SHARE * PressureRate.of(config, config.sensors[0]).limit_pa_s
     going = {1.0: True, -1.0: True}
     fastest = {1.0: (0.0, 0.0), -1.0: (0.0, 0.0)}
-    room_v = min(valve.closed_V - valve.range_V[0], valve.range_V[1] - valve.closed_V) - KICK_V
+    room_v = min(metering.closed_v - metering.low_v, metering.high_v - metering.closed_v) - KICK_V
     for offset in (float(v) for v in OFFSETS_V if v <= room_v):
         for side, share in ((1.0, FILL_FROM), (-1.0, VENT_FROM)):
             if not going[side]:
@@ -78,6 +78,12 @@ def sweep(config: RigConfig, driver: BenchDriver, index: int) -> list[RateMeasur
             going[side] = now + 1.6 * slope * 0.1 < limit
     driver.regulate(np.zeros(config.actuators), VENT_S)
     return rates
+
+
+def _metering(config: RigConfig, index: int) -> FlowMetering:
+    metering = config.valves[index].metering
+    assert metering is not None, f"valve {index + 1} does not meter flow"
+    return metering
 
 
 def rate_of(time_s: Floats, pressure_pa: Floats, offset_v: float, outward: bool) -> RateMeasurement:
@@ -115,12 +121,10 @@ def valve_section(
     config: RigConfig, index: int, rates: list[RateMeasurement], volume_ml: float, volume_std_ml: float
 ) -> calibration_schema.ValveCalibration:
     """One valve from its rates; `volume_ml` is one chamber's with its tube."""
-    valve = config.valves[index]
-    assert isinstance(valve, FlowValve)
-    chambers = [a - 1 for a in valve.actuators]
+    chambers = [a - 1 for a in config.valves[index].actuators]
     count, arm = len(chambers), model_arm(config)
     volumes = [volume_m3(config, chambers, count * volume_ml * 1e-6, r.pressure_pa, arm) for r in rates]
-    found = fit(valve, valve.fill_sign, rates, volumes)
+    found = fit(_metering(config, index), rates, volumes)
     return _valve_section(config, index, found, volume_ml * count, volume_std_ml * count)
 
 
@@ -128,7 +132,6 @@ def _valve_section(
     config: RigConfig, index: int, found: FittedValve, volume_ml: float, volume_std_ml: float
 ) -> calibration_schema.ValveCalibration:
     valve = config.valves[index]
-    assert isinstance(valve, FlowValve)
     full = found.full_l_min
     return calibration_schema.ValveCalibration(
         valve=index + 1,
@@ -148,7 +151,7 @@ def _valve_section(
         measured_to_V=rounded(found.measured_to_v, 4),
         volume_ml=rounded(volume_ml, 5),
         volume_std_ml=rounded(volume_std_ml, 3),
-        supply_bar=valve.supply_bar,
+        supply_bar=rounded((_metering(config, index).supply_pa - ATMOSPHERE_PA) / PA_PER_BAR),
         rms_l_min=rounded(float(np.sqrt(np.mean(found.residuals_l_min**2))), 4),
         points=tuple(
             calibration_schema.FlowPoint(

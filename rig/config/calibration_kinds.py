@@ -26,7 +26,6 @@ from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
 from rig.config.sections import LensConfig, Placement, Sensor
 from rig.valves.base import ValveSection
-from rig.valves.flow import FlowValve
 
 Faults = Iterator[Problem]
 YamlPath = tuple[str | int, ...]
@@ -181,13 +180,7 @@ class PressureOverlay(CalibrationOverlay[PressureFile]):
                     sensor["span_V"] = list(scale.span_V)
                     sensor["span_bar"] = [scale.offset_bar + scale.scale_bar_per_V * v for v in scale.span_V]
         for sweep in self.found.valves:
-            data["valves"][sweep.valve - 1] |= {
-                "closed_V": sweep.closed_V,
-                "dead_zone_V": sweep.dead_zone_V,
-                "full_flow_l_min": sweep.full_flow_l_min,
-                "flow_curve_V": list(sweep.flow_curve_V),
-                "flow_curve_percent": list(sweep.flow_curve_percent),
-            }
+            data["valves"][sweep.valve - 1] |= config.valves[sweep.valve - 1].calibrated(sweep)
 
     def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Faults:
         """Yield another sensor, valve or channel."""
@@ -219,13 +212,13 @@ class PressureOverlay(CalibrationOverlay[PressureFile]):
                 yield self.calibration.problem((*here, "valve"), sweep.valve, f"a valve from 1 to {len(config.valves)}")
                 continue
             valve = config.valves[sweep.valve - 1]
-            if not isinstance(valve, FlowValve):
+            if (metering := valve.metering) is None:
                 expected = f"a valve that meters flow; valve {sweep.valve} of rig {config.name} regulates by itself"
                 yield self.calibration.problem((*here, "valve"), sweep.valve, expected)
                 continue
             yield from _other_channel(config, self.calibration, here, sweep, valve, f"valve {sweep.valve}")
-            if not valve.range_V[0] < sweep.closed_V < valve.range_V[1]:
-                expected = f"a voltage inside range_V of the valve, {valve.range_V[0]:g} to {valve.range_V[1]:g} V"
+            if not metering.low_v < sweep.closed_V < metering.high_v:
+                expected = f"a voltage inside range_V of the valve, {metering.low_v:g} to {metering.high_v:g} V"
                 yield self.calibration.problem((*here, "closed_V"), sweep.closed_V, expected)
 
 

@@ -24,7 +24,7 @@ from rig.sections.quantities import (
     VoltSpan,
     Word,
 )
-from rig.valves.flow import flow_curve_faults
+from rig.valves.metering import flow_curve_faults
 
 Row = tuple[Number, ...]
 Matrix = tuple[Row, ...]

@@ -8,11 +8,10 @@ throughout, where a name does not say otherwise.
 
 from __future__ import annotations
 
-import itertools
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -22,6 +21,7 @@ from rig.sections.control import Control, Limits
 from rig.sections.quantities import PA_PER_BAR, Bar, NonNegative, Positive, Volt
 from rig.valves.base import Faults, Regulator, RegulatorState, SimulatedValve, ValveTruth, VoltageValve
 from rig.valves.iso6358 import ANR_PA, ATMOSPHERE_PA, flow_function, sonic_conductance
+from rig.valves.metering import FlowMetering, MeasuredFlow, flow_curve_faults
 
 SOFT_FRACTION = 0.005
 """Smaller openings cross the dead zone linearly instead of with a jump, so that noise does not wear the spool."""
@@ -76,8 +76,12 @@ class FlowRegulator(Regulator):
         volts = min(max(self.closed_v + self.fill_sign * offset, self.low_v), self.high_v)
         return RegulatorState(reference_pa, integral, demand, volts)
 
-    def rate_pa_s(self, offset_v: float, pressure_pa: float) -> float:
-        """The rate of the pressure that an offset from the closed voltage should cause; positive fills."""
+    def opening_v(self, offset_v: float) -> float:
+        """The voltage at an offset from the closed one."""
+        return self.closed_v + self.fill_sign * offset_v
+
+    def opening_rate_pa_s(self, offset_v: float, pressure_pa: float) -> float:
+        """The rate from the flow through that opening."""
         fraction = float(np.interp(abs(offset_v), self.offsets_v, self.fractions))
         return math.copysign(fraction, offset_v) * self._full_rate_pa_s(offset_v, pressure_pa)
 
@@ -124,6 +128,32 @@ class FlowValve(VoltageValve):
     def fills_at_power_up(self) -> bool:
         """True if a lower voltage fills the chambers."""
         return self.fills == "below"
+
+    @property
+    def metering(self) -> FlowMetering:
+        """The flow curve as stated."""
+        return FlowMetering(
+            closed_v=self.closed_V,
+            low_v=self.range_V[0],
+            high_v=self.range_V[1],
+            fill_sign=self.fill_sign,
+            dead_zone_v=self.dead_zone_V,
+            curve_v=self.flow_curve_V,
+            curve_percent=self.flow_curve_percent,
+            full_flow_l_min=self.full_flow_l_min,
+            supply_pa=self.supply_bar * PA_PER_BAR + ATMOSPHERE_PA,
+            critical_ratio=self.critical_ratio,
+        )
+
+    def calibrated(self, found: MeasuredFlow) -> dict[str, Any]:
+        """Closed voltage, dead zone and flow curve."""
+        return {
+            "closed_V": found.closed_V,
+            "dead_zone_V": found.dead_zone_V,
+            "full_flow_l_min": found.full_flow_l_min,
+            "flow_curve_V": list(found.flow_curve_V),
+            "flow_curve_percent": list(found.flow_curve_percent),
+        }
 
     def opening_curve(self, dead_zone_v: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Volts from closed and the fraction of the full flow they open, both increasing from the dead zone's edge on.
@@ -208,40 +238,6 @@ class FlowValve(VoltageValve):
         if truth.leakage_l_min >= self.full_flow_l_min:
             expected = f"less than full_flow_l_min, {self.full_flow_l_min:g} l/min: the valve would never close"
             yield ValidationFault(("leakage_l_min",), expected)
-
-
-class FlowCurve(Protocol):
-    """The flow curve of a valve, as stated in a rig file or found by a calibration."""
-
-    @property
-    def flow_curve_V(self) -> tuple[float, ...]:
-        """Voltages from the closed valve."""
-
-    @property
-    def flow_curve_percent(self) -> tuple[float, ...]:
-        """Per cent of the full flow at these voltages."""
-
-    @property
-    def dead_zone_V(self) -> float:
-        """Half width of the dead zone."""
-
-
-def flow_curve_faults(valve: FlowCurve) -> Faults:
-    """Yield the faults of a stated or calibrated flow curve; paths start at the valve's section."""
-    volts, percent = valve.flow_curve_V, valve.flow_curve_percent
-    if len(volts) != len(percent):
-        expected = f"{len(volts)} values, as many as flow_curve_V has, not {len(percent)}"
-        yield ValidationFault(("flow_curve_percent",), expected)
-    for name, values in (("flow_curve_V", volts), ("flow_curve_percent", percent)):
-        if values[0] != 0:
-            yield ValidationFault((name, 0), "0: the curve begins at the closed valve")
-        for i, (a, b) in enumerate(itertools.pairwise(values)):
-            if b <= a:
-                yield ValidationFault((name, i + 1), f"more than the value before, {a:g}: the curve must rise")
-    if percent[-1] > 100:
-        yield ValidationFault(("flow_curve_percent", len(percent) - 1), "at most 100 (% of full flow)")
-    if valve.dead_zone_V >= volts[-1]:
-        yield ValidationFault(("dead_zone_V",), f"less than the end of flow_curve_V, {volts[-1]:g} V")
 
 
 def _interpolate(x: float, xs: tuple[float, ...], ys: tuple[float, ...]) -> float:

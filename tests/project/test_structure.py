@@ -21,6 +21,18 @@ BELOW = {
     "runs": set(),
 }
 """The rooms that a room may import."""
+KINDS = {
+    "rig.valves.registry": ("rig.valves.bus", "rig.valves.flow", "rig.valves.pressure"),
+    "rig.arm_effects.registry": tuple(
+        f"rig.arm_effects.{name}" for name in ("coupling", "creep", "gains", "hysteresis", "push", "softening")
+    ),
+    "model.variants": ("model.laws.constant_modulus", "model.laws.quadratic_compliance"),
+    "protocols.schema": tuple(
+        f"protocols.steps.{name}"
+        for name in ("csv_file", "hold", "prompt", "ramp", "sine", "staircase", "stream", "tip")
+    ),
+}
+"""Registries with the modules of the kinds that they register."""
 
 
 def modules() -> dict[str, ast.Module]:
@@ -112,6 +124,13 @@ def test_the_architecture_page_lists_each_package_of_rig_above_those_that_it_imp
     assert sorted(listed) == sorted(path.parent.name for path in (ROOT / "rig").glob("*/__init__.py"))
     upward = [(one, other) for one in listed for other in graph[one] if listed.index(other) <= listed.index(one)]
     assert upward == []
+
+
+@pytest.mark.parametrize("registry", KINDS)
+def test_only_its_registry_knows_a_kind_by_name(trees: dict[str, ast.Module], registry: str) -> None:
+    knowing = {(one, other) for one, other in imports(trees) if other in KINDS[registry]}
+    assert {one for one, _ in knowing} - set(KINDS[registry]) == {registry}
+    assert {other for _, other in knowing} == set(KINDS[registry])
 
 
 def test_a_class_name_stands_for_one_class(trees: dict[str, ast.Module]) -> None:

@@ -111,12 +111,12 @@ class ComediCard:
     @property
     def period_ns(self) -> float | None:
         """Scan period as rounded by the driver; None if the card does not sample by its own clock."""
-        return self._sampler.period_ns if isinstance(self._sampler, _CommandSampling) else None
+        return self._sampler.period_ns if self._sampler is not None else None
 
     @property
     def drift_ppm(self) -> float | None:
         """Relative error of that period by the computer's clock [ppm]; None if there is none."""
-        return self._sampler.drift_ppm if isinstance(self._sampler, _CommandSampling) else None
+        return self._sampler.drift_ppm if self._sampler is not None else None
 
     def start(self) -> None:
         """Begin sampling the inputs, from now on.
@@ -188,12 +188,15 @@ class ComediCard:
 
     def _stop(self) -> None:
         sampler, self._sampler = self._sampler, None
-        if isinstance(sampler, _CommandSampling):
+        if sampler is not None:
             sampler.stop()
 
 
 class _InstructionSampling:
-    """Inputs by instruction: one scan per read."""
+    """Inputs by instruction: one scan per read, by no clock of the card."""
+
+    period_ns: float | None = None
+    drift_ppm: float | None = None
 
     def __init__(self, lines: tuple[AnalogueChannel, ...]) -> None:
         self._lines = lines
@@ -204,6 +207,9 @@ class _InstructionSampling:
         t_ns = (before + time.monotonic_ns()) // 2
         volts = np.array([[line.to_volts(r) for line, r in zip(self._lines, raw, strict=True)]], np.float64)
         return Scans(np.array([t_ns], np.int64), volts)
+
+    def stop(self) -> None:
+        """Nothing samples between two reads."""
 
 
 class _CommandSampling:
