@@ -57,7 +57,7 @@ def statics(
     good, unstable = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.bool_)
 
     def part(span: range) -> None:
-        room = Workspace.of(steps)
+        workspace = Workspace.of(steps)
         for start in range(span.start, span.stop, AT_ONCE):
             at = slice(start, min(start + AT_ONCE, span.stop))
             if len(given) == 1:
@@ -83,7 +83,7 @@ def statics(
                 centre=np.array([p.centre_m for p in problems]),
             )
             tips = TipPoses(place[at], turned[at], good[at])
-            equilibria(first.walls, arms_here, rows[at], room, TOLERANCE_AT_REST, tips, unstable[at])
+            equilibria(first.walls, arms_here, rows[at], workspace, TOLERANCE_AT_REST, tips, unstable[at])
 
     spread(part, count, workers, ROWS_PER_THREAD)
     return Tips(place, turned, good, unstable)

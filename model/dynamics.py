@@ -101,9 +101,9 @@ class Dynamics:
         return self._problem.arm(self._work, self._problem.cap, self._load, self._loaded)
 
     @property
-    def room(self) -> Workspace:
+    def workspace(self) -> Workspace:
         """What a time step is solved in; after `start`."""
-        return self._room
+        return self._workspace
 
     def start(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
         """Begin at rest under gauge pressures (N,) [Pa]; raises as `statics` does."""
@@ -126,9 +126,9 @@ class Dynamics:
         self._work = self._problem.work()
         branches = len(self._arm.material.branches)
         self._pool = aligned(workspace_size(n, branches))
-        self._room = workspace_in(self._pool, n, branches)
+        self._workspace = workspace_in(self._pool, n, branches)
         self._past_states = aligned(2, 2 * n + 2, STATE)
-        initialise_history(self._coefficients, self._x, self._past_states, resting.length_m, self._room)
+        initialise_history(self._coefficients, self._x, self._past_states, resting.length_m, self._workspace)
         self._hysteresis = Hysteresis(self._arm.actuation.stops, pressure)
         self._branch_strains = np.zeros((branches, 2 * n + 2, 6))
         self._branch_factors = branch_factors(self._arm.material, self._scheme.c0, self._dt_s)
@@ -190,7 +190,7 @@ class Dynamics:
             raise ValueError(f"a time step of {dt_s} s is shorter than {self.shortest_step_s:.3g} s")
         self._segments = _segments(self._nodes, self._even_growth * scheme.c0 / self._even.c0)
         before = self._scheme
-        size, history = self._x.size, self._room.history
+        size, history = self._x.size, self._workspace.history
         for weight, past in (
             (scheme.c1 - before.c1, self._x),
             (scheme.c2 - before.c2, self._past_states[0]),
@@ -216,8 +216,8 @@ class Dynamics:
     def _recall_branches(self) -> None:
         """The past strains of the walls in the next step, where they are not the history itself."""
         if len(self._branch_strains):
-            past = self._room.walls_past
-            recall_branches(self._branch_factors, self._branch_strains, self._x, self._room.history, past)
+            past = self._workspace.walls_past
+            recall_branches(self._branch_factors, self._branch_strains, self._x, self._workspace.history, past)
             _fill_between(past, self._x.size, self._problem.length_m / self._nodes)
 
     def _advance(self, rows: Array) -> ArmTrajectory:

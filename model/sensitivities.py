@@ -25,8 +25,8 @@ from model.kernels.dynamic_sensitivities import dynamic_sensitivities
 from model.kernels.lanes import Lanes, apply_tip_load
 from model.kernels.shooting import TOLERANCE_AT_REST, TOLERANCE_IN_MOTION, workspace_for
 from model.kernels.static_sensitivities import static_sensitivities
-from model.lane_stack import LaneStack, lane_rows, lane_tip_loads
 from model.loads import Loads
+from model.perturbed_arms import PerturbedArms, lane_rows, lane_tip_loads
 from model.pressures import pressures
 from model.statics import steps_along
 from model.variation import TipWrench, Variation
@@ -69,7 +69,7 @@ def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, n
     pressure, nodes = pressures(arm, pressure_pa), steps_along(arm, nodes)
     names = _parameters(arm)
     if arm.by_pressure:
-        stack = LaneStack.of(arm, _varied(arm, pressure), nodes, pressure[None])
+        stack = PerturbedArms.of(arm, _varied(arm, pressure), nodes, pressure[None])
     else:
         stack = _kept.stack(arm, nodes)
     tip_loads = np.zeros((1, len(stack.lanes.works), 12, layout.LANES))
@@ -105,16 +105,16 @@ def statics(
     rows, nodes = _rows(arm, pressure_pa), steps_along(arm, nodes)
     _check_changes(arm, changes, rows)
     tip_loads = lane_tip_loads(arm, changes, len(rows), weight_kg, pull)
-    stack = LaneStack.of(arm, changes, nodes, rows)
+    stack = PerturbedArms.of(arm, changes, nodes, rows)
     by_lane = lane_rows(rows, [change.pressure_pa for change in changes])
     parts: dict[int, Gradients] = {}
 
     def part(span: range) -> None:
         if len(span):
             at = slice(span.start, span.stop)
-            room = Lanes.of(len(changes), nodes, 1)
+            workspace = Lanes.of(len(changes), nodes, 1)
             parts[span.start] = _solve(
-                stack.own(at), by_lane[at], tip_loads if len(tip_loads) == 1 else tip_loads[at], nodes, room
+                stack.own(at), by_lane[at], tip_loads if len(tip_loads) == 1 else tip_loads[at], nodes, workspace
             )
 
     spread(part, len(rows), workers, ROWS_PER_THREAD)
@@ -153,7 +153,7 @@ def motion(
     unstable = np.zeros(count, dtype=np.bool_)
     dynamics = Dynamics(arm, dt_s, nodes=nodes)
     n = dynamics.nodes
-    still = LaneStack.of(arm, changes, n, rows[:1])
+    still = PerturbedArms.of(arm, changes, n, rows[:1])
     here = np.empty(layout.HANGS)
     apply_tip_load(still.first.cap, tip_loads[0], here)
     try:
@@ -161,7 +161,7 @@ def motion(
     except NotConverged as fault:
         unstable[0] = isinstance(fault, Unstable)
         return _gradients(place, turned, good, by, unstable)
-    swinging = LaneStack.of(arm, changes, n, rows, dynamics.c0, dt_s)
+    swinging = PerturbedArms.of(arm, changes, n, rows, dynamics.c0, dt_s)
     arm_in_motion = dynamics.arm_with_cap._replace(
         stiffness=swinging.first.stiffness, rest=swinging.first.rest, per_pressure=swinging.first.per_pressure
     )
@@ -170,7 +170,7 @@ def motion(
         swinging.first.walls, arm_in_motion, dynamics.state, still.lanes, still.first.scale, swinging.lanes,
         lane_rows(rows, [change.pressure_pa for change in changes]), tip_loads, swinging.steps, every,
         layout.aligned(works, n + 1, (36 if branches else 24) * layout.LANES),
-        layout.aligned(works, branches, n + 1, 12 * layout.LANES), dynamics.room,
+        layout.aligned(works, branches, n + 1, 12 * layout.LANES), dynamics.workspace,
         Lanes.of(neighbours, n, dynamics.segments), TOLERANCE_IN_MOTION,
         TipAnswers(place, turned, by, good, unstable),
     )  # fmt: skip
@@ -247,9 +247,9 @@ class _Kept(threading.local):
         self.lanes = lru_cache(maxsize=8)(_lanes_at_rest)
 
 
-def _stack_of_material(arm: Arm, nodes: int) -> LaneStack:
+def _stack_of_material(arm: Arm, nodes: int) -> PerturbedArms:
     nothing = np.zeros(arm.geometry.actuators)
-    return LaneStack.of(arm, _varied(arm, nothing), nodes, nothing[None])
+    return PerturbedArms.of(arm, _varied(arm, nothing), nodes, nothing[None])
 
 
 def _lanes_at_rest(neighbours: int, nodes: int) -> Lanes:
@@ -259,7 +259,7 @@ def _lanes_at_rest(neighbours: int, nodes: int) -> Lanes:
 _kept = _Kept()
 
 
-def _solve(stack: LaneStack, rows: Array, tip_loads: Array, nodes: int, room: Lanes) -> Gradients:
+def _solve(stack: PerturbedArms, rows: Array, tip_loads: Array, nodes: int, workspace: Lanes) -> Gradients:
     """For pressures (K, W, N, 8); the stack's work arrays are written to."""
     count, first, neighbours = len(rows), stack.first, len(stack.steps)
     place, turned, by = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, neighbours, 6))
@@ -274,7 +274,7 @@ def _solve(stack: LaneStack, rows: Array, tip_loads: Array, nodes: int, room: La
         tip_loads,
         stack.steps,
         workspace_for(nodes),
-        room,
+        workspace,
         TOLERANCE_AT_REST,
         answers,
     )

@@ -78,15 +78,15 @@ def states(arguments: KernelArguments, pressure: Array, tip: Array, load: Array,
 
     tip, load and loaded: as of `KernelArguments`.
     """
-    room = workspace_for(len(load) // 12)
+    workspace = workspace_for(len(load) // 12)
     passes = equilibrium(
         arguments.work(), arguments.walls, arguments.rest[0], arguments.per_pressure[0],
-        arguments.free_per_pa, pressure, load, loaded, tip, arguments.length_m, arguments.scale, room,
+        arguments.free_per_pa, pressure, load, loaded, tip, arguments.length_m, arguments.scale, workspace,
         TOLERANCE_AT_REST,
     )  # fmt: skip
     if passes < 0 and passes != UNSTABLE:
         raise NotConverged.at(pressure)
-    return room.x.copy(), passes != UNSTABLE
+    return workspace.x.copy(), passes != UNSTABLE
 
 
 @lru_cache(maxsize=32)

@@ -15,8 +15,8 @@ from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.parameters import Prior, named
 from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
+from calibration.identify.scaled_parameter import with_own_values
 from calibration.identify.setup import Setup
-from calibration.identify.unknown import with_own_values
 from calibration.parallel_map import Progress, parallel_map
 
 Array = NDArray[np.float64]

@@ -15,6 +15,7 @@ from calibration.identify.nuisance import nuisance_parameters
 from calibration.identify.parameters import Prior, named
 from calibration.identify.poses import Poses
 from calibration.identify.results import NORMAL_95, Estimate, Fit, RunFit, Verdict, with_means_of_runs
+from calibration.identify.scaled_parameter import ScaledParameter, with_own_values
 from calibration.identify.search import Progress, initial_point, point_of, search
 from calibration.identify.setup import Setup
 from calibration.identify.undetermined import (
@@ -28,7 +29,6 @@ from calibration.identify.undetermined import (
     span_factors,
     standard_deviations,
 )
-from calibration.identify.unknown import Unknown, with_own_values
 
 Array = NDArray[np.float64]
 
@@ -144,7 +144,7 @@ def _estimates(
 
 def _estimate(
     problem: LeastSquaresProblem,
-    unknown: Unknown,
+    unknown: ScaledParameter,
     z: float,
     std: float,
     verdict: Verdict,

@@ -14,8 +14,8 @@ from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.model_error import error_columns
 from calibration.identify.poses import Poses
 from calibration.identify.results import NORMAL_95, Fit, rms
+from calibration.identify.scaled_parameter import ScaledParameter
 from calibration.identify.tip_predictor import Predictor
-from calibration.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 
@@ -147,7 +147,7 @@ def predict(fit: Fit, poses: Poses) -> Prediction:
     )
 
 
-def _new_run_variance(fit: Fit, unknown: Unknown, z: float) -> float:
+def _new_run_variance(fit: Fit, unknown: ScaledParameter, z: float) -> float:
     """Mean square error of z, in squared spans, if the value of a new run is drawn from the prior of the unknown."""
     expected = fit[unknown.parameter.name].expected
     value = unknown.at(z)

@@ -23,9 +23,9 @@ from calibration.identify.likelihood import (
 )
 from calibration.identify.parameters import Parameter, Prior
 from calibration.identify.poses import Poses
+from calibration.identify.scaled_parameter import ScaledParameter
 from calibration.identify.setup import Setup
 from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
-from calibration.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 
@@ -79,8 +79,13 @@ class LeastSquaresProblem:
     progress: Callable[[float], None] = field(default=lambda rms_m: None)
 
     def __post_init__(self) -> None:
-        shared = [Unknown.of_setup(p, None, self.start) for p in self.free if not p.per_run]
-        own = [Unknown.of_setup(p, run, self.start) for p in self.free if p.per_run for run in range(len(self.data))]
+        shared = [ScaledParameter.of_setup(p, None, self.start) for p in self.free if not p.per_run]
+        own = [
+            ScaledParameter.of_setup(p, run, self.start)
+            for p in self.free
+            if p.per_run
+            for run in range(len(self.data))
+        ]
         self.unknowns = (*shared, *own)
         fast = any(p.name in ("density_kg_m3", "damping_s", "sensor_lag_s") for p in self.free)
         self.substeps = self.substeps or (FINE_SUBSTEPS if fast else SUBSTEPS)

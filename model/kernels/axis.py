@@ -10,7 +10,7 @@ from model.kernels.arguments import ArmArguments, MotionState, TipPoses
 from model.kernels.equilibrium import UNSTABLE, equilibrium
 from model.kernels.jit import kernel
 from model.kernels.law import Walls
-from model.kernels.shooting import Workspace, room_within
+from model.kernels.shooting import Workspace, workspace_within
 from model.kernels.time_stepping import advance, stiffen
 from model.kernels.vec3 import Triple, called, cross, inlined, leaf, plus, rotation
 
@@ -96,17 +96,17 @@ def motion(
 ) -> int:
     """Advance through the rows of pressure (T, N); fills the tips (T,).
 
-    pool: a room, as `shooting.room_within` takes it. Returns the number of passes, or -1, having done nothing, where a
-    pressure is not finite.
+    pool: a workspace, as `shooting.workspace_within` takes it. Returns the number of passes, or -1, having done
+    nothing, where a pressure is not finite.
     """
     for t in range(pressure.shape[0]):
         for k in range(walls.actuators):
             if not abs(pressure[t, k]) < np.inf:
                 return -1
-    total, sections, room = (
+    total, sections, workspace = (
         0,
         arm.stiffness.shape[0],
-        room_within(pool, state.x.shape[0] // 2 - 1, state.branch_strains.shape[0]),
+        workspace_within(pool, state.x.shape[0] // 2 - 1, state.branch_strains.shape[0]),
     )
     for t in range(pressure.shape[0]):
         r, q = t % sections, t % arm.rest.shape[0]
@@ -115,7 +115,7 @@ def motion(
         passes = advance(
             arm.work, walls, arm.rest[q], arm.per_pressure[r], arm.free_per_pa, state.before, pressure[t], arm.load,
             arm.loaded, arm.tip, arm.length, state.segments, arm.scale, state.coefficients, state.past_states, state.x,
-            state.branch_factors, state.branch_strains, room, tolerance,
+            state.branch_factors, state.branch_strains, workspace, tolerance,
         )  # fmt: skip
         tips.good[t] = passes > 0
         if passes > 0:
@@ -129,7 +129,7 @@ def equilibria(
     walls: Walls,
     arms: ArmArguments,
     pressure: Array,
-    room: Workspace,
+    workspace: Workspace,
     tolerance: float,
     tips: TipPoses,
     unstable: Array,
@@ -143,11 +143,11 @@ def equilibria(
         stiffen(arms.work[k], arms.stiffness[r])
         passes = equilibrium(
             arms.work[k], walls, arms.rest[q], arms.per_pressure[r], arms.free_per_pa[k], pressure[b], arms.load[k],
-            arms.loaded, arms.tip[k], arms.length[k], arms.scale[k], room, tolerance,
+            arms.loaded, arms.tip[k], arms.length[k], arms.scale[k], workspace, tolerance,
         )  # fmt: skip
         tips.good[b], unstable[b] = passes > 0, passes == UNSTABLE
         if passes > 0:
-            place_tip(room.x, arms.length[k], arms.centre[k], tips.place, tips.turned, b)
+            place_tip(workspace.x, arms.length[k], arms.centre[k], tips.place, tips.turned, b)
         else:
             tips.place[b] = np.nan
             tips.turned[b] = np.nan

@@ -38,37 +38,39 @@ def _join(row: Array, first: Array, shares: Array, arm: Array, p: int, count: in
 
 
 @leaf
-def _combine(x: Array, segments: int, room: Lanes, states: Array, derivatives: Array) -> None:
+def _combine(x: Array, segments: int, workspace: Lanes, states: Array, derivatives: Array) -> None:
     """Compute the perturbed solution in each lane from the tangents; lanes without one become the arm x."""
-    n, count = states.shape[1] - 1, room.parts.shape[0]
+    n, count = states.shape[1] - 1, workspace.parts.shape[0]
     per = n // segments
     for j in range(n + 1):
         s = min(j // per, segments - 1)
         for p in range(states.shape[0] - 1, -1, -1):
-            _join(states[p, j], states[0, j], room.shares[s, p], x[j], p, count, STATE)
-            _join(derivatives[p, j], derivatives[0, j], room.shares[s, p], x[n + 1 + j], p, count, 12)
+            _join(states[p, j], states[0, j], workspace.shares[s, p], x[j], p, count, STATE)
+            _join(derivatives[p, j], derivatives[0, j], workspace.shares[s, p], x[n + 1 + j], p, count, 12)
 
 
 @leaf
-def _moved(x: Array, works: Array, room: Lanes, states: Array, derivatives: Array, steps: Array, by: Array) -> None:
+def _moved(
+    x: Array, works: Array, workspace: Lanes, states: Array, derivatives: Array, steps: Array, by: Array
+) -> None:
     """How tip and turn answer (P, 6) to each neighbour's change, after `_combine`."""
     n = states.shape[1] - 1
     for p in range(works.shape[0]):
-        places(works[p], states[p], derivatives[p], x[n], room.place[p])
+        places(works[p], states[p], derivatives[p], x[n], workspace.place[p])
     for f in range(steps.shape[0]):
         p, i = (FIRST + f) // LANES, (FIRST + f) % LANES
         for c in range(6):
-            by[f, c] = (room.place[p, c, i] - room.place[0, c, 0]) / steps[f]
+            by[f, c] = (workspace.place[p, c, i] - workspace.place[0, c, 0]) / steps[f]
 
 
 @leaf
-def _update_history(past: Array, room: Lanes, last: int, a: float, b: float, d: float) -> None:
+def _update_history(past: Array, workspace: Lanes, last: int, a: float, b: float, d: float) -> None:
     """The history (eq 26) of the next time step: a, b times the last two solutions, d times this history."""
     half = 12 * LANES
     for k in range(past.shape[0]):
         for j in range(past.shape[1]):
-            x, x_before = room.states[last, k, j], room.states[1 - last, k, j]
-            slope, slope_before = room.derivatives[last, k, j], room.derivatives[1 - last, k, j]
+            x, x_before = workspace.states[last, k, j], workspace.states[1 - last, k, j]
+            slope, slope_before = workspace.derivatives[last, k, j], workspace.derivatives[1 - last, k, j]
             for i in range(half):
                 past[k, j, i] = a * x[i] + b * x_before[i] + d * past[k, j, i]
             for i in range(half):
@@ -76,12 +78,12 @@ def _update_history(past: Array, room: Lanes, last: int, a: float, b: float, d: 
 
 
 @leaf
-def _relax_branches(factors: Array, strains: Array, past: Array, room: Lanes, last: int) -> None:
+def _relax_branches(factors: Array, strains: Array, past: Array, workspace: Lanes, last: int) -> None:
     """The walls' past strains of the next time step, after `_update_history`."""
     for p in range(past.shape[0]):
         relax_branches_in_lanes(
-            factors[p], strains[p], past[p], room.states[last, p], room.states[1 - last, p],
-            room.derivatives[last, p], room.derivatives[1 - last, p],
+            factors[p], strains[p], past[p], workspace.states[last, p], workspace.states[1 - last, p],
+            workspace.derivatives[last, p], workspace.derivatives[1 - last, p],
         )  # fmt: skip
 
 
@@ -100,7 +102,7 @@ def dynamic_sensitivities(
     past: Array,
     branch_strains: Array,
     solver: Workspace,
-    room: Lanes,
+    workspace: Lanes,
     tolerance: float,
     answers: TipAnswers,
 ) -> None:
@@ -108,7 +110,7 @@ def dynamic_sensitivities(
 
     The arm stands at rest in the motion's x; `still` are the lanes of the arm at rest, `swinging` those of the moving
     one. pressure (1 + T, W, N, 8): at rest, then step by step; sections and tip_loads one for each of these rows, or
-    one for all. past (W, N + 1, 192): room for the lanes' history; (W, N + 1, 288) where the walls have branches, whose
+    one for all. past (W, N + 1, 192): for the lanes' history; (W, N + 1, 288) where the walls have branches, whose
     strains are branch_strains (W, B, N + 1, 96). steps (P,): sizes of the changes; without neighbours the lanes rest.
     Fills the answers (1 + T / every,) of every so many steps.
     """
@@ -126,16 +128,16 @@ def dynamic_sensitivities(
                 still.ends, pressure[t], tip_load,
             )  # fmt: skip
             followed = tangents(
-                still.works, walls, past, arm.load, still.loaded, 0.0, still.heavy, segments, still_scale, x, room,
-                room.states[0], room.derivatives[0],
+                still.works, walls, past, arm.load, still.loaded, 0.0, still.heavy, segments, still_scale, x, workspace,
+                workspace.states[0], workspace.derivatives[0],
             )  # fmt: skip
-            _combine(x, segments, room, room.states[0], room.derivatives[0])
-            room.states[1] = room.states[0]
-            room.derivatives[1] = room.derivatives[0]
+            _combine(x, segments, workspace, workspace.states[0], workspace.derivatives[0])
+            workspace.states[1] = workspace.states[0]
+            workspace.derivatives[1] = workspace.derivatives[0]
             # An arm at rest has no rates: y^h = -c0 y.
-            _update_history(past, room, now, -c0, 0.0, 0.0)
+            _update_history(past, workspace, now, -c0, 0.0, 0.0)
             if branched(walls.law):
-                _relax_branches(swinging.branch_factors, branch_strains, past, room, now)
+                _relax_branches(swinging.branch_factors, branch_strains, past, workspace, now)
         if t > 0:
             for k in range(walls.actuators):
                 row[k] = pressure[t, 0, k, 0]
@@ -148,9 +150,9 @@ def dynamic_sensitivities(
             )  # fmt: skip
             if solved > 0 and followed:
                 # y_t of the last step is c0 times its solution plus its history.
-                _update_history(past, room, now, c1 + d1 * c0, c2, d1)
+                _update_history(past, workspace, now, c1 + d1 * c0, c2, d1)
                 if branched(walls.law):
-                    _relax_branches(swinging.branch_factors, branch_strains, past, room, now)
+                    _relax_branches(swinging.branch_factors, branch_strains, past, workspace, now)
                 now = 1 - now
                 apply_pressure(
                     swinging.works, walls.actuators, swinging.stiffness[r], swinging.rest[q], swinging.per_pressure[r],
@@ -158,14 +160,22 @@ def dynamic_sensitivities(
                 )  # fmt: skip
                 followed = tangents(
                     swinging.works, walls, past, arm.load, swinging.loaded, c0, swinging.heavy, segments, arm.scale, x,
-                    room, room.states[now], room.derivatives[now],
+                    workspace, workspace.states[now], workspace.derivatives[now],
                 )  # fmt: skip
-                _combine(x, segments, room, room.states[now], room.derivatives[now])
+                _combine(x, segments, workspace, workspace.states[now], workspace.derivatives[now])
         if t % every == 0:
             at = t // every
             answers.good[at] = solved > 0
             place_tip(x, arm.length, arm.centre, answers.place, answers.turned, at)
             if followed:
-                _moved(x, swinging.works, room, room.states[now], room.derivatives[now], steps, answers.by[at])
+                _moved(
+                    x,
+                    swinging.works,
+                    workspace,
+                    workspace.states[now],
+                    workspace.derivatives[now],
+                    steps,
+                    answers.by[at],
+                )
             else:
                 answers.by[at] = np.nan

@@ -31,10 +31,10 @@ NUDGE = 1e-4  # force that moves an arm out of an unstable equilibrium, as a sha
 
 
 @leaf
-def uniform_guess(w: Array, walls: Walls, tip: Array, scale: Array, room: Workspace) -> None:
+def uniform_guess(w: Array, walls: Walls, tip: Array, scale: Array, workspace: Workspace) -> None:
     """Fill x with the strains that the section would have everywhere if the tip's load did not turn with the arm."""
-    x = room.x
-    n = room.states.shape[0] - 1
+    x = workspace.x
+    n = workspace.states.shape[0] - 1
     for i in range(LANES):
         for c in range(STATE):
             w[(STAGE + c) * LANES + i] = 1.0 if c in (2, 12) else 0.0
@@ -71,27 +71,27 @@ def equilibrium(
     tip: Array,
     length: float,
     scale: Array,
-    room: Workspace,
+    workspace: Workspace,
     tolerance: float,
 ) -> int:
-    """Solve the static rod into room.x from scratch. Returns the number of passes, NONE or UNSTABLE.
+    """Solve the static rod into workspace.x from scratch. Returns the number of passes, NONE or UNSTABLE.
 
     First by simple shooting from a uniform guess. Where that fails or finds an unstable equilibrium, by following the
     loads up from nothing; where the arm loses its stability on this way, by letting it swing until it rests. With
-    UNSTABLE, an unstable equilibrium stands in room.x.
+    UNSTABLE, an unstable equilibrium stands in workspace.x.
     """
-    for m in range(room.history.shape[0]):
-        room.history[m] = 0.0
+    for m in range(workspace.history.shape[0]):
+        workspace.history[m] = 0.0
     set_pressures(w, walls.actuators, rest, per_pressure, free, pressure)
-    uniform_guess(w, walls, tip, scale, room)
+    uniform_guess(w, walls, tip, scale, workspace)
     # One segment; a plain 1 would have numba compile Newton's method once more, for this constant. A shortened update
     # would depend on the direction in which the arm stands, and with it the equilibrium that is found.
-    passes = newton(w, walls, load, loaded, tip, 0.0, length, np.int64(1), scale, room, tolerance, 20.0, LONGEST)
-    if passes > 0 and is_stable(w, walls, room.x, length, tip):
+    passes = newton(w, walls, load, loaded, tip, 0.0, length, np.int64(1), scale, workspace, tolerance, 20.0, LONGEST)
+    if passes > 0 and is_stable(w, walls, workspace.x, length, tip):
         return int(passes)
     return int(
         _searched(
-            w, walls, rest, per_pressure, free, pressure, load, loaded, tip, length, scale, room, tolerance,
+            w, walls, rest, per_pressure, free, pressure, load, loaded, tip, length, scale, workspace, tolerance,
             passes > 0,
         )
     )  # fmt: skip
@@ -110,23 +110,27 @@ def _searched(
     tip: Array,
     length: float,
     scale: Array,
-    room: Workspace,
+    workspace: Workspace,
     tolerance: float,
     found: bool,
 ) -> int:
-    """What `equilibrium` does where the first guess does not suffice; found: an unstable one stands in room.x."""
-    x = room.x
+    """What `equilibrium` does where the first guess does not suffice; found: an unstable one stands in workspace.x."""
+    x = workspace.x
     unstable = x.copy()
-    passes = _followed(w, walls, rest, per_pressure, free, pressure, load, loaded, tip, length, scale, room, tolerance)
+    passes = _followed(
+        w, walls, rest, per_pressure, free, pressure, load, loaded, tip, length, scale, workspace, tolerance
+    )
     if passes > 0:
         return int(passes)
     set_pressures(w, walls.actuators, rest, per_pressure, free, pressure)
-    passes = _relax_dynamically(w, walls, load, loaded, tip, length, scale, room, tolerance)
+    passes = _relax_dynamically(w, walls, load, loaded, tip, length, scale, workspace, tolerance)
     if passes > 0:
         return int(passes)
     if not found:
-        uniform_guess(w, walls, tip, scale, room)
-        passes = newton(w, walls, load, loaded, tip, 0.0, length, np.int64(1), scale, room, tolerance, 20.0, np.inf)
+        uniform_guess(w, walls, tip, scale, workspace)
+        passes = newton(
+            w, walls, load, loaded, tip, 0.0, length, np.int64(1), scale, workspace, tolerance, 20.0, np.inf
+        )
         if passes < 0:
             return NONE
         if is_stable(w, walls, x, length, tip):
@@ -149,14 +153,14 @@ def _followed(
     tip: Array,
     length: float,
     scale: Array,
-    room: Workspace,
+    workspace: Workspace,
     tolerance: float,
 ) -> int:
     """Lead pressures and loads up from nothing, in strides as long as they end in a stable equilibrium.
 
-    Returns the number of passes, or NONE where stability is lost on the way, with the last stable one in room.x.
+    Returns the number of passes, or NONE where stability is lost on the way, with the last stable one in workspace.x.
     """
-    n, x = room.states.shape[0] - 1, room.x
+    n, x = workspace.states.shape[0] - 1, workspace.x
     # Straight, with nothing in it and nothing on it, an arm has the strains that it has at rest.
     for j in range(x.shape[0]):
         for c in range(STATE):
@@ -175,7 +179,7 @@ def _followed(
             some_tip[k] = share * tip[k]
         set_pressures(w, walls.actuators, rest, per_pressure, free, some)
         passes = newton(
-            w, walls, some_load, loaded, some_tip, 0.0, length, segments, scale, room, tolerance, 20.0,
+            w, walls, some_load, loaded, some_tip, 0.0, length, segments, scale, workspace, tolerance, 20.0,
             0.5 * LONGEST,
         )  # fmt: skip
         if passes > 0 and is_stable(w, walls, x, length, some_tip):
@@ -193,14 +197,14 @@ def _followed(
 @kernel
 def _relax_dynamically(
     w: Array, walls: Walls, load: Array, loaded: bool, tip: Array, length: float, scale: Array,
-    room: Workspace, tolerance: float,
+    workspace: Workspace, tolerance: float,
 ) -> int:  # fmt: skip
-    """Integrate the arm in room.x by backward Euler under its full load until it rests in a stable equilibrium.
+    """Integrate the arm in workspace.x by backward Euler under its full load until it rests in a stable equilibrium.
 
     Time steps of about the time that a shear wave takes along the arm damp the swing and let the arm leave an unstable
     equilibrium. Returns the number of passes of the equilibrium, or NONE.
     """
-    n, x, history = room.states.shape[0] - 1, room.x, room.history
+    n, x, history = workspace.states.shape[0] - 1, workspace.x, workspace.history
     size = STATE * (n + 1)
     before, some_tip, own_scale = x.copy(), tip.copy(), scale.copy()
     stiffness = 1.0 / w[SHEAR_INVERSE * LANES]
@@ -228,7 +232,7 @@ def _relax_dynamically(
             between(history, size, length / n)
             moved = newton(
                 w, walls, load, loaded, some_tip, c0, length, divisor(n, max(1, int(0.5 * c0 * wave_s))),
-                own_scale, room, TOLERANCE_IN_MOTION, 20.0, np.inf,
+                own_scale, workspace, TOLERANCE_IN_MOTION, 20.0, np.inf,
             )  # fmt: skip
             if moved < 0:
                 copy_rows(before, x)
@@ -251,7 +255,9 @@ def _relax_dynamically(
             history[m] = 0.0
         _stop(x)
         copy_rows(x, before)
-        passes = newton(w, walls, load, loaded, tip, 0.0, length, divisor(n, 4), scale, room, tolerance, 20.0, LONGEST)
+        passes = newton(
+            w, walls, load, loaded, tip, 0.0, length, divisor(n, 4), scale, workspace, tolerance, 20.0, LONGEST
+        )
         if passes > 0 and is_stable(w, walls, x, length, tip):
             return int(passes)
         if passes < 0:

@@ -55,13 +55,13 @@ class Workspace(NamedTuple):
 
 
 def workspace_size(n: int, branches: int = 0) -> int:
-    """Numbers in a room for n steps along an arm whose walls have so many Maxwell branches."""
+    """Numbers in a workspace for n steps along an arm whose walls have so many Maxwell branches."""
     own_past = 4 * STATE * (n + 1) if branches else 0
     return (6 * STATE + 2 * STATE * LANES) * (n + 1) + 22 * LANES * n + 10 * LANES + own_past
 
 
 def workspace_in(pool: Array, n: int, branches: int = 0) -> Workspace:
-    """A room in one array that holds it all; each of its own begins on a line of the cache."""
+    """A workspace in one array that holds it all; each of its own begins on a line of the cache."""
     a = 4 * STATE * (n + 1)
     past = len(pool) - a if branches > 0 else 0
     b = a + STATE * LANES * (n + 1)
@@ -84,7 +84,7 @@ def workspace_in(pool: Array, n: int, branches: int = 0) -> Workspace:
 
 
 # Python hands over one array faster than a dozen.
-room_within = kernel(workspace_in, inlined=True, called=False)
+workspace_within = kernel(workspace_in, inlined=True, called=False)
 
 
 @inlined
@@ -129,9 +129,9 @@ def tip_residual(w: Array, walls: Walls, past: Past, own: bool, c0: float, heavy
 
 
 @inlined
-def _start_segment(w: Array, room: Workspace, scale: Array, s: int, start: int) -> None:
+def _start_segment(w: Array, workspace: Workspace, scale: Array, s: int, start: int) -> None:
     """Set the lanes at the start of segment s, node `start`: the guess and the runs that are moved along directions."""
-    x, directions, reach = room.x, room.directions, room.reach
+    x, directions, reach = workspace.x, workspace.directions, workspace.reach
     for c in range(STATE):
         broadcast(w, NODE + c, x[start, c])
     if s == 0:
@@ -150,19 +150,19 @@ def _start_segment(w: Array, room: Workspace, scale: Array, s: int, start: int) 
 
 
 @inlined
-def _carry_directions(w: Array, room: Workspace, scale: Array, s: int, end: int) -> bool:
+def _carry_directions(w: Array, workspace: Workspace, scale: Array, s: int, end: int) -> bool:
     """Directions of segment s + 1 from where segment s ends, at node `end`, made orthonormal; False where they are not.
 
     The seventh one closes the gap between the segments; its parts along the others stand in `along`.
     """
-    x, directions, along, reach = room.x, room.directions, room.along, room.reach
+    x, directions, along, reach = workspace.x, workspace.directions, workspace.along, workspace.reach
     for c in range(STATE):
         at = (NODE + c) * LANES
         for k in range(6):
             directions[s + 1, k, c] = (w[at + 1 + k] - w[at]) * (scale[STATE + c] / STEP)
         carried = (w[at + 7] - w[at]) / (reach[s] * scale[c]) if reach[s] > 0.0 else 0.0
         directions[s + 1, 6, c] = carried + (w[at] - x[end, c]) / scale[c]
-    if not orthonormalise(directions[s + 1, :6], room.triangle[s + 1]):
+    if not orthonormalise(directions[s + 1, :6], workspace.triangle[s + 1]):
         return False
     for k in range(6):
         share = 0.0
@@ -176,9 +176,9 @@ def _carry_directions(w: Array, room: Workspace, scale: Array, s: int, end: int)
 
 
 @inlined
-def _solve_tip(w: Array, room: Workspace, last: int) -> bool:
-    """Shares of the last segment's directions that meet the tip's condition, in room.right; False for none."""
-    reach, matrix, right = room.reach, room.matrix, room.right
+def _solve_tip(w: Array, workspace: Workspace, last: int) -> bool:
+    """Shares of the last segment's directions that meet the tip's condition, in workspace.right; False for none."""
+    reach, matrix, right = workspace.reach, workspace.matrix, workspace.right
     for i in range(6):
         at = (WRENCH + i) * LANES
         lacking = w[at]
@@ -190,9 +190,15 @@ def _solve_tip(w: Array, room: Workspace, last: int) -> bool:
 
 
 @inlined
-def _fill_weights(room: Workspace, last: int) -> None:
+def _fill_weights(workspace: Workspace, last: int) -> None:
     """Weights of the lanes in the update, of every segment, from the last to the first."""
-    weights, reach, right, along, triangle = room.weights, room.reach, room.right, room.along, room.triangle
+    weights, reach, right, along, triangle = (
+        workspace.weights,
+        workspace.reach,
+        workspace.right,
+        workspace.along,
+        workspace.triangle,
+    )
     for s in range(last, -1, -1):
         for k in range(6):
             weights[s, k + 1] = right[k] * (1.0 / STEP)
@@ -234,24 +240,24 @@ def newton(
     length: float,
     segments: int,
     scale: Array,
-    room: Workspace,
+    workspace: Workspace,
     tolerance: float,
     most: float,
     longest: float,
 ) -> int:
-    """Solve for the states at the nodes, and their slopes, from a guess in room.x; N divides by `segments`.
+    """Solve for the states at the nodes, and their slopes, from a guess in workspace.x; N divides by `segments`.
 
-    The history stands in `room` too. tip (19,): what hangs there, as it stands at END. All nodes are moved along the
+    The history stands in `workspace`. tip (19,): what hangs there, as it stands at END. All nodes are moved along the
     computed directions. The error after an update is of the order of its size, in units of `scale`, times the size of
     its part in strains and orientations: the iteration stops when this product is below the square of `tolerance`. An
     update of strains and orientations longer than LONGEST is shortened to that; one longer than `longest` is refused.
     Returns the number of passes, or -1 when `most` were not enough (no int: numba would compile
     this anew for every constant) or an update was refused.
     """
-    history, walls_past = room.history, room.walls_past
-    states, derivatives, x = room.states, room.derivatives, room.x
+    history, walls_past = workspace.history, workspace.walls_past
+    states, derivatives, x = workspace.states, workspace.derivatives, workspace.x
     heavy = tip[6] > 0.0 or tip[7] > 0.0 or tip[8] > 0.0 or tip[9] > 0.0
-    weights, moved = room.weights, room.moved
+    weights, moved = workspace.weights, workspace.moved
     n = states.shape[0] - 1
     per, last = n // segments, segments - 1
     broadcast(w, STRIDE, length / n)
@@ -260,19 +266,19 @@ def newton(
     if not loaded:
         for c in range(6):
             broadcast(w, LOAD + c, 0.0)
-    room.reach[0] = 0.0
+    workspace.reach[0] = 0.0
     previous = np.inf
     for passes in range(1, int(most) + 1):
         for s in range(segments):
-            _start_segment(w, room, scale, s, s * per)
+            _start_segment(w, workspace, scale, s, s * per)
             integrate(w, walls, history, walls_past, load, loaded, s * per, (s + 1) * per, states, derivatives)
-            if s < last and not _carry_directions(w, room, scale, s, (s + 1) * per):
+            if s < last and not _carry_directions(w, workspace, scale, s, (s + 1) * per):
                 return -1
         past = past_of(history, walls_past if branched(walls.law) else history, STATE * (n + 1), STATE * n)
         tip_residual(w, walls, past, False, c0, heavy)
-        if not _solve_tip(w, room, last):
+        if not _solve_tip(w, workspace, last):
             return -1
-        _fill_weights(room, last)
+        _fill_weights(workspace, last)
         for c in range(STATE):
             moved[0, c], moved[1, c] = 0.0, 0.0
         for s in range(segments):
@@ -303,7 +309,7 @@ def newton(
 
 
 class _WorkspaceCache(threading.local):
-    room: Workspace | None = None
+    workspace: Workspace | None = None
 
 
 _kept = _WorkspaceCache()
@@ -311,6 +317,6 @@ _kept = _WorkspaceCache()
 
 def workspace_for(n: int) -> Workspace:
     """Room for n steps, the same one at every call from one thread: what it holds must be copied out at once."""
-    if _kept.room is None or len(_kept.room.states) != n + 1:
-        _kept.room = Workspace.of(n)
-    return _kept.room
+    if _kept.workspace is None or len(_kept.workspace.states) != n + 1:
+        _kept.workspace = Workspace.of(n)
+    return _kept.workspace

@@ -22,17 +22,17 @@ Array = Any
 
 
 @leaf
-def _answers(x: Array, works: Array, room: Lanes, steps: Array, by: Array) -> None:
+def _answers(x: Array, works: Array, workspace: Lanes, steps: Array, by: Array) -> None:
     """Derivatives (P, 6) of tip and rotation by each change of size steps (P,), after the tangents are solved."""
-    n = room.states.shape[2] - 1
+    n = workspace.states.shape[2] - 1
     for p in range(works.shape[0]):
-        places(works[p], room.states[0, p], room.derivatives[0, p], x[n], room.place[p])
+        places(works[p], workspace.states[0, p], workspace.derivatives[0, p], x[n], workspace.place[p])
     for f in range(steps.shape[0]):
         p, i = (FIRST + f) // LANES, (FIRST + f) % LANES
         for c in range(6):
-            total = room.place[p, c, i] - room.place[0, c, 0]
+            total = workspace.place[p, c, i] - workspace.place[0, c, 0]
             for k in range(6):
-                total += room.shares[0, p, k, i] * (room.place[0, c, 1 + k] - room.place[0, c, 0])
+                total += workspace.shares[0, p, k, i] * (workspace.place[0, c, 1 + k] - workspace.place[0, c, 0])
             by[f, c] = total / steps[f]
 
 
@@ -45,7 +45,7 @@ def static_sensitivities(
     tip_loads: Array,
     steps: Array,
     solver: Workspace,
-    room: Lanes,
+    workspace: Lanes,
     tolerance: float,
     answers: TipAnswers,
 ) -> None:
@@ -56,7 +56,7 @@ def static_sensitivities(
     """
     row, here = np.empty(walls.actuators), arm.tip.copy()
     nothing = np.zeros((lanes.works.shape[0], 1, 1))
-    segments = room.shares.shape[0]
+    segments = workspace.shares.shape[0]
     for t in range(pressure.shape[0]):
         r, q = t % arm.stiffness.shape[0], t % arm.rest.shape[0]
         tip_load = tip_loads[t % tip_loads.shape[0]]
@@ -78,10 +78,10 @@ def static_sensitivities(
                 )  # fmt: skip
                 found = tangents(
                     lanes.works, walls, nothing, arm.load, lanes.loaded, 0.0, lanes.heavy, segments, arm.scale,
-                    solver.x, room, room.states[0], room.derivatives[0],
+                    solver.x, workspace, workspace.states[0], workspace.derivatives[0],
                 )  # fmt: skip
                 if found:
-                    _answers(solver.x, lanes.works, room, steps, answers.by[t])
+                    _answers(solver.x, lanes.works, workspace, steps, answers.by[t])
                 else:
                     answers.by[t] = np.nan
         else:

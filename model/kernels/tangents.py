@@ -23,14 +23,14 @@ STEP = 1e-7  # of the moved base strains, in scaled states
 @leaf
 def tangents(
     works: Array, walls: Walls, past: Array, load: Array, loaded: bool, c0: float, heavy: bool,
-    segments: int, scale: Array, x: Array, room: Lanes, states: Array, derivatives: Array,
+    segments: int, scale: Array, x: Array, workspace: Lanes, states: Array, derivatives: Array,
 ) -> bool:  # fmt: skip
     """One pass from the solved arm x (2 N + 2, 16): fills states, derivatives (W, N + 1, 128) and the shares of them.
 
     A neighbour is its lane plus, in segment s, its shares of lanes 1 to 6, all against lane 0. Segments are joined as
     in `shooting.newton`. past (W, N + 1, 192 or 288), at rest not looked at. False when no answer is found.
     """
-    directions, triangle, along, parts = room.directions, room.triangle, room.along, room.parts
+    directions, triangle, along, parts = workspace.directions, workspace.triangle, workspace.along, workspace.parts
     n, count = states.shape[1] - 1, parts.shape[0]
     per = n // segments
     first = works[0]
@@ -85,17 +85,17 @@ def tangents(
     for i in range(6):
         at = (WRENCH + i) * LANES
         for k in range(6):
-            room.matrix[i, k] = (first[at + 1 + k] - first[at]) * (1.0 / STEP)
+            workspace.matrix[i, k] = (first[at + 1 + k] - first[at]) * (1.0 / STEP)
         for f in range(count):
             lane = FIRST + f
-            room.right[f, i] = first[at] - works[lane // LANES, at + lane % LANES]
-    if not solve_six_rows(room.matrix, room.right):
+            workspace.right[f, i] = first[at] - works[lane // LANES, at + lane % LANES]
+    if not solve_six_rows(workspace.matrix, workspace.right):
         return False
     for f in range(count):
-        p, i, right = (FIRST + f) // LANES, (FIRST + f) % LANES, room.right[f]
+        p, i, right = (FIRST + f) // LANES, (FIRST + f) % LANES, workspace.right[f]
         for s in range(segments - 1, -1, -1):
             for k in range(6):
-                room.shares[s, p, k, i] = right[k] * (1.0 / STEP)
+                workspace.shares[s, p, k, i] = right[k] * (1.0 / STEP)
             if s > 0:
                 for k in range(5, -1, -1):
                     total = right[k] - along[s, f, k]

@@ -63,11 +63,11 @@ def _continuation(
     length: float,
     segments: int,
     scale: Array,
-    room: Workspace,
+    workspace: Workspace,
     tolerance: float,
 ) -> int:
     """Lead the pressures from the last ones to the new ones, in strides as long as succeed."""
-    x = room.x
+    x = workspace.x
     good, some = x.copy(), np.empty_like(pressure)
     done, stride, total = 0.0, 0.125, 0
     while done < 1.0:
@@ -75,7 +75,7 @@ def _continuation(
         for k in range(walls.actuators):
             some[k] = last[k] + (pressure[k] - last[k]) * share
         set_pressures(w, walls.actuators, rest, per_pressure, free, some)
-        passes = newton(w, walls, load, loaded, tip, c0, length, segments, scale, room, tolerance, 40.0, np.inf)
+        passes = newton(w, walls, load, loaded, tip, c0, length, segments, scale, workspace, tolerance, 40.0, np.inf)
         if passes > 0:
             total += passes
             done, stride = share, 2.0 * stride
@@ -112,15 +112,15 @@ def between(history: Array, size: int, h: float) -> None:
 
 
 @called
-def initialise_history(scheme: Array, x: Array, past_states: Array, length: float, room: Workspace) -> None:
-    """The past of the first time step of an arm that has long been at rest in x: past_states, and room.history."""
-    history, share = room.history, scheme[1] + scheme[2] + scheme[3]
+def initialise_history(scheme: Array, x: Array, past_states: Array, length: float, workspace: Workspace) -> None:
+    """The past of the first time step of an arm that has long been at rest in x: past_states, and workspace.history."""
+    history, share = workspace.history, scheme[1] + scheme[2] + scheme[3]
     flat, past = x.reshape(x.size), past_states.reshape(2, x.size)
     for m in range(x.size):
         history[m] = share * flat[m]
         past[0, m] = flat[m]
         past[1, m] = flat[m]
-    between(history, x.size // 2, length / (room.states.shape[0] - 1))
+    between(history, x.size // 2, length / (workspace.states.shape[0] - 1))
 
 
 @inlined
@@ -156,36 +156,36 @@ def advance(
     x: Array,
     branch_factors: Array,
     branch_strains: Array,
-    room: Workspace,
+    workspace: Workspace,
     tolerance: float,
 ) -> int:
-    """One time step. Returns the number of passes, or -1: then only work array and room are changed.
+    """One time step. Returns the number of passes, or -1: then only work array and workspace are changed.
 
     scheme: c0, c1, c2, c3, d1. x (2 N + 2, 16): the last solution and its slopes; past_states (2, 2 N + 2, 16): the two
     before. before (3, N): the last three's pressures. The guess is extrapolated if extrapolation also predicts the
-    pressures better than the last ones do. room.history: y^h at the nodes, its slopes, and the same at the mid-points,
-    (N + 1) x 16 each; room.walls_past the same of the walls' past strains, which differ where there are branches, see
-    `relaxation`. Where a step fails: more segments, then the pressures led from the last ones to the new ones in
-    parts.
+    pressures better than the last ones do. workspace.history: y^h at the nodes, its slopes, and the same at the
+    mid-points, (N + 1) x 16 each; workspace.walls_past the same of the walls' past strains, which differ where there
+    are branches, see `relaxation`. Where a step fails: more segments, then the pressures led from the last ones to the
+    new ones in parts.
     """
-    n = room.states.shape[0] - 1
-    c0, y = scheme[0], room.x
+    n = workspace.states.shape[0] - 1
+    c0, y = scheme[0], workspace.x
     set_pressures(w, walls.actuators, rest, per_pressure, free, pressure)
     ahead, off = 0.0, 0.0
     for k in range(walls.actuators):
         off += abs(pressure[k] - before[0, k])
         ahead += abs(pressure[k] - 3.0 * (before[0, k] - before[1, k]) - before[2, k])
     _guess(x, past_states, ahead <= off, n, segments, y)
-    passes = newton(w, walls, load, loaded, tip, c0, length, segments, scale, room, tolerance, 8.0, np.inf)
+    passes = newton(w, walls, load, loaded, tip, c0, length, segments, scale, workspace, tolerance, 8.0, np.inf)
     if passes < 0:
         finer = divisor(n, max(4, 2 * segments))
         _guess(x, past_states, False, n, finer, y)
-        passes = newton(w, walls, load, loaded, tip, c0, length, finer, scale, room, tolerance, 25.0, np.inf)
+        passes = newton(w, walls, load, loaded, tip, c0, length, finer, scale, workspace, tolerance, 25.0, np.inf)
         if passes < 0:
             _guess(x, past_states, False, n, finer, y)
             passes = _continuation(
                 w, walls, rest, per_pressure, free, before[0], pressure, load, loaded, tip, c0, length,
-                finer, scale, room, tolerance,
+                finer, scale, workspace, tolerance,
             )  # fmt: skip
             if passes < 0:
                 return -1
@@ -199,11 +199,11 @@ def advance(
         before[0, k] = pressure[k]
     if branched(walls.law):
         relax_branches(branch_factors, branch_strains, y, x)
-    _update_history(scheme, y, x, past_states, room.history)
-    between(room.history, x.size // 2, length / n)
+    _update_history(scheme, y, x, past_states, workspace.history)
+    between(workspace.history, x.size // 2, length / n)
     if branched(walls.law):
-        recall_branches(branch_factors, branch_strains, x, room.history, room.walls_past)
-        between(room.walls_past, x.size // 2, length / n)
+        recall_branches(branch_factors, branch_strains, x, workspace.history, workspace.walls_past)
+        between(workspace.walls_past, x.size // 2, length / n)
     return int(passes)
 
 

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from rig.cli.column_table import ColumnTable
 from rig.config.drivers import InstalledDriver
-from rig.contract.check import CheckResult, CheckVerdict
+from rig.driver_contract.check import CheckResult, CheckVerdict
 
 _STYLE = {CheckVerdict.PASS: "green", CheckVerdict.FAIL: "bold red", CheckVerdict.SKIPPED: "dim"}
 

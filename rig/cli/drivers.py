@@ -47,7 +47,7 @@ def check_drivers(
     from rig.cli import driver_output
     from rig.cli.console import console
     from rig.config import loader
-    from rig.contract.session import results
+    from rig.driver_contract.session import results
 
     rig_file = loader.path_of(rig)
     config = loader.load(rig_file)

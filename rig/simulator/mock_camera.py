@@ -15,8 +15,8 @@ from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
 from rig.hardware.cameras.base import CameraError, Frame
 from rig.hardware.cards.base import CardError
+from rig.simulator.cell_grid_rendering import Cover
 from rig.simulator.faults import CameraFault, Faults
-from rig.simulator.print_rendering import Cover
 from rig.simulator.registers import Registers
 from rig.simulator.scene import Optics, Scene
 from rig.simulator.tip_pose import PoseSource, TipPose

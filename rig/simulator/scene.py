@@ -14,7 +14,7 @@ from calibration.vision.lens import Lens
 from calibration.vision.projection import extent
 from calibration.vision.transforms import RigidTransform
 from rig.simulator.board_rendering import FINE, shrink
-from rig.simulator.print_rendering import Cover, painter, print_painter
+from rig.simulator.cell_grid_rendering import Cover, painter, print_painter
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]

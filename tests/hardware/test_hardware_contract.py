@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from rig.config.loader import load
-from rig.contract import card_checks
-from rig.contract.card_checks import CARD_CHECKS, CardSubject
-from rig.contract.check import Check, CheckVerdict
+from rig.driver_contract import card_checks
+from rig.driver_contract.card_checks import CARD_CHECKS, CardSubject
+from rig.driver_contract.check import Check, CheckVerdict
 from tests.hardware.rig_of_the_machine import LOOPED
 
 EMULATED_S = 400.0

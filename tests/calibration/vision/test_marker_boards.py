@@ -12,7 +12,7 @@ from calibration.vision.charuco import CharucoBoard
 from calibration.vision.tag_grid import TagGrid
 from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.print_rendering import Cover, print_painter
+from rig.simulator.cell_grid_rendering import Cover, print_painter
 from runs.records import DetectionStatus
 from tests.support.vision_bench import BOARD, facing, scene, still
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from rig.config import loader
-from rig.contract.session import bench_of
-from rig.contract.tracker_checks import TRACKER_CHECKS, TrackerSubject
 from rig.doctor.trackers import rig_trackers
+from rig.driver_contract.session import bench_of
+from rig.driver_contract.tracker_checks import TRACKER_CHECKS, TrackerSubject
 from rig.hardware.installed_drivers import installed_drivers
 from tests.rig.hardware.test_udp_tracker import free_port
 from tests.rig.realtime.test_tracker import example, udp_rig

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from rig.config import loader
-from rig.contract.card_checks import CARD_CHECKS, CardSubject
-from rig.contract.check import CheckVerdict
+from rig.driver_contract.card_checks import CARD_CHECKS, CardSubject
+from rig.driver_contract.check import CheckVerdict
 from rig.hardware.cards import ni
 from rig.hardware.cards.base import CardError, CardSetup, Channel
 

@@ -1,6 +1,6 @@
 """A process that opens a card for the contract test: it holds the card until it is killed, or writes it once.
 
-`python -m rig.contract.card_holder hold|write RIG_FILE CARD V1,V2,..` prints one line of JSON: the read-back,
+`python -m rig.driver_contract.card_holder hold|write RIG_FILE CARD V1,V2,..` prints one line of JSON: the read-back,
 the process ids of a busy card, or the error.
 """
 

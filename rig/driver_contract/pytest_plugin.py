@@ -1,8 +1,8 @@
 """Fixtures of pytest: the contract tests of a driver in the tests of its package.
 
-A conftest.py has `pytest_plugins = ["rig.contract.pytest_plugin"]` and a fixture `driver_rig` that returns the path of
-a rig file; a fixture `driver_unplug` may return a function that makes a card disappear, by its name. A test that takes
-`driver_check` runs once for each check and gets its result.
+A conftest.py has `pytest_plugins = ["rig.driver_contract.pytest_plugin"]` and a fixture `driver_rig` that returns the
+path of a rig file; a fixture `driver_unplug` may return a function that makes a card disappear, by its name. A test
+that takes `driver_check` runs once for each check and gets its result.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from rig.config import loader
-from rig.contract.card_checks import CARD_CHECKS, RATE_S, CardSubject
-from rig.contract.check import Check, CheckResult
-from rig.contract.session import Unplug, bench_of, card_subjects
+from rig.driver_contract.card_checks import CARD_CHECKS, RATE_S, CardSubject
+from rig.driver_contract.check import Check, CheckResult
+from rig.driver_contract.session import Unplug, bench_of, card_subjects
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.contract.check import BrokenContractError, Check, NotApplicableError
+from rig.driver_contract.check import BrokenContractError, Check, NotApplicableError
 from rig.hardware.cards.base import Card, CardError, CardSetup, Scans
 from rig.hardware.cards.registry import open_card
 from rig.hardware.cards.setup import card_setup
@@ -315,7 +315,16 @@ def _polled(card: Card, period_s: float, duration_s: float) -> Iterator[tuple[Sc
 
 def _command(mode: str, subject: CardSubject, volts: Volts) -> list[str]:
     words = ",".join(f"{v:.6f}" for v in volts)
-    return [sys.executable, "-P", "-m", "rig.contract.card_holder", mode, str(subject.rig_file), subject.name, words]
+    return [
+        sys.executable,
+        "-P",
+        "-m",
+        "rig.driver_contract.card_holder",
+        mode,
+        str(subject.rig_file),
+        subject.name,
+        words,
+    ]
 
 
 def _second(subject: CardSubject, volts: Volts) -> dict[str, Any]:

@@ -13,14 +13,14 @@ import pytest
 
 from rig.cli.app import main
 from rig.config import loader
-from rig.contract.card_checks import CARD_CHECKS, CardSubject
-from rig.contract.check import CheckResult, CheckVerdict
-from rig.contract.session import Unplug, bench_of, card_subjects
+from rig.driver_contract.card_checks import CARD_CHECKS, CardSubject
+from rig.driver_contract.check import CheckResult, CheckVerdict
+from rig.driver_contract.session import Unplug, bench_of, card_subjects
 from rig.hardware.lock import lock_file
 from scripts.rig_process import write_rig
 from tests.support.plugin_package import install, use
 
-pytest_plugins = ["rig.contract.pytest_plugin"]
+pytest_plugins = ["rig.driver_contract.pytest_plugin"]
 
 ROOT = Path(__file__).parents[3]
 CHECKS = {check.name: check for check in CARD_CHECKS}
@@ -122,7 +122,7 @@ def test_each_check_finds_the_driver_that_breaks_it(
     config = loader.load(rig_file)
     box = importlib.import_module("softrig_pneubox")
     for name, shorter in (("FREED_S", 0.1), ("GONE_S", 0.1), ("SETTLED_S", 0.05)):
-        monkeypatch.setattr(f"rig.contract.card_checks.{name}", shorter)
+        monkeypatch.setattr(f"rig.driver_contract.card_checks.{name}", shorter)
     device = config.cards["daq"].device
     subject = CardSubject(config, "daq", rig_file, lambda: box.file_of(device).unlink(), SAMPLE_S)
     result = CHECKS[check].result("daq", subject)
@@ -151,8 +151,8 @@ def test_the_command_prints_every_result_and_fails_for_a_broken_driver(
     rig_file = box_rig(tmp_path, "breakable", fault="takes NaN")
     text = rig_file.read_text().replace("driver: opencv", "driver: absent")
     assert "absent" in text
-    monkeypatch.setattr("rig.contract.session.CAMERA_CHECKS", ())
-    monkeypatch.setattr("rig.contract.session.CARD_CHECKS", (CHECKS["read-back"], CHECKS["bad values"]))
+    monkeypatch.setattr("rig.driver_contract.session.CAMERA_CHECKS", ())
+    monkeypatch.setattr("rig.driver_contract.session.CARD_CHECKS", (CHECKS["read-back"], CHECKS["bad values"]))
     with pytest.raises(SystemExit) as left:
         main(["test-driver", str(rig_file), "--json"])
     assert left.value.code == 1

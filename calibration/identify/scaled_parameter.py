@@ -13,7 +13,7 @@ _BOUND_FRACTION = 0.98
 
 
 @dataclass(frozen=True)
-class Unknown:
+class ScaledParameter:
     """A free parameter, or its value in one run, as z: the distance from its start in spans.
 
     A `reciprocal` parameter is linear in z in its reciprocal, with the same slope at the start.
@@ -26,7 +26,7 @@ class Unknown:
     most: float
 
     @classmethod
-    def of_setup(cls, parameter: Parameter, run: int | None, setup: Setup) -> Unknown:
+    def of_setup(cls, parameter: Parameter, run: int | None, setup: Setup) -> ScaledParameter:
         """The parameter with its value in a setup as the start."""
         start = parameter.read(setup)
         most = min(parameter.upper, _BOUND_FRACTION * parameter.below(setup))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.config.schema import RigConfig
-from rig.contract.check import BrokenContractError, Check
+from rig.driver_contract.check import BrokenContractError, Check
 from rig.hardware.cameras.base import Frame
 from rig.hardware.cameras.registry import open_camera
 

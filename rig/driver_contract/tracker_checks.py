@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.config.schema import RigConfig
-from rig.contract.check import BrokenContractError, Check
+from rig.driver_contract.check import BrokenContractError, Check
 from rig.hardware.trackers.base import TrackerReading
 from rig.hardware.trackers.registry import open_tracker
 

@@ -68,7 +68,7 @@ def _weights(weight_kg: ArrayLike | None, count: int) -> Array:
 
 
 @dataclass(frozen=True)
-class LaneStack:
+class PerturbedArms:
     """The arm and its neighbours as the kernels take them; one section for each row of pressures, or one for all."""
 
     first: KernelArguments
@@ -81,7 +81,7 @@ class LaneStack:
     @classmethod
     def of(
         cls, arm: Arm, changes: Sequence[Variation], nodes: int, rows: Array, c0: float = 0.0, dt_s: float = 0.0
-    ) -> LaneStack:
+    ) -> PerturbedArms:
         """Of rows of pressures (K, N), the first ones or all; they matter only to rules that freeze the moduli."""
         arms, some = [arm, *(change.arm for change in changes)], len(rows)
         pressure = [rows, *(rows if change.pressure_pa is None else change.pressure_pa[:some] for change in changes)]
@@ -108,7 +108,7 @@ class LaneStack:
         steps = np.array([change.step for change in changes], dtype=np.float64)
         return cls(first, lanes, load, loaded, first.work(), steps)
 
-    def own(self, rows: slice) -> LaneStack:
+    def own(self, rows: slice) -> PerturbedArms:
         """The part for some rows, with work arrays of its own."""
         lanes, first = self.lanes, self.first
         works = layout.aligned(*lanes.works.shape)
