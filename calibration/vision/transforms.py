@@ -78,11 +78,6 @@ class RigidTransform:
         covariance[..., :3, :3] += self.translation_std_m**2 * np.eye(3)
         return np.asarray(covariance)
 
-    def parent_origin(self) -> tuple[Floats, Floats]:
-        """Return the parent's origin (3,) in this frame with its covariance (3, 3)."""
-        origin = -self.rotation.T @ self.translation_m
-        return origin, self._own_covariance(origin)
-
     def _own_covariance(self, arm_m: Floats) -> Floats:
         """Cross-product matrix [a] of the lever times its transpose is |a|^2 I - a a^T."""
         lever = np.dot(arm_m, arm_m) * np.eye(3) - np.outer(arm_m, arm_m)

@@ -79,10 +79,6 @@ class StaticMap:
         """Tips (K, 3) [m] of pressures (K, V) [Pa]."""
         return self.combined(pressure_pa, self.payload_terms(payload_kg)[0])
 
-    def jacobians(self, pressure_pa: Array, payload_kg: float = 0.0) -> Array:
-        """d tip / d pressure (K, 3, V) [m/Pa]."""
-        return self.combined_slopes(pressure_pa, self.payload_terms(payload_kg)[0])[1]
-
     def by_payload(self, pressure_pa: Array, payload_kg: float) -> Array:
         """d tip / d payload (3,) [m/kg] at pressures (V,)."""
         found: Array = self.combined(pressure_pa[None], self.payload_terms(payload_kg)[1])[0]

@@ -89,14 +89,7 @@ def load(
     """
     source = document.read(file)
     plan = document.validate(StudyPlan, source)
-    if not NAME.fullmatch(file.stem):
-        expected = "a file whose name, the name of the study, has letters, digits, _ and - only, at most 60"
-        raise BadInputError([Problem(str(file), 0, 0, "", file.stem, expected)])
-    if plan.stop.pressure_cycles is not None and "specimen" not in read(rig.name).run_metadata(metadata or {})[0]:
-        position = source.position(("stop", "pressure_cycles"))
-        expected = "a specimen, whose cycles are counted: metadata of the rig file, or --meta specimen=NAME"
-        place = (str(file), position.line, position.column, "stop, pressure_cycles", position.source)
-        raise BadInputError([Problem(*place, expected)])
+    _check_plan(file, source, plan, rig, metadata or {})
     protocol = _protocol(source, plan.protocol, ("protocol",))
     if problems := list(_setting_problems(source, plan, protocol)):
         raise BadInputError(problems)
@@ -141,6 +134,18 @@ def load(
         plans=plans,
         conditioning=checked[-1] if plan.conditioning is not None else None,
     )
+
+
+def _check_plan(file: Path, source: Document, plan: StudyPlan, rig: RigChoice, metadata: Mapping[str, str]) -> None:
+    """Refuse a name that cannot be a study's, and a stop by cycles of a specimen that is not named."""
+    if not NAME.fullmatch(file.stem):
+        expected = "a file whose name, the name of the study, has letters, digits, _ and - only, at most 60"
+        raise BadInputError([Problem(str(file), 0, 0, "", file.stem, expected)])
+    if plan.stop.pressure_cycles is not None and "specimen" not in read(rig.name).run_metadata(metadata)[0]:
+        position = source.position(("stop", "pressure_cycles"))
+        expected = "a specimen, whose cycles are counted: metadata of the rig file, or --meta specimen=NAME"
+        place = (str(file), position.line, position.column, "stop, pressure_cycles", position.source)
+        raise BadInputError([Problem(*place, expected)])
 
 
 def _named(problem: Problem, where: list[str], combinations: int) -> Problem:

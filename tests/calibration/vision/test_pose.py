@@ -30,8 +30,6 @@ def test_transforms_compose_and_invert(
     outer, inner, point = RigidTransform.from_vectors(a, s), RigidTransform.from_vectors(b, t), np.array(x)
     assert np.allclose((outer @ inner).apply(point), outer.apply(inner.apply(point)), atol=1e-12)
     assert np.allclose(outer.inverse().apply(outer.apply(point)), point, atol=1e-12)
-    origin, _ = outer.parent_origin()
-    assert np.allclose(outer.apply(origin), 0, atol=1e-12)
 
 
 def test_an_uncertain_transform_scatters_points_as_its_covariance_says() -> None:
