@@ -109,6 +109,10 @@ class Interval:
     """Set-point of every actuator at the end of the segment."""
 
 
+GRAVITY_DIRECTION = "gravity_direction"
+"""Name of a quantity: a unit vector in the rod-base frame. In the room `calibration`, it was measured for the run."""
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A number used by the run, with its source.
@@ -243,6 +247,12 @@ class RunHeader:
     def protocol_parameters(self) -> tuple[Quantity, ...]:
         """The parameters of the protocol, with the values that the run used."""
         return tuple(quantity for quantity in self.quantities if quantity.room == "protocol")
+
+    @property
+    def measured_gravity(self) -> Quantity | None:
+        """The direction of gravity that was measured for this run, with the standard uncertainty across it [rad]."""
+        found = [q for q in self.quantities if (q.room, q.name) == ("calibration", GRAVITY_DIRECTION)]
+        return found[0] if found else None
 
     @property
     def inputs(self) -> dict[str, str]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from protocols.schema import editor_schema
-from rig.config.calibration_schema import CameraFile, DLTFile, PressureFile, ToolFile
+from rig.config.calibration_schema import CameraFile, DLTFile, GravityFile, PressureFile, ToolFile
 from rig.config.schema import RigConfig
 from rig.importing.mapping import Mapping
 from rig.study.plan import StudyPlan
@@ -26,6 +26,7 @@ FILES: dict[str, Callable[[], dict[str, Any]]] = {
     "calibration-dlt.schema.json": DLTFile.model_json_schema,
     "calibration-tool.schema.json": ToolFile.model_json_schema,
     "calibration-pressure.schema.json": PressureFile.model_json_schema,
+    "calibration-gravity.schema.json": GravityFile.model_json_schema,
 }
 
 

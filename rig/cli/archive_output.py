@@ -25,7 +25,7 @@ from rig.cli.run_names import resolve
 from runs import annotation_file
 from runs.catalogue import Entry
 from runs.pressure_cycles import pressure_cycles
-from runs.records import Status, StudyRun
+from runs.records import Quantity, Status, StudyRun
 from runs.recovery import RecoveryStatus
 from runs.recovery import recover as recover_folder
 from runs.summary import Summary, summarise
@@ -86,6 +86,7 @@ def show(name: Path, as_json: bool) -> None:
         ("parameters", ", ".join(map(str, header.protocol_parameters)) or "-"),
         ("rig", header.rig_name),
         ("model", header.model_variant or "-"),
+        *((("gravity", _gravity(header.measured_gravity)),) if header.measured_gravity else ()),
         ("study", _study(header.study)),
         ("operator", header.operator or "-"),
         ("metadata", ", ".join(f"{name} = {text}" for name, text in header.metadata.items()) or "-"),
@@ -101,6 +102,14 @@ def show(name: Path, as_json: bool) -> None:
         facts.add_row(key, value)
     screen.print(facts)
     screen.print(summary_table(summary, run.timing.counters))
+
+
+def _gravity(quantity: Quantity) -> str:
+    """Return the measured direction of gravity, with its standard uncertainty."""
+    direction = ", ".join(f"{value:.3f}" for value in quantity.value)
+    return (
+        f"[{direction}] in the rod-base frame, +- {math.degrees(quantity.uncertainty):.1f} degrees ({quantity.source})"
+    )
 
 
 def _study(place: StudyRun | None) -> str:

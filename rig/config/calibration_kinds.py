@@ -17,6 +17,7 @@ from rig.config.calibration_schema import (
     CameraIdentity,
     CardIdentity,
     DLTFile,
+    GravityFile,
     PressureFile,
     SensorCalibration,
     ToolFile,
@@ -222,11 +223,25 @@ class PressureOverlay(CalibrationOverlay[PressureFile]):
                 yield self.calibration.problem((*here, "closed_V"), sweep.closed_V, expected)
 
 
+class GravityOverlay(CalibrationOverlay[GravityFile]):
+    """The direction of gravity."""
+
+    def subjects(self) -> Iterator[Subject]:
+        """Yield the direction."""
+        yield Subject(("direction",), ("gravity", ""), "the direction of gravity")
+
+    def apply(self, data: dict[str, Any], config: RigConfig) -> None:
+        """Replace the direction and its uncertainty."""
+        data["arm"]["gravity_direction"] = list(self.found.direction)
+        data["uncertainties"] = (data.get("uncertainties") or {}) | {"gravity_direction_deg": self.found.std_deg}
+
+
 OVERLAYS: dict[type[CalibrationFile], type[CalibrationOverlay[Any]]] = {
     CameraFile: LensOverlay,
     DLTFile: PlacementOverlay,
     ToolFile: BoardOverlay,
     PressureFile: PressureOverlay,
+    GravityFile: GravityOverlay,
 }
 
 

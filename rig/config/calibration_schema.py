@@ -1,4 +1,4 @@
-"""The calibration file: what each of its four kinds holds, with the unit of every number in its key."""
+"""The calibration file: what each of its five kinds holds, with the unit of every number in its key."""
 
 # ruff: noqa: N815 - volts keep their capital, as in V and mV
 
@@ -20,6 +20,7 @@ from rig.sections.quantities import (
     NonNegative,
     Number,
     Positive,
+    Triple,
     Volt,
     VoltSpan,
     Word,
@@ -294,12 +295,30 @@ class PressureFile(CalibrationFile):
     sources: tuple[SourceFileSection, ...] = ()
 
 
-AnyFile = CameraFile | DLTFile | ToolFile | PressureFile
-KINDS: dict[str, type[CameraFile] | type[DLTFile] | type[ToolFile] | type[PressureFile]] = {
+class GravityFile(CalibrationFile):
+    """`rig import` of a table with a load cell: the direction of gravity in the rod-base frame."""
+
+    kind: Literal["gravity"]
+    direction: Triple
+    std_deg: Annotated[float, Field(gt=0, le=180, strict=True)] = Field(description="about each axis across it")
+    readings: Count = Field(description="of the load cell at rest")
+    carried_g: NonNegative | None = Field(default=None, description="mass that the cell carries beside known weights")
+    source: SourceFileSection
+
+    @model_validator(mode="after")
+    def _check(self) -> GravityFile:
+        if not any(self.direction):
+            faults([ValidationFault(("direction",), "a direction, such as [0, 0, 1]")])
+        return self
+
+
+AnyFile = CameraFile | DLTFile | ToolFile | PressureFile | GravityFile
+KINDS: dict[str, type[CameraFile] | type[DLTFile] | type[ToolFile] | type[PressureFile] | type[GravityFile]] = {
     "camera": CameraFile,
     "dlt": DLTFile,
     "tool": ToolFile,
     "pressure": PressureFile,
+    "gravity": GravityFile,
 }
 
 

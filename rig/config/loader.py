@@ -102,7 +102,15 @@ class RigFile:
         """
         from rig.config import calibration_overlay
 
-        added = calibration_overlay.read_files(files)
+        return self._calibrated(calibration_overlay.read_files(files))
+
+    def calibrated_as(self, files: Sequence[RecordedFile]) -> RigFile:
+        """Return the rig with recorded calibrations added, as `calibrated` does."""
+        return self._calibrated(_parse_calibrations(self.file, files)) if files else self
+
+    def _calibrated(self, added: Sequence[tuple[str, LoadedCalibration]]) -> RigFile:
+        from rig.config import calibration_overlay
+
         kept = calibration_overlay.not_replaced(_parsed(self), [one for _, one in added])
         return _rig_file(self._document, (*kept, *added), _parameters(self.parameters), recorded=self.recorded)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from protocols import Protocol
 from rig.config.schema import RigConfig
-from runs.records import Quantity
+from runs.records import GRAVITY_DIRECTION, Quantity
 
 _PACKAGES = ("softrig", "numpy", "scipy", "numba", "opencv-python-headless", "h5py", "mcap", "pydantic", "pycomedi")
 _ROOT = Path(__file__).resolve().parents[2]
@@ -84,7 +84,7 @@ def quantities(config: RigConfig) -> tuple[Quantity, ...]:
     if arm.actuation.as_law().grows:
         add("model", "push_growth", "1/bar", arm.actuation.growth_per_bar)
     add("model", "cap_mass", "g", arm.cap_mass_g)
-    add("model", "gravity_direction", "1", *arm.gravity_direction)
+    add("model", GRAVITY_DIRECTION, "1", *arm.gravity_direction)
     for sensor in config.sensors:
         (low, high), (low_bar, high_bar) = sensor.signal_span, sensor.span_bar
         scale = (high_bar - low_bar) / (high - low)

@@ -20,17 +20,19 @@ from rig.config.parameters_overlay import ParametersFile, differing_fields
 from rig.config.parameters_overlay import recorded as recorded_parameters
 from rig.config.schema import RigConfig
 from rig.config.sections import GeometryConfig, Placement, Sensor
+from rig.identify.recorded_gravity import check_gravity, gravity_files
 from runs.run import Run
 
 
 def starting_rigs(first: Run, names: Sequence[str]) -> dict[str, RigFile]:
-    """Return the initial rigs by name: the named ones, or else the first run's own.
+    """Return the initial rigs by name: the named ones, with the run's measured gravity, or else the first run's own.
 
     Raises:
         BadInputError: a named rig is invalid.
         NoDataError: no rig is named, and the archive is an import without one.
     """
-    return {name: read(name) for name in names} or {first.header.rig_name: recorded_rig(first)}
+    measured = gravity_files(first)
+    return {name: read(name).calibrated_as(measured) for name in names} or {first.header.rig_name: recorded_rig(first)}
 
 
 def open_archives(paths: Sequence[Path]) -> tuple[list[Run], tuple[str, ...]]:
@@ -62,9 +64,11 @@ def check_alike(archives: Sequence[Run], one_arm: bool = False) -> tuple[str, ..
     `one_arm` the rigs' geometries are not compared.
 
     Raises:
-        NoDataError: the rigs have different geometries, or overlays with different mountings or gains.
+        NoDataError: the rigs have different geometries, or overlays with different mountings or gains; or the measured
+            directions of gravity differ.
     """
     first, *others = archives
+    gravity = check_gravity(archives)
     notes = () if one_arm else _check_rigs([run for run in archives if run.header.rig_yaml])
     overlay = _recorded_overlay(first)
     for run in others:
@@ -79,7 +83,7 @@ def check_alike(archives: Sequence[Run], one_arm: bool = False) -> tuple[str, ..
         )
         note += "gains are relative to them; written files are relative to the rig without them"
         notes = (*notes, note)
-    return notes
+    return (*notes, *gravity)
 
 
 def _check_rigs(archives: Sequence[Run]) -> tuple[str, ...]:

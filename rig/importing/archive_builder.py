@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from calibration.gravity import GravityDirection
 from protocols.problems import BadInputError, Problem
 from protocols.source_positions import Document
 from rig.config import loader
@@ -22,6 +23,7 @@ from rig.config.calibration_files import sha256_of
 from rig.experiment.provenance import git_state, versions
 from rig.experiment.run import free_id
 from rig.importing.columns import ColumnReader
+from rig.importing.gravity import gravity_calibration, measured_gravity, warn_if_opposite
 from rig.importing.mapping import Mapping, load
 from rig.importing.tables import read as read_table
 from rig.importing.timestamps import RowTimes, times
@@ -35,10 +37,12 @@ from runs.export.exporters import SIMULATED
 from runs.interpolation import interpolated
 from runs.journal.journal import SUFFIX, JournalWriter
 from runs.records import (
+    GRAVITY_DIRECTION,
     DetectionStatus,
     Event,
     Level,
     Quantity,
+    RecordedFile,
     RunFooter,
     RunHeader,
     Status,
@@ -93,7 +97,12 @@ def import_table(
     tips = placed(columns, mapping)
     asked_pa, valve_v, weight_kg = _asked(columns, mapping), _valves(columns, mapping), _weight(columns, mapping)
     pull = wrench(columns, mapping)
+    gravity = measured_gravity(columns, mapping, document, (t_ns - t_ns[0]) * 1e-9, weight_kg)
     columns.check()
+    if gravity is not None and rig is not None:
+        warn_if_opposite(columns, gravity, rig)
+        measured = gravity_calibration(gravity, data)
+        rig = rig.calibrated_as([RecordedFile.of(measured.source.file, measured.found.kind, measured.source.text)])
     _doubt_units(columns, t_ns, gauge_pa, tips.tip_m, length_m)
     started_utc_ns = _started_utc_ns(columns, mapping, document, read)
     samples = _samples(t_ns, _frames(columns, t_ns), asked_pa, gauge_pa, valve_v)
@@ -130,7 +139,7 @@ def import_table(
         versions=versions(),
         git_commit=commit,
         git_diff=diff,
-        quantities=_quantities(mapping, mapping_file, ambient_pa),
+        quantities=_quantities(mapping, mapping_file, ambient_pa, gravity),
         control_hz=rate_hz,
         camera_hz=rate_hz,
     )
@@ -345,7 +354,9 @@ def _scaled(
     return columns.several(keys, [PASCALS[word] for word in units])
 
 
-def _quantities(mapping: Mapping, file: Path, ambient_pa: Floats) -> tuple[Quantity, ...]:
+def _quantities(
+    mapping: Mapping, file: Path, ambient_pa: Floats, gravity: GravityDirection | None
+) -> tuple[Quantity, ...]:
     """Every number that the import used."""
     source = f"mapping {file.name}"
     pressures, place = mapping.pressures, mapping.frame
@@ -361,6 +372,10 @@ def _quantities(mapping: Mapping, file: Path, ambient_pa: Floats) -> tuple[Quant
         found.append(Quantity("calibration", "pressure_delay", (pressures.delay_s,), "s", source))
     if mapping.tip is not None and mapping.tip.offset_mm is not None:
         found.append(Quantity("calibration", "tip_offset", mapping.tip.offset_mm, "mm", source))
+    if gravity is not None:
+        how = f"load cell, {gravity.readings} rows at rest"
+        direction = tuple(gravity.direction.tolist())
+        found.append(Quantity("calibration", GRAVITY_DIRECTION, direction, "1", how, gravity.std_rad))
     return tuple(found)
 
 

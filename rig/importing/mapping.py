@@ -19,6 +19,8 @@ from protocols.validation import ValidationFault, faults
 from rig.config.sections import Placement
 from rig.importing.mapping_sections import (
     BaseSensor,
+    Gravity,
+    LoadCell,
     PressureColumnsSection,
     RowTime,
     SetPoints,
@@ -48,6 +50,7 @@ class Mapping(Section):
     tip: TipSensor | SkipJsonSchema[None] = None
     base: BaseSensor | SkipJsonSchema[None] = None
     wrench: Wrench | SkipJsonSchema[None] = None
+    gravity: Gravity | SkipJsonSchema[None] = None
     frame: Placement = Placement()
 
     @model_validator(mode="after")
@@ -72,10 +75,13 @@ class Mapping(Section):
         if self.setpoints is not None and len(self.setpoints.columns) != self.actuators:
             yield ValidationFault(("setpoints", "columns"), f"as many columns as there are pressures: {self.actuators}")
         orientation = None if self.tip is None else self.tip.orientation
-        turning = orientation is not None
-        if self.wrench is not None and self.wrench.axes == "tip" and not turning:
-            yield ValidationFault(("wrench", "axes"), "tracker, or an orientation of the tip: the wrench turns with it")
-        used = self.wrench is not None or (self.tip is not None and self.tip.offset_mm is not None)
+        cells = self._load_cells()
+        for path, cell in cells.items():
+            if cell.axes == "tip" and orientation is None:
+                yield ValidationFault((*path, "axes"), "tracker, or an orientation of the tip: the cell turns with it")
+        if self.gravity is not None:
+            yield from self._faults_of_gravity(self.gravity)
+        used = bool(cells) or (self.tip is not None and self.tip.offset_mm is not None)
         if orientation is not None and orientation.uncertainty_deg is None and not used:
             expected = (
                 "uncertainty_deg in it, which keeps the orientation of the tip, or offset_mm or a wrench beside it"
@@ -83,6 +89,18 @@ class Mapping(Section):
             yield ValidationFault(("tip", "orientation"), expected)
         if self.base is not None and self.tip is None:
             yield ValidationFault(("base",), "a tip beside it: the base sensor's position is subtracted from the tip's")
+
+    def _faults_of_gravity(self, gravity: Gravity) -> Iterator[ValidationFault]:
+        if gravity.cell is None and self.wrench is None:
+            yield ValidationFault(("gravity", "cell"), "is missing: a load cell here, or a wrench whose cell it is")
+        if self.rig is None:
+            yield ValidationFault(("gravity",), "a rig beside it, to whose arm the direction of gravity belongs")
+
+    def _load_cells(self) -> dict[tuple[str, ...], LoadCell]:
+        """The load cells, by their place in the mapping."""
+        weighing = None if self.gravity is None else self.gravity.cell
+        cells = {("wrench",): self.wrench, ("gravity", "cell"): weighing}
+        return {path: cell for path, cell in cells.items() if cell is not None}
 
     def _faults_of_columns(self) -> Iterator[ValidationFault]:
         """Columns that have two meanings, and kinds of column that the file cannot have."""
@@ -116,10 +134,10 @@ class Mapping(Section):
         for name in ("pressures", "setpoints", "valves"):
             if (part := getattr(self, name)) is not None:
                 yield (name,), part.columns
-        if self.wrench is not None:
-            yield ("wrench", "force"), self.wrench.force.columns
-            if self.wrench.moment is not None:
-                yield ("wrench", "moment"), self.wrench.moment.columns
+        for path, cell in self._load_cells().items():
+            yield (*path, "force"), cell.force.columns
+        if self.wrench is not None and self.wrench.moment is not None:
+            yield ("wrench", "moment"), self.wrench.moment.columns
         for name in ("tip", "base"):
             if (sensor := getattr(self, name)) is not None:
                 yield (name, "position"), sensor.position.columns

@@ -1,5 +1,7 @@
 """Sections of the mapping of an import: what a column, or a group of columns, of a foreign table is."""
 
+# ruff: noqa: N815 - newton keeps its capital
+
 from __future__ import annotations
 
 from typing import Annotated, Any, Literal
@@ -36,6 +38,16 @@ AmbientBar = Annotated[
 def _number_or_name(value: Any) -> str:
     return "number" if isinstance(value, int) else "name"
 
+
+def _interval(value: tuple[float, float]) -> tuple[float, float]:
+    if not 0 <= value[0] < value[1]:
+        raise ValueError("begin and end of a time, 0 or more, such as [2.5, 10]")
+    return value
+
+
+Second = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+Interval = Annotated[tuple[Second, Second], AfterValidator(_interval)]
+"""Begin and end [s]."""
 
 Column = Annotated[Annotated[Index, Tag("number")] | Annotated[Word, Tag("name")], Discriminator(_number_or_name)]
 """A column by its number, or by its name."""
@@ -258,36 +270,77 @@ class Torque(Section):
     unit: MomentUnit
 
 
-class Wrench(Section):
-    """A measured wrench at the tip. `at_mm` is where it is measured, from the tool centre point along the axes named.
+class LoadCell(Section):
+    """A load cell: its force columns, and its axes.
 
-    `axes`: of the tracker (of the base sensor, where its orientation is used), or of the tip sensor, turning with it.
-    For a load cell with another orientation than the tip sensor: `rotation_deg`, the rotation vector from its axes to
-    the tip sensor's; or `aligned_rows`, the first rows, in which its axes are parallel to the tracker's.
+    `axes`: of the rod base; of the tracker (of the base sensor, where its orientation is used); or of the tip sensor,
+    turning with it. For a cell with another orientation: `rotation_deg`, the rotation vector from its axes to the named
+    ones; or, on the tip, `aligned_rows`, the first rows, in which its axes are parallel to the tracker's.
     """
 
     force: Force
+    axes: Literal["rod_base", "tracker", "tip"]
+    aligned_rows: Count | SkipJsonSchema[None] = Field(
+        default=None, description="first rows, in which the load cell's axes are parallel to the tracker's"
+    )
+    rotation_deg: Triple | SkipJsonSchema[None] = Field(
+        default=None, description="rotation vector, from the load cell's axes to those named by axes"
+    )
+
+    @model_validator(mode="after")
+    def _check_axes(self) -> LoadCell:
+        if self.aligned_rows is not None:
+            if self.axes != "tip":
+                expected = f"nothing: only a cell on the tip turns; its axes are those of the {self.axes}"
+                faults([ValidationFault(("aligned_rows",), expected)])
+            elif self.rotation_deg is not None:
+                faults([ValidationFault(("rotation_deg",), "aligned_rows or rotation_deg, not both")])
+        return self
+
+
+class Wrench(LoadCell):
+    """A measured wrench at the tip. `at_mm` is the place of the cell, from the tool centre point along its axes."""
+
     moment: Torque | SkipJsonSchema[None] = None
-    axes: Literal["tracker", "tip"]
     on: Literal["arm", "surroundings"] = Field(default="arm", description="the body that the measured force acts on")
     at_mm: Triple = (0.0, 0.0, 0.0)
     zero_rows: Count | SkipJsonSchema[None] = Field(
         default=None, description="first rows, without load: their mean is subtracted"
     )
-    aligned_rows: Count | SkipJsonSchema[None] = Field(
-        default=None, description="first rows, in which the load cell's axes are parallel to the tracker's"
+
+
+class WeighingCell(LoadCell):
+    """A load cell that carries a weight: the arm, or a body on its tip."""
+
+    reads: Literal["weight", "reaction"] = Field(
+        description="weight: what the cell carries reads along gravity; reaction: against it"
     )
-    rotation_deg: Triple | SkipJsonSchema[None] = Field(
-        default=None, description="rotation vector, from the load cell's axes to the tip sensor's"
+
+
+class Gravity(Section):
+    """Direction of gravity, from a load cell while nothing but weight acts on it.
+
+    It follows from known weights (the column `weight`), from the orientations of a cell that turns with the tip, or
+    from its reading without what it carries, `zero_N`.
+    """
+
+    cell: WeighingCell | SkipJsonSchema[None] = Field(default=None, description="left out: the cell of the wrench")
+    at_rest_s: Annotated[tuple[Interval, ...], Field(min_length=1)] | SkipJsonSchema[None] = Field(
+        default=None, description="begin and end of each time at rest, from the first row; left out: all rows"
+    )
+    zero_N: Triple | SkipJsonSchema[None] = Field(
+        default=None, description="reading without what the cell carries; left out: it is estimated"
+    )
+    zero_std_N: Positive | SkipJsonSchema[None] = Field(default=None, description="standard, of each axis of zero_N")
+    rotation_std_deg: Positive = Field(
+        default=1.7, description="standard uncertainty of the cell's axes in the rod-base frame, with its cross-talk"
     )
 
     @model_validator(mode="after")
-    def _check(self) -> Wrench:
-        given = [name for name in ("aligned_rows", "rotation_deg") if getattr(self, name) is not None]
-        if self.axes == "tracker":
-            faults([ValidationFault((name,), "nothing: the wrench's axes are the tracker's") for name in given])
-        elif len(given) == 2:
-            faults([ValidationFault(("rotation_deg",), "aligned_rows or rotation_deg, not both")])
+    def _check(self) -> Gravity:
+        if (self.zero_N is None) != (self.zero_std_N is None):
+            absent, given = ("zero_N", "zero_std_N") if self.zero_N is None else ("zero_std_N", "zero_N")
+            faults([ValidationFault((absent,), f"is missing: {given} needs it")])
         return self
 
 

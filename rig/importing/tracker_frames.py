@@ -13,7 +13,7 @@ from calibration.vision.transforms import RigidTransform
 from protocols.problems import Problem
 from rig.importing.columns import ColumnReader
 from rig.importing.mapping import Mapping
-from rig.importing.mapping_sections import BaseSensor, Orientation, Position, TipOrientation, Wrench
+from rig.importing.mapping_sections import BaseSensor, LoadCell, Orientation, Position, TipOrientation, Wrench
 from rig.importing.tables import some
 from rig.importing.units import METRES, NEWTON_METRES, NEWTONS
 
@@ -70,27 +70,13 @@ def wrench(columns: ColumnReader, mapping: Mapping) -> Floats:
     moment = np.zeros_like(force)
     if wrench.moment is not None:
         moment = columns.several(wrench.moment.columns, (NEWTON_METRES[wrench.moment.unit],) * 3)
-    turn = np.eye(3)[None]
-    if wrench.axes == "tip":
-        assert mapping.tip is not None
-        assert mapping.tip.orientation is not None
-        turn = _matrices(columns, mapping.tip.orientation, "tip")
-    base = None
-    if mapping.base is not None and mapping.base.orientation is not None and mapping.base.orientation.use == "turn":
-        base = _base_turn(columns, mapping.base)
+    turn = load_cell_turn(columns, mapping, wrench)
     if columns.problems:
         return np.zeros((1, 6))
     if wrench.zero_rows is not None:
         force, moment = _zeroed(columns, wrench, force, moment)
     _warn_of_lever(columns, force, moment)
     moment = moment + np.cross(np.array(wrench.at_mm) * 1e-3, force)
-    frame = RigidTransform.from_vectors(np.radians(mapping.frame.rotation_deg), (0.0, 0.0, 0.0)).rotation
-    turn = turn if base is None else base @ turn
-    if wrench.rotation_deg is not None:
-        turn = turn @ Rotation.from_rotvec(wrench.rotation_deg, degrees=True).as_matrix()
-    if wrench.aligned_rows is not None:
-        turn = turn @ _at_first(columns, turn, wrench.aligned_rows).T
-    turn = frame @ turn
     found = np.concatenate(
         [np.einsum("nij,nj->ni", np.broadcast_to(turn, (len(v), 3, 3)), v) for v in (force, moment)], 1
     )
@@ -101,6 +87,30 @@ def wrench(columns: ColumnReader, mapping: Mapping) -> Floats:
         table, column, broken, lambda row: table.problem(row, column, "nothing, or no orientation", expected)
     )
     return found if wrench.on == "arm" else -found
+
+
+def load_cell_turn(columns: ColumnReader, mapping: Mapping, cell: LoadCell) -> Floats:
+    """Rotations (n, 3, 3), or one (1, 3, 3), from the axes of a load cell to those of the rod base."""
+    turn = np.eye(3)[None]
+    if cell.axes == "tip":
+        assert mapping.tip is not None
+        assert mapping.tip.orientation is not None
+        turn = _matrices(columns, mapping.tip.orientation, "tip")
+    if cell.axes != "rod_base" and mapping.base is not None:
+        orientation = mapping.base.orientation
+        if orientation is not None and orientation.use == "turn":
+            turn = _matrices(columns, orientation, "base").transpose(0, 2, 1) @ turn
+    if columns.problems:
+        return np.eye(3)[None]
+    if cell.rotation_deg is not None:
+        turn = turn @ Rotation.from_rotvec(cell.rotation_deg, degrees=True).as_matrix()
+    if cell.aligned_rows is not None:
+        turn = turn @ _at_first(columns, turn, cell.aligned_rows, "align the load cell").T
+    if cell.axes == "rod_base":
+        return turn
+    return np.asarray(
+        RigidTransform.from_vectors(np.radians(mapping.frame.rotation_deg), (0.0, 0.0, 0.0)).rotation @ turn
+    )
 
 
 def _zeroed(columns: ColumnReader, wrench: Wrench, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
@@ -120,7 +130,7 @@ def _zeroed(columns: ColumnReader, wrench: Wrench, force: Floats, moment: Floats
     return force - means[:3], moment - means[3:]
 
 
-def _at_first(columns: ColumnReader, turn: Floats, rows: int, purpose: str = "align the wrench") -> Floats:
+def _at_first(columns: ColumnReader, turn: Floats, rows: int, purpose: str) -> Floats:
     """Mean rotation (3, 3) of the first of some rotations (n, 3, 3)."""
     known = np.isfinite(turn[:rows]).all(axis=(1, 2))
     if not known.any():

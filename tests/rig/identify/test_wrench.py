@@ -157,7 +157,7 @@ def test_an_arm_under_load_determines_its_law_without_free_pressures(table: Path
         ("axes: tip", "axes: world", "tracker"),
         ("unit: N mm", "unit: lb", "N mm"),
         ("unit: N}", "unit: kg}", "mN"),
-        ("axes: tip", "axes: tracker\n  aligned_rows: 4", "tracker's"),
+        ("axes: tip", "axes: tracker\n  aligned_rows: 4", "only a cell on the tip turns"),
         ("axes: tip", "axes: tip\n  aligned_rows: 4\n  rotation_deg: [0, 0, 1]", "not both"),
         ("axes: tip", "axes: tip\n  zero_rows: 50", "50"),
         ("[gx, gy, gz]", "[gx, gy]", "force"),
