@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -163,10 +163,29 @@ def _on_cluster(
         client: Any = distributed.Client(scheduler, timeout=_CONNECT_TIMEOUT)
     except (OSError, TimeoutError) as error:
         raise NoClusterError(f"no Dask scheduler answers at {scheduler}: {error}") from error
-    with client:
+    with client, _without_profiler(client):
         futures = {client.submit(work, tasks[k], pure=False, retries=_MAX_RESTARTS): k for k in remaining}
         for future in distributed.as_completed(list(futures)):
             yield futures[future], future.result()
+
+
+@contextmanager
+def _without_profiler(client: Any) -> Iterator[None]:
+    """Stop the statistical profiler of the workers of a Dask client, which costs a tenth of their throughput."""
+    client.run(_switch_profiler, on=False, on_error="ignore")
+    try:
+        yield
+    finally:
+        # A cluster that is gone has its own error.
+        with suppress(OSError):
+            client.run(_switch_profiler, on=True, on_error="ignore")
+
+
+def _switch_profiler(on: bool, dask_worker: Any) -> None:
+    """Start or stop the profiler of a Dask worker; without effect where its configuration has none."""
+    profiler = dask_worker.periodic_callbacks.get("profile")
+    if profiler is not None and on != profiler.is_running():
+        profiler.start() if on else profiler.stop()
 
 
 def _key(work: Callable[[Task], Array], task: Task) -> str:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from calibration.parallel_map import NoClusterError, WorkerDiedError, parallel_map
-from tests.support.parallel_tasks import Task, deadly, squared, squared_but_killed_once
+from tests.support.parallel_tasks import Task, deadly, profiled, squared, squared_but_killed_once
 
 
 def tasks(folder: Path, n: int = 6) -> list[Task]:
@@ -47,9 +48,9 @@ def test_a_task_that_kills_every_worker_raises(tmp_path: Path, monkeypatch: pyte
         parallel_map(deadly, tasks(tmp_path, 2), workers=2)
 
 
-# Dask leaves sockets and loops to the garbage collector.
-@pytest.mark.filterwarnings("ignore")
-def test_a_dask_cluster_gives_the_same_results_though_a_worker_is_killed(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[str]:
+    """The address of a Dask scheduler with two workers."""
     distributed = pytest.importorskip("distributed")
     with (
         warnings.catch_warnings(),
@@ -58,7 +59,22 @@ def test_a_dask_cluster_gives_the_same_results_though_a_worker_is_killed(tmp_pat
         ) as cluster,
     ):
         warnings.simplefilter("ignore")
-        found = parallel_map(squared_but_killed_once, tasks(tmp_path), scheduler=cluster.scheduler_address)
+        yield cluster.scheduler_address
+
+
+# Dask leaves sockets and loops to the garbage collector.
+@pytest.mark.filterwarnings("ignore")
+def test_dask_workers_do_not_profile_the_tasks_and_profile_again_afterwards(tmp_path: Path, scheduler: str) -> None:
+    distributed = pytest.importorskip("distributed")
+    assert [bool(r[0]) for r in parallel_map(profiled, tasks(tmp_path), scheduler=scheduler)] == [False] * 6
+    with distributed.Client(scheduler) as client:
+        running = client.run(lambda dask_worker: dask_worker.periodic_callbacks["profile"].is_running())
+    assert list(running.values()) == [True, True]
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_dask_cluster_gives_the_same_results_though_a_worker_is_killed(tmp_path: Path, scheduler: str) -> None:
+    found = parallel_map(squared_but_killed_once, tasks(tmp_path), scheduler=scheduler)
     assert [float(r[0]) for r in found] == [0, 1, 4, 9, 16, 25]
     assert (tmp_path / "killed").exists()
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,3 +43,9 @@ def deadly(task: Task) -> Array:
     """Kills every worker."""
     os.kill(os.getpid(), signal.SIGKILL)
     return squared(task)
+
+
+def profiled(task: Task) -> Array:
+    """Whether the Dask worker of this task runs its profiler."""
+    distributed: Any = importlib.import_module("distributed")
+    return np.array([distributed.get_worker().periodic_callbacks["profile"].is_running()], float)
