@@ -42,7 +42,9 @@ def error_bars(found: Design, to: Path, as_json: bool) -> None:
     screen.print(table)
     screen.print(
         f"expected standard errors; library: {', '.join(LIBRARY)} together; limit: any number of such blocks\n"
-        "from positions of the tip, without its orientations; plateaus count as held for long: nothing relaxes",
+        "from positions of the tip, without its orientations; plateaus count as held for long: nothing relaxes\n"
+        "of an arm that obeys the model: `rig identify` adds the errors of the model that the run shows, and holds a "
+        "parameter that they leave open, also one with yes above",
         soft_wrap=True,
     )
     typer.echo(to)
