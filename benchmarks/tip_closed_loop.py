@@ -64,12 +64,17 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """A simulated run: at times (T,) the reference and the true tip (T, 3), set-points (T, V), and the plans."""
+    """A simulated run: at times (T,) the reference and the true tip (T, 3), set-points (T, V), and the plans.
+
+    `measured_m` (m, 3): what the camera saw in its frames (m,) `frame_s`.
+    """
 
     times_s: Array
     reference_m: Array
     tip_m: Array
     setpoint_pa: Array
+    frame_s: Array
+    measured_m: Array
     plans: tuple[SetPointPlan, ...] = field(repr=False)
     solve_s: Array = field(repr=False)
 
@@ -106,6 +111,8 @@ def simulate(
     pressure = feed[0, valve_of]
     tip = dynamics.start(_effective(effects, pressure) * truth.strength).tip_m
     pending: list[tuple[float, Array]] = []
+    frames: list[float] = []
+    seen_m: list[Array] = []
     frame, kept = 0, round(_HISTORY_S / CYCLE_S)
     for k in range(cycles):
         now = float(times[k])
@@ -118,7 +125,10 @@ def simulate(
         tips[k] = tip
         while frame * settings.frame_s <= now:
             at, seen = frame * settings.frame_s, tip if k == 0 else _between(tips, times, k, frame * settings.frame_s)
-            pending.append((at, seen + truth.noise_m * rng.standard_normal(3)))
+            measured_m = seen + truth.noise_m * rng.standard_normal(3)
+            pending.append((at, measured_m))
+            frames.append(at)
+            seen_m.append(measured_m)
             frame += 1
         if controller is not None and pending and pending[0][0] + settings.delay_s <= now:
             at, seen = pending.pop(0)
@@ -138,7 +148,9 @@ def simulate(
             state = plan.state
             plans.append(plan._replace(state=None))
             follower.take(now, plan.times_s, plan.setpoint_pa)
-    return ClosedLoop(times, references, tips, setpoints, tuple(plans), np.array(solve_s))
+    return ClosedLoop(
+        times, references, tips, setpoints, np.array(frames), np.array(seen_m), tuple(plans), np.array(solve_s)
+    )
 
 
 def _effective(effects: Sequence[ArmEffect], pressure_pa: Array) -> Array:

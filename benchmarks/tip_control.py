@@ -27,7 +27,7 @@ from model.inverse.static_map import StaticMap
 from rig.arm_effects.base import ArmEffect
 from rig.config.loader import load
 from rig.tip_control.interface import TipControlSettings
-from rig.tip_control.learning import DisturbanceLearner, Repetition
+from rig.tip_control.learning import DisturbanceLearner, PathPeriod, Repetition
 from rig.tip_control.registry import CONTROLLERS, FEED_FORWARD, controller_class
 from rig.tip_control.tip_dynamics import TipDynamics
 from runs.interpolation import interpolated
@@ -134,16 +134,11 @@ class Feedforward:
         return Task(duration, at(position), at(velocity), at(feed), 1 / frequency_hz)
 
 
-def repeated(
-    learner: DisturbanceLearner, task: Task, run: ClosedLoop, noise_m: float, frame_s: float, seed: int
-) -> Task:
+def repeated(learner: DisturbanceLearner, task: Task, run: ClosedLoop) -> Task:
     """The task with what one more run has shown."""
-    frames = slice(0, None, round(frame_s / CYCLE_S))
-    times, tips = run.times_s[frames], run.tip_m[frames]
-    measured = tips + noise_m * np.random.default_rng(seed).standard_normal(tips.shape)
-    given = task.learned_m(times)
-    once = Repetition(run.times_s, run.setpoint_pa, times, measured, given)
-    learned = learner.disturbance([once], run.times_s)
+    given = task.learned_m(run.frame_s)
+    once = Repetition(run.times_s, run.setpoint_pa, run.frame_s, run.measured_m, given)
+    learned = learner.disturbance([once], run.times_s, PathPeriod(task.period_s or np.inf, 0.0, 0.0))
     feed = task.feedforward_pa(run.times_s)
     before = np.tile(feed[0], (round(1 / CYCLE_S), 1))
     corrected = learner.setpoints(feed, before, run.reference_m - learned, CYCLE_S)
@@ -191,10 +186,10 @@ def main() -> None:
                     truth, asked, current = drawn(rng), task, controller
                     effects = effects_of(np.random.default_rng([args.seed, k])) if args.effects else []
                     for repetition in range(args.repetitions + 1):
-                        run = simulate(settings, current, truth, asked, args.seed + k, effects)
+                        run = simulate(settings, current, truth, asked, args.seed + k + 1000 * repetition, effects)
                         rest(effects)
                         if repetition < args.repetitions:
-                            asked = repeated(learner, asked, run, truth.noise_m, settings.frame_s, repetition)
+                            asked = repeated(learner, asked, run)
                             current = None if name == FEED_FORWARD else controller_class(name)(knowing)
                     errors.append(1e3 * run.rms_m(LEAD_IN_S + 2 / frequency, task.duration_s - END_S))
                     solves.append(run.solve_s)

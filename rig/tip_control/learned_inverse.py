@@ -12,7 +12,7 @@ from protocols.tip_inverse import HISTORY_STEP_S, TipInverse, TipRequest, TipSol
 from protocols.tip_paths import fade
 from rig.sections.quantities import PA_PER_BAR
 from rig.tip_control.interface import TipControlSettings
-from rig.tip_control.learning import STEP_S, DisturbanceLearner, Repetition
+from rig.tip_control.learning import STEP_S, DisturbanceLearner, PathPeriod, Repetition
 from runs.interpolation import interpolated
 from runs.records import Status
 from runs.run import Run
@@ -84,6 +84,14 @@ class EarlierRun:
         )  # fmt: skip
 
 
+def _period(request: TipRequest) -> PathPeriod | None:
+    """What a path repeats; None for one that is not followed at least twice."""
+    period_s = request.path.period_s
+    if period_s is None or request.path.duration_s < 2 * period_s:
+        return None
+    return PathPeriod(period_s, request.begin_s, request.lead_in_s)
+
+
 def _last_of_equal(times_s: Array) -> NDArray[np.bool_]:
     """Which of the times (n,), none before an earlier one, are the last of those equal to them."""
     return np.append(np.diff(times_s) > 0, np.ones(min(1, len(times_s)), dtype=np.bool_))
@@ -111,7 +119,7 @@ class LearnedInverse:
         times: Array = step_s * np.arange(steps + 1, dtype=np.float64)
         stop_s = request.begin_s + duration_s
         learned = self._learner.disturbance(
-            [run.repetition(request.begin_s, stop_s) for run in self._runs], request.begin_s + times
+            [run.repetition(request.begin_s, stop_s) for run in self._runs], request.begin_s + times, _period(request)
         )
         target, _ = fade(found.start, request.path, request.lead_in_s, times - request.lead_in_s)
         target[:, [axis for axis in range(3) if axis not in request.coordinates]] = np.nan

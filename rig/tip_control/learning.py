@@ -7,16 +7,17 @@ D'Andrea 2012): the feed-forward of the next run makes up for it, and the contro
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dct, idct
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_smoothing_spline
 from scipy.ndimage import gaussian_filter1d
 
 from model.inverse.static_map import StaticMap
+from rig.tip_control.estimator import HARMONICS
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.tip_dynamics import TipDynamics
 from runs.interpolation import interpolated
@@ -29,10 +30,14 @@ FADE_S = 0.5
 SMOOTHING_S = 0.03
 """Standard deviation of the Gaussian filter of a correction: corners of a path would need unlimited rates."""
 CORRECTIONS = 3
-SMOOTHNESS = 4 * np.logspace(0, 9, 73)
-"""Penalties of the squared second differences that are compared. The least one halves 3.5 Hz at 30 frames a second:
-beyond that the model's phase is not known well enough to learn (the Q-filter of iterative learning control).
+LARGEST_HZ = 3.5
+"""The frequency of which at most half is learned: beyond it the model's phase is not known well enough (the Q-filter of
+iterative learning control).
 """
+SLOWER = np.logspace(0, 2.25, 37)
+"""How many times lower the frequency is of which half is learned: the smoothnesses that are compared."""
+FEWEST_FRAMES = 5
+"""In fewer frames a smooth part cannot be told from noise: nothing is learned."""
 RATE_SHARE = 0.99
 """Share of the rate limit that a correction uses: times are rounded."""
 
@@ -52,6 +57,26 @@ class Repetition:
     learned_m: Array = field(repr=False)
 
 
+@dataclass(frozen=True)
+class PathPeriod:
+    """A path that repeats itself every `period_s`, after a lead-in that begins at `begin_s`."""
+
+    period_s: float
+    begin_s: float
+    lead_in_s: float
+
+    def waves(self, times_s: Array) -> Array:
+        """Cosines and sines (k, 2 h) of the harmonics at times (k,), which rise over the lead-in as the path does."""
+        most = max(1, min(HARMONICS, math.floor(LARGEST_HZ * self.period_s)))
+        phase = 2 * np.pi / self.period_s * np.outer(times_s, np.arange(1, most + 1))
+        share = (
+            np.clip((times_s - self.begin_s) / self.lead_in_s, 0.0, 1.0) if self.lead_in_s else np.ones(len(times_s))
+        )
+        rise = share**3 * (10 + share * (6 * share - 15))
+        waves: Array = rise[:, None] * np.hstack([np.cos(phase), np.sin(phase)])
+        return waves
+
+
 class DisturbanceLearner:
     """Learns the disturbance of an arm, and corrects the feed-forward for it."""
 
@@ -60,16 +85,17 @@ class DisturbanceLearner:
         self._map = StaticMap.of(settings.arm, settings.valve_of, settings.pressure_limit_pa)
         self._dynamics = TipDynamics.of(settings.arm, settings.pressure_limit_pa)
 
-    def disturbance(self, repetitions: Sequence[Repetition], times_s: Array) -> Array:
+    def disturbance(self, repetitions: Sequence[Repetition], times_s: Array, period: PathPeriod | None = None) -> Array:
         """The disturbance (k, 3) [m] at times (k,), from at least one repetition of the same motion.
 
-        Each repetition corrects the estimate by the smooth part of what is left.
+        Each repetition corrects the estimate by the smooth part of what is left. `period`: of a path that repeats
+        itself.
         """
         first = repetitions[0]
         estimate = _within(CubicSpline(first.frame_s, first.learned_m), first.frame_s, times_s)
         for one in repetitions:
             left = one.tip_m - self._model_tips(one) - interpolated(one.frame_s, times_s, estimate)
-            estimate = estimate + self._smoothed(one.frame_s, left, times_s)
+            estimate = estimate + _within(smooth(one.frame_s, left, period), one.frame_s, times_s)
         return estimate
 
     def tips(self, setpoint_pa: Array, step_s: float) -> Array:
@@ -99,11 +125,6 @@ class DisturbanceLearner:
             setpoint = self._limited(self._map.inverse(wanted, setpoint), before_pa[-1], step_s)
         return setpoint
 
-    def _smoothed(self, frame_s: Array, values: Array, times_s: Array) -> Array:
-        """The smooth part (k, 3) at times (k,) of values (m, 3) at frames."""
-        grid = np.linspace(frame_s[0], frame_s[-1], 1 + round((frame_s[-1] - frame_s[0]) / self._settings.frame_s))
-        return _within(CubicSpline(grid, smooth(interpolated(grid, frame_s, values))), frame_s, times_s)
-
     def _model_tips(self, one: Repetition) -> Array:
         """Tips (m, 3) of the model at the frames of a repetition."""
         times = np.arange(one.sample_s[0], one.frame_s[-1] + STEP_S, STEP_S)
@@ -119,19 +140,40 @@ class DisturbanceLearner:
         return limited
 
 
-def smooth(values: Array) -> Array:
-    """The smooth part (n, m) of equally spaced values (n, m): Whittaker smoother of second order.
+def smooth(times_s: Array, values: Array, period: PathPeriod | None = None) -> Callable[[Array], Array]:
+    """The smooth part, a function of time, of values (n, m) at ascending times (n,).
 
-    The smoothness is that of the least generalised cross-validation, one for all columns; by the discrete cosine
-    transform (Garcia 2010). White noise becomes almost zero.
+    It is a cubic smoothing spline, plus the waves of a path that repeats itself (partial spline, Speckman 1988): what
+    is the same in each period is the mean over the periods, and need not be in the spline. The smoothness is that of
+    the least generalised cross-validation (Craven and Wahba 1979), one for all columns; the spline's degrees of freedom
+    are those of equally spaced times. White noise becomes almost zero. The values are used at their own times: values
+    that are interpolated on a grid have a smooth noise, which would be learned.
     """
-    count, waves = len(values), dct(values, axis=0, norm="ortho")
+    count, columns = values.shape
+    if count < FEWEST_FRAMES:
+        return lambda t_s: np.zeros((len(t_s), columns))
+    waves = np.empty((count, 0)) if period is None else period.waves(times_s)
+    step_s = (times_s[-1] - times_s[0]) / (count - 1)
+    penalties = (2 * np.pi * LARGEST_HZ / SLOWER) ** -4 / step_s
     curvature = (2 - 2 * np.cos(np.pi * np.arange(count) / count)) ** 2
-    kept = 1 / (1 + SMOOTHNESS[:, None] * curvature)
-    left = (((1 - kept)[:, :, None] * waves) ** 2).sum(axis=(1, 2))
-    score = left / (count - kept.sum(axis=1)) ** 2
-    found: Array = idct(kept[int(np.argmin(score))][:, None] * waves, axis=0, norm="ortho")
-    return found
+    freedom = (1 / (1 + penalties[:, None] / step_s**3 * curvature)).sum(axis=1) + waves.shape[1]
+    both = np.hstack([values, waves])
+    found, scores = [], []
+    for penalty, used in zip(penalties, freedom, strict=True):
+        spline = make_smoothing_spline(times_s, both, lam=penalty)
+        rough = both - spline(times_s)
+        weights = np.linalg.lstsq(rough[:, columns:], rough[:, :columns])[0]
+        found.append((spline, weights))
+        scores.append(np.sum((rough[:, :columns] - rough[:, columns:] @ weights) ** 2) / (count - used) ** 2)
+    spline, weights = found[int(np.argmin(scores))]
+
+    def at(t_s: Array) -> Array:
+        smooth_part = spline(t_s)
+        known = np.empty((len(t_s), 0)) if period is None else period.waves(t_s)
+        part: Array = smooth_part[:, :columns] + (known - smooth_part[:, columns:]) @ weights
+        return part
+
+    return at
 
 
 def _within(function: Callable[[Array], Array], frame_s: Array, times_s: Array) -> Array:

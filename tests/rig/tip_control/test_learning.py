@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import model
 from benchmarks.tip_closed_loop import CYCLE_S, Task, Truth, simulate
 from rig.tip_control.interface import TipControlSettings
-from rig.tip_control.learning import STEP_S, DisturbanceLearner, Repetition, smooth
+from rig.tip_control.learning import STEP_S, DisturbanceLearner, PathPeriod, Repetition, smooth
 from runs.interpolation import interpolated
 
 LIMIT_PA, RATE_PA_S = 0.7e5, 1e5
@@ -37,11 +38,31 @@ def learner() -> DisturbanceLearner:
     return DisturbanceLearner(SETTINGS)
 
 
-def test_the_smooth_part_of_noise_is_almost_nothing_and_that_of_a_slow_motion_is_the_motion() -> None:
+EVEN_S = np.arange(300) / 30
+UNEVEN_S = np.delete(EVEN_S + 0.01 * np.random.default_rng(3).uniform(-1, 1, 300), np.arange(10, 300, 7))
+
+
+@pytest.mark.parametrize("frame_s", [EVEN_S, UNEVEN_S], ids=["even frames", "uneven frames, some dropped"])
+def test_the_smooth_part_of_noise_is_almost_nothing_and_that_of_a_slow_motion_is_the_motion(
+    frame_s: NDArray[np.float64],
+) -> None:
+    noise = 0.05 * np.random.default_rng(1).standard_normal((len(frame_s), 3))
+    motion = np.sin(frame_s[:, None] + np.arange(3))
+    assert np.std(smooth(frame_s, noise)(frame_s)) < 0.25 * np.std(noise)
+    assert np.std(smooth(frame_s, motion + noise)(frame_s) - motion) < 0.3 * np.std(noise)
+
+
+def test_the_smooth_part_of_too_few_values_is_zero() -> None:
+    assert not smooth(EVEN_S[:4], np.ones((4, 3)))(EVEN_S[:4]).any()
+
+
+def test_a_motion_that_repeats_itself_is_learned_better_if_its_period_is_known() -> None:
+    period = PathPeriod(1.0, 0.0, 2.0)
     noise = 0.05 * np.random.default_rng(1).standard_normal((300, 3))
-    motion = np.sin(np.arange(300)[:, None] / 30 + np.arange(3))
-    assert np.std(smooth(noise)) < 0.25 * np.std(noise)
-    assert np.std(smooth(motion + noise) - motion) < 0.4 * np.std(noise)
+    motion = period.waves(EVEN_S)[:, [1, 3, 5]] + np.exp(-EVEN_S)[:, None]
+    off, without = (np.std(smooth(EVEN_S, motion + noise, known)(EVEN_S) - motion) for known in (period, None))
+    assert off < 0.35 * np.std(noise)
+    assert without > 1.5 * off
 
 
 def test_repetitions_make_the_error_of_a_feed_forward_small(learner: DisturbanceLearner) -> None:
@@ -56,10 +77,8 @@ def test_repetitions_make_the_error_of_a_feed_forward_small(learner: Disturbance
     for seed in range(3):
         run = simulate(SETTINGS, None, TRUTH, _task(path, feed), seed)
         errors.append(run.rms_m(1.0))
-        frames = slice(0, None, 7)
-        noise = 5e-5 * np.random.default_rng(seed).standard_normal((len(run.times_s[frames]), 3))
-        given = learned[: len(run.times_s)][frames]
-        repetitions = [Repetition(run.times_s, run.setpoint_pa, run.times_s[frames], run.tip_m[frames] + noise, given)]
+        given = interpolated(run.frame_s, TIMES, learned)
+        repetitions = [Repetition(run.times_s, run.setpoint_pa, run.frame_s, run.measured_m, given)]
         learned = learner.disturbance(repetitions, TIMES)
         feed = learner.setpoints(feed, before, path - learned, STEP_S)
         assert feed.min() >= 0
