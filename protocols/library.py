@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from protocols import document as yaml_document
@@ -84,12 +85,22 @@ def load(name_or_path: str | Path, settings: Mapping[str, float] | None = None) 
 def from_steps(title: str, steps: Sequence[Mapping[str, Any]], folder: Path = Path()) -> Protocol:
     """The protocol of these steps, each a mapping as in the YAML; its CSV files are in `folder`.
 
+    NumPy numbers and arrays are allowed, such as points (k, 3) in mm.
+
     Raises:
         BadInputError: every problem, with its line in the text of the protocol.
     """
-    text = yaml.safe_dump({"title": title, "steps": list(steps)}, sort_keys=False, allow_unicode=True)
+    body = {"title": title, "steps": list(steps)}
+    text = yaml.dump(body, Dumper=_StepDumper, sort_keys=False, allow_unicode=True)
     path = folder / "steps.yaml"
     return _loaded(yaml_document.parse(text, str(path)), path, {})
+
+
+class _StepDumper(yaml.SafeDumper):
+    """Writes NumPy numbers and arrays as numbers and lists."""
+
+    def represent_data(self, data: Any) -> yaml.Node:
+        return super().represent_data(data.tolist() if isinstance(data, np.generic | np.ndarray) else data)
 
 
 def _loaded(source: Document, path: Path, settings: Mapping[str, float]) -> Protocol:

@@ -203,3 +203,13 @@ def test_a_protocol_made_in_python_is_the_same_as_its_text(tmp_path: Path) -> No
     assert played.sample(np.linspace(0, 20, 50)).tolist() == again.sample(np.linspace(0, 20, 50)).tolist()
     with pytest.raises(BadInputError, match=r"steps\.yaml:6:"):
         protocols.from_steps("t", [{"tip": {"hold": {"at_mm": [0, 0], "duration_s": 1}}}])
+
+
+def test_steps_may_hold_numpy_numbers_and_arrays() -> None:
+    angle = np.linspace(0, np.pi, 5)
+    points = np.stack([20 * np.cos(angle), 20 * np.sin(angle), np.full(5, 190.0)], axis=1)
+    made, written = (
+        protocols.from_steps("An arc", [{"tip": {"points": {"at_mm": at, "move_s": move_s}}}])
+        for at, move_s in ((points, np.float64(0.5)), (points.tolist(), 0.5))
+    )
+    assert made.text == written.text
