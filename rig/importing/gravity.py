@@ -13,8 +13,9 @@ from calibration.gravity import GravityDirection, GravityUndeterminedError, grav
 from protocols import document
 from protocols.problems import Problem
 from protocols.source_positions import Document
+from rig.calibrate.file_sections import origin
 from rig.config.arm_model import GRAVITY_M_S2
-from rig.config.calibration_files import SUFFIX, LoadedCalibration, origin, parse, rounded, sha256_of, text_of
+from rig.config.calibration_files import SUFFIX, LoadedCalibration, parse, rounded, sha256_of, text_of
 from rig.config.calibration_schema import GravityFile, SourceFileSection
 from rig.config.loader import RigFile
 from rig.importing.columns import ColumnReader
