@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -9,9 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.vision import board
+from calibration.vision import board, cell_reading
 from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, BoardPrint, FinestDetail
 from calibration.vision.board_candidates import board_candidates
+from calibration.vision.cell_reading import grey_at
 from calibration.vision.corners import Corners, sharpen
 from calibration.vision.square_grid import SquareGrid
 from model.kernels.jit import kernel
@@ -19,7 +21,7 @@ from model.kernels.jit import kernel
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-exact_kernel = partial(kernel, sources=(__file__, board.__file__), fastmath=False)
+exact_kernel = partial(kernel, sources=(__file__, board.__file__, cell_reading.__file__), fastmath=False)
 
 # How far out into the white margin the colours are checked, in squares.
 _QUIET_CHECK = 0.45
@@ -115,17 +117,13 @@ def _sides_fit(
     They do not where a spot lies outside the picture.
     """
     cells, spots = len(dark), len(spots_px) // len(dark)
-    height, width = image.shape
     grey = np.zeros(cells)
     for k in range(len(spots_px)):
         x, y = spots_px[k]
-        if not (0.0 <= x <= width - 1 and 0.0 <= y <= height - 1):
+        value = grey_at(image, x, y)
+        if math.isnan(value):
             return False
-        x0, y0 = min(int(x), width - 2), min(int(y), height - 2)
-        fx, fy = x - x0, y - y0
-        above = (1.0 - fx) * image[y0, x0] + fx * image[y0, x0 + 1]
-        below = (1.0 - fx) * image[y0 + 1, x0] + fx * image[y0 + 1, x0 + 1]
-        grey[k // spots] += ((1.0 - fy) * above + fy * below) / spots
+        grey[k // spots] += value / spots
     bright_plane, dark_plane = np.zeros(3), np.zeros(3)
     brights = darks = 0
     for k in range(cells):

@@ -166,7 +166,7 @@ def _plausible(px: Floats, seeds_px: Floats, radius: float) -> bool:
 
 
 @exact_kernel
-def _median(values: Floats) -> float:
+def median(values: Floats) -> float:
     """Median of finite numbers (n,) by insertion sort.
 
     With NumPy's function a kernel on the disk needs numba's compiler and SciPy to be loaded.
@@ -187,7 +187,7 @@ def column_medians(values: Floats) -> Floats:
     """Median of each column of (n, k)."""
     middle = np.empty(values.shape[1])
     for k in range(values.shape[1]):
-        middle[k] = _median(values[:, k])
+        middle[k] = median(values[:, k])
     return middle
 
 
@@ -198,7 +198,7 @@ def uncertainty(variance: Floats, spread: Floats) -> tuple[float, Floats]:
     The noise is pooled over the board, because one corner has too few pixels to estimate it; a corner with much larger
     residuals, as in glare or shadow, keeps its own variance.
     """
-    pooled = _median(variance)
+    pooled = median(variance)
     total = np.empty_like(spread)
     for c in range(len(variance)):
         noise = variance[c] if variance[c] > _ITS_OWN * pooled else pooled

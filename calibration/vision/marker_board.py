@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, Board, BoardPrint, FinestDetail
+from calibration.vision.cell_reading import markers_seen
 from calibration.vision.corners import Corners
-from calibration.vision.partial_corners import CornerKind, mapped, plane_to_image, sharpen_seen
+from calibration.vision.partial_corners import CornerKind, sharpen_seen
+from calibration.vision.plane_map import mapped, plane_to_image
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -123,7 +125,8 @@ class MarkerBoard(Board):
     @cached_property
     def _expected(self) -> NDArray[np.bool_]:
         """Which cells of the check (m, (k + 2)^2) must be dark; the ring around a marker is white."""
-        return np.pad(self.markers.cells, ((0, 0), (1, 1), (1, 1))).reshape(len(self.markers.ids), -1)
+        ringed = np.pad(self.markers.cells, ((0, 0), (1, 1), (1, 1)))
+        return np.ascontiguousarray(ringed.reshape(len(self.markers.ids), -1))
 
     @property
     def least_markers(self) -> int:
@@ -132,21 +135,8 @@ class MarkerBoard(Board):
 
     def seen_markers(self, image: Image, check_points_px: Floats) -> NDArray[np.bool_]:
         """Which markers (m,) show all their cells, given where `check_points_m` are seen."""
-        height, width = image.shape
-        spots_px = check_points_px.reshape(*self._expected.shape, 5, 2)
-        inside = np.asarray(((spots_px >= 0) & (spots_px <= (width - 1, height - 1))).all(axis=(1, 2, 3)))
-        seen: NDArray[np.bool_] = np.zeros(len(self.markers.ids), dtype=np.bool_)
-        if not inside.any():
-            return seen
-        flat = spots_px[inside].astype(np.float32).reshape(-1, 1, 2)
-        grey = cv2.remap(image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR)
-        cells = grey.reshape(-1, self._expected.shape[1], 5).mean(axis=2)
-        dark = self._expected[inside]
-        low = np.sum(cells * dark, axis=1) / dark.sum(axis=1)
-        high = np.sum(cells * ~dark, axis=1) / (~dark).sum(axis=1)
-        contrast = np.maximum(high - low, 1e-9)
-        side = (cells - low[:, None]) / contrast[:, None] - 0.5
-        seen[inside] = (contrast >= MIN_CONTRAST_GREY) & (np.where(dark, -side, side) > SIDE_MARGIN).all(axis=1)
+        seen: NDArray[np.bool_] = np.empty(len(self.markers.ids), dtype=np.bool_)
+        markers_seen(image, check_points_px, self._expected, MIN_CONTRAST_GREY, SIDE_MARGIN, seen)
         return seen
 
     def agrees(self, image: Image, check_points_px: Floats) -> bool:
@@ -186,8 +176,7 @@ class MarkerBoard(Board):
     def _refined(self, image: Image, homography: Floats, seeds_px: Floats, seen: NDArray[np.bool_]) -> Corners | None:
         if seen.sum() < self.least_markers:
             return None
-        plain_px = mapped(homography, self.plain_m)
-        corners = sharpen_seen(image, self.corners_m, seeds_px, self.kind, plain_px)
+        corners = sharpen_seen(image, self.corners_m, seeds_px, homography, self.kind, self.plain_m)
         return corners if corners is not None and _spread_out(corners.of(self.corners_m)) else None
 
     def find(self, image: Image) -> Floats | None:

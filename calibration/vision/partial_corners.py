@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.vision import corners
 from calibration.vision.corner_model import LEAST_VARIANCE, TAPER_PX, CornerFit, edge_shape, fit
 from calibration.vision.corners import (
     BLUR_CERTAIN,
@@ -23,12 +25,17 @@ from calibration.vision.corners import (
     Corners,
     column_medians,
     light_gradient,
+    median,
     uncertainty,
 )
+from calibration.vision.plane_map import edge_normals, least_scale, mapped, plane_to_image
+from model.kernels.jit import kernel
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Indices = NDArray[np.intp]
+
+exact_kernel = partial(kernel, sources=(__file__, corners.__file__), fastmath=False)
 
 # The window keeps so far from other edges: their blur reaches into it.
 _CLEAR_OF_EDGES_PX = 1.0
@@ -58,41 +65,27 @@ class CornerKind:
     unexplained: float = 0.0
 
 
-def plane_to_image(points_m: Floats, px: Floats) -> Floats | None:
-    """Homography (3, 3) of points (n, 3) of a plane to pixels (n, 2) in least squares; None if they lie in a line."""
-    if len(points_m) < 4:
-        return None
-    found, _ = cv2.findHomography(points_m[:, :2], np.ascontiguousarray(px))
-    return None if found is None else np.asarray(found, dtype=np.float64)
-
-
-def mapped(homography: Floats, points_m: Floats) -> Floats:
-    """Pixels (n, 2) of points (n, 3) of the plane."""
-    moved = points_m[:, :2] @ homography[:, :2].T + homography[:, 2]
-    return np.asarray(moved[:, :2] / moved[:, 2:])
-
-
 def sharpen_seen(
-    image: Image, points_m: Floats, seeds_px: Floats, kind: CornerKind, plain_px: Floats
+    image: Image, points_m: Floats, seeds_px: Floats, homography: Floats, kind: CornerKind, plain_m: Floats
 ) -> Corners | None:
     """Refine those of the corners `points_m` (n, 3), known to a few pixels, that are not hidden.
 
-    `plain_px` (k, 2) are places of one colour, from which the noise of the pixels is estimated. None if no corner looks
-    as it must.
+    `homography` maps the board to the seeds. `plain_m` (k, 3) are places of one colour, from which the noise of the
+    pixels is estimated. None if no corner looks as it must.
     """
-    homography = plane_to_image(points_m, seeds_px)
-    if homography is None:
-        return None
     smallest, largest = RADIUS_BOUNDS_PX
-    clear_px = kind.clear_m * _least_scale(homography, points_m)
+    clear_px = kind.clear_m * least_scale(homography, points_m)
     radius = min(max(clear_px - TAPER_PX / 2 - _CLEAR_OF_EDGES_PX, smallest), largest)
     kept, px = _coarse(image, seeds_px, math.floor(radius))
-    homography = plane_to_image(points_m[kept], px) if len(kept) > 4 else homography
-    if homography is None or not len(kept):
+    if not len(kept):
+        return None
+    plain_px = mapped(homography, plain_m)
+    moved = plane_to_image(points_m[kept], px) if len(kept) > 4 else homography
+    if moved is None:
         return None
 
     def fitted(light: Floats, shape: Floats, knot: float, blur: Floats, firmness: float) -> tuple[Indices, CornerFit]:
-        normals = _normals(homography, points_m[kept], kind.toward[kept])
+        normals = edge_normals(moved, points_m[kept], kind.toward[kept])
         found = fit(image, px, normals, radius, light, shape, knot, blur, firmness, kind.quadrant)
         with np.errstate(invalid="ignore"):
             near = np.abs(found.px - seeds_px[kept]).max(axis=1) <= radius + 1
@@ -108,7 +101,7 @@ def sharpen_seen(
     knot = max(KNOT_BLURS * float(blur.mean()), LEAST_KNOT_PX)
     light, shape = light_gradient(px, levels, radius), np.zeros((2, 1))
     if not kind.quadrant:
-        normals = _normals(homography, points_m[kept], kind.toward[kept])
+        normals = edge_normals(moved, points_m[kept], kind.toward[kept])
         shape = edge_shape(image, px, normals, radius, light, levels, blur, knot)
     good, found = fitted(light, shape, knot, blur, BLUR_CERTAIN)
     good = _alike(found, good, kind.bright[kept])
@@ -136,37 +129,11 @@ def _alike(found: CornerFit, good: Indices, bright: NDArray[np.bool_]) -> Indice
     if not len(good):
         return good
     step = np.where(bright[good], found.contrast[good], -found.contrast[good])
-    least = max(_LEAST_STEP_GREY, _LEAST_STEP * float(np.median(step)))
+    least = max(_LEAST_STEP_GREY, _LEAST_STEP * median(step))
     good = good[(step > least) & (found.misfit[good] < _MAX_MISFIT)]
     if not len(good):
         return good
-    return np.asarray(good[found.variance[good] <= _FOREIGN * np.median(found.variance[good])])
-
-
-def _least_scale(homography: Floats, points_m: Floats) -> float:
-    """Smallest pixels per metre at points (n, 3), in the direction in which the plane is foreshortened most."""
-    along, down = _directions(homography, points_m)
-    area = np.abs(along[:, 0] * down[:, 1] - along[:, 1] * down[:, 0])
-    return float((area / np.maximum(np.hypot(*along.T), np.hypot(*down.T))).min())
-
-
-def _directions(homography: Floats, points_m: Floats) -> tuple[Floats, Floats]:
-    """Pixels per metre (n, 2) along the board's x axis, and down against its y axis."""
-    w = points_m[:, :2] @ homography[2, :2] + homography[2, 2]
-    px = mapped(homography, points_m)
-    along = (homography[:2, 0] - px * homography[2, 0]) / w[:, None]
-    down = -(homography[:2, 1] - px * homography[2, 1]) / w[:, None]
-    return along, down
-
-
-def _normals(homography: Floats, points_m: Floats, toward: Floats) -> Floats:
-    """Unit normals (n, 2, 2) of the edges along the board's y axis and along its x axis, on the side of `toward`."""
-    along, down = _directions(homography, points_m)
-    normals = np.empty((len(points_m), 2, 2))
-    for k, (edge, side, sign) in enumerate(((down, along, toward[:, 0]), (along, down, toward[:, 1]))):
-        normal = np.stack([-edge[:, 1], edge[:, 0]], axis=1) / np.hypot(*edge.T)[:, None]
-        normals[:, k] = normal * (sign * np.sign(np.sum(normal * side, axis=1)))[:, None]
-    return normals
+    return np.asarray(good[found.variance[good] <= _FOREIGN * median(found.variance[good])])
 
 
 def _coarse(image: Image, seeds_px: Floats, half: int) -> tuple[Indices, Floats]:
@@ -190,16 +157,26 @@ def _coarse(image: Image, seeds_px: Floats, half: int) -> tuple[Indices, Floats]
     return kept[good], found[good]
 
 
+@exact_kernel
 def _pixel_noise(image: Image, plain_px: Floats, half: int) -> float:
     """Variance of the grey values between neighbours in squares of `2 half + 1` pixels, the median of the places.
 
     Infinite, that is unknown, without a place in the picture.
     """
     height, width = image.shape
-    found = []
-    for x, y in np.rint(plain_px).astype(int):
-        if half <= x < width - half and half <= y < height - half:
-            patch = image[y - half : y + half + 1, x - half : x + half + 1].astype(np.float64)
-            changes = np.concatenate([np.diff(patch, axis=0).ravel(), np.diff(patch, axis=1).ravel()])
-            found.append(float(np.mean(changes**2)) / 2)
-    return max(float(np.median(found)), LEAST_VARIANCE) if found else math.inf
+    found = np.empty(len(plain_px))
+    places = 0
+    for k in range(len(plain_px)):
+        x0, y0 = round(plain_px[k, 0]), round(plain_px[k, 1])
+        if not (half <= x0 < width - half and half <= y0 < height - half):
+            continue
+        total = 0.0
+        for y in range(y0 - half, y0 + half + 1):
+            for x in range(x0 - half, x0 + half):
+                total += (float(image[y, x + 1]) - float(image[y, x])) ** 2
+        for y in range(y0 - half, y0 + half):
+            for x in range(x0 - half, x0 + half + 1):
+                total += (float(image[y + 1, x]) - float(image[y, x])) ** 2
+        found[places] = total / (2 * 2 * (2 * half + 1) * 2 * half)
+        places += 1
+    return max(median(found[:places]), LEAST_VARIANCE) if places else math.inf

@@ -35,6 +35,9 @@ Singles = NDArray[np.float32]
 
 _BACKDROP = -1.0
 """Marks what lies beyond the board's margin in a table of reflectances."""
+# What is known of a cell of the fine grid at one edge: its distance, by how much that changes across the cell and in
+# time, the light, and the reflectances on both sides.
+_DISTANCE, _SLOPE_X, _SLOPE_Y, _SLOPE_T, _BRIGHT, _BEFORE, _BEYOND = range(7)
 
 fast_kernel = partial(kernel, sources=(__file__, rig.simulator.board_rendering.__file__), fastmath=True)
 
@@ -143,6 +146,17 @@ def _surface(table: Floats, row: int, column: int, backdrop: float) -> float:
 
 
 @fast_kernel
+def _uniform(table: Floats, first_row: int, last_row: int, first_column: int, last_column: int) -> bool:
+    """Whether all cells from one to another have the same reflectance."""
+    value = table[first_row, first_column]
+    for row in range(first_row, last_row + 1):
+        for column in range(first_column, last_column + 1):
+            if table[row, column] != value:
+                return False
+    return True
+
+
+@fast_kernel
 def draw_print(
     fine: Singles,
     corner: tuple[int, int],
@@ -166,17 +180,19 @@ def draw_print(
     u, ux, uy, ut = np.empty(w), np.empty(w), np.empty(w), np.empty(w)
     v, vx, vy, vt = np.empty(w), np.empty(w), np.empty(w), np.empty(w)
     one = np.empty((BEHIND + 1, 1))
+    edges, value = np.empty((_BEYOND + 1, FINE * FINE * w)), np.empty(FINE * FINE * w)
+    place = np.empty((2, FINE * FINE * w), np.int64)
     for i in range(h):
         look_along(rays, y0 + i + 1, x0, H, dH, u, ux, uy, ut, v, vx, vy, vt)
-        column = row = 0
+        column = row = last_column = last_row = n = 0
         for j in range(w):
             bright = light[y0 + i, x0 + j]
             behind = backdrop[y0 + i, x0 + j] / bright
-            column, row = _cell(across, u[j], column), _cell(down, v[j], row)
             wide, high = abs(ux[j]) + abs(uy[j]) + abs(ut[j]), abs(vx[j]) + abs(vy[j]) + abs(vt[j])
-            off_u = 2 * abs(u[j] - across[_nearest(across, u[j], column)]) > wide
-            off_v = 2 * abs(v[j] - down[_nearest(down, v[j], row)]) > high
-            if off_u and off_v:
+            column, row = _cell(across, u[j] - 0.5 * wide, column), _cell(down, v[j] - 0.5 * high, row)
+            last_column = _cell(across, u[j] + 0.5 * wide, last_column)
+            last_row = _cell(down, v[j] + 0.5 * high, last_row)
+            if _uniform(table, row, last_row, column, last_column):
                 grey = bright * _surface(table, row, column, behind)
                 for p in range(FINE):
                     for q in range(FINE):
@@ -187,23 +203,30 @@ def draw_print(
             for p in range(FINE):
                 for q in range(FINE):
                     dx, dy = (q + 0.5) / FINE - 0.5, (p + 0.5) / FINE - 0.5
-                    value = _shade(
-                        u[j] + ux[j] * dx + uy[j] * dy,
-                        v[j] + vx[j] * dx + vy[j] * dy,
-                        one,
-                        samples,
-                        across,
-                        down,
-                        table,
-                        column,
-                        row,
-                        behind,
-                    )
-                    fine[i * FINE + p, j * FINE + q] = bright * value
+                    at_u, at_v = u[j] + ux[j] * dx + uy[j] * dy, v[j] + vx[j] * dx + vy[j] * dy
+                    place[0, n], place[1, n] = i * FINE + p, j * FINE + q
+                    if _put_edge(at_u, at_v, one, samples, across, down, table, column, row, behind, edges, n):
+                        fine[i * FINE + p, j * FINE + q] = bright * edges[_BEFORE, n]
+                    else:
+                        edges[_BRIGHT, n] = bright
+                        n += 1
+        _shade(edges, n, value)
+        for k in range(n):
+            fine[place[0, k], place[1, k]] = value[k]
 
 
 @fast_kernel
-def _shade(
+def _shade(edges: Floats, n: int, value: Floats) -> None:
+    """Grey values (n,) of cells at one edge each; without a branch, for the vector registers."""
+    distance, a, b, c = edges[_DISTANCE], edges[_SLOPE_X], edges[_SLOPE_Y], edges[_SLOPE_T]
+    before, beyond, bright = edges[_BEFORE], edges[_BEYOND], edges[_BRIGHT]
+    for k in range(n):
+        share = share_beyond(distance[k], a[k], b[k], c[k])
+        value[k] = bright[k] * (before[k] + (beyond[k] - before[k]) * share)
+
+
+@fast_kernel
+def _put_edge(
     u: float,
     v: float,
     one: Floats,
@@ -214,8 +237,13 @@ def _shade(
     column: int,
     row: int,
     behind: float,
-) -> float:
-    """Mean reflectance of a cell of the fine grid about (u, v), whose extent is in `one` (9, 1)."""
+    edges: Floats,
+    k: int,
+) -> bool:
+    """Put the edge at a cell of the fine grid about (u, v), of the extent `one` (9, 1), into column `k` of `edges`.
+
+    True if two edges cross there, or if there is none: the mean reflectance is then in the row `_BEFORE`.
+    """
     column, row = _cell(across, u, column), _cell(down, v, row)
     at_u, at_v = _nearest(across, u, column), _nearest(down, v, row)
     ux, uy, ut = one[UX, 0], one[UY, 0], one[UT, 0]
@@ -223,18 +251,23 @@ def _shade(
     off_u, off_v = u - across[at_u], v - down[at_v]
     on_u = 2 * abs(off_u) <= abs(ux) + abs(uy) + abs(ut)
     on_v = 2 * abs(off_v) <= abs(vx) + abs(vy) + abs(vt)
+    left, right = (at_u, at_u + 1) if on_u else (column, column)
+    above, below = (at_v, at_v + 1) if on_v else (row, row)
+    surface = (
+        _surface(table, above, left, behind),
+        _surface(table, above, right, behind),
+        _surface(table, below, left, behind),
+        _surface(table, below, right, behind),
+    )
+    # A line is an edge only where it parts dark from white.
+    on_u = surface[0] != surface[1] or surface[2] != surface[3]
+    on_v = surface[0] != surface[2] or surface[1] != surface[3]
+    edges[_BEFORE, k], edges[_BEYOND, k] = surface[0], surface[3]
     if on_u and on_v:
-        surface = (
-            _surface(table, at_v, at_u, behind),
-            _surface(table, at_v, at_u + 1, behind),
-            _surface(table, at_v + 1, at_u, behind),
-            _surface(table, at_v + 1, at_u + 1, behind),
-        )
-        return float(quarters(off_u, off_v, one, 0, samples, surface))
+        edges[_BEFORE, k] = quarters(off_u, off_v, one, 0, samples, surface)
+        return True
     if on_u:
-        before, beyond = _surface(table, row, at_u, behind), _surface(table, row, at_u + 1, behind)
-        return float(before + (beyond - before) * share_beyond(off_u, ux, uy, ut))
-    if on_v:
-        before, beyond = _surface(table, at_v, column, behind), _surface(table, at_v + 1, column, behind)
-        return float(before + (beyond - before) * share_beyond(off_v, vx, vy, vt))
-    return float(_surface(table, row, column, behind))
+        edges[_DISTANCE, k], edges[_SLOPE_X, k], edges[_SLOPE_Y, k], edges[_SLOPE_T, k] = off_u, ux, uy, ut
+    else:
+        edges[_DISTANCE, k], edges[_SLOPE_X, k], edges[_SLOPE_Y, k], edges[_SLOPE_T, k] = off_v, vx, vy, vt
+    return not (on_u or on_v)

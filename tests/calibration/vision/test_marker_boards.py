@@ -31,7 +31,8 @@ def test_the_kernel_for_any_print_draws_a_checkerboard_as_the_checkerboards_own_
     own, other = scene(), scene()
     other._paint = print_painter(BOARD)
     pose = facing(roll_deg=20)
-    assert np.array_equal(still(pose, 0, own), still(pose, 0, other))
+    # At a crossing of lines of which one parts nothing, one kernel samples the cell and the other integrates over it.
+    assert np.abs(still(pose, 0, own).astype(int) - still(pose, 0, other)).max() <= 1
 
 
 @pytest.mark.parametrize("name", ["charuco 6x5", "tags"])
