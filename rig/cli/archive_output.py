@@ -28,6 +28,7 @@ from runs.pressure_cycles import pressure_cycles
 from runs.records import Quantity, Status, StudyRun
 from runs.recovery import RecoveryStatus
 from runs.recovery import recover as recover_folder
+from runs.run import Run
 from runs.summary import Summary, summarise
 from runs.tip_error import TipErrorSummary
 from runs.tip_plans import TipPlans
@@ -85,6 +86,7 @@ def show(name: Path, as_json: bool) -> None:
         ("protocol", header.protocol_name),
         ("parameters", ", ".join(map(str, header.protocol_parameters)) or "-"),
         ("rig", header.rig_name),
+        ("tip measured by", _tip_source(run)),
         ("model", header.model_variant or "-"),
         *((("gravity", _gravity(header.measured_gravity)),) if header.measured_gravity else ()),
         ("study", _study(header.study)),
@@ -110,6 +112,24 @@ def _gravity(quantity: Quantity) -> str:
     return (
         f"[{direction}] in the rod-base frame, +- {math.degrees(quantity.uncertainty):.1f} degrees ({quantity.source})"
     )
+
+
+def _tip_source(run: Run) -> str:
+    """Return what measured the tip: cameras with the board they look at, or a tracker."""
+    from rig.config.loader import recorded
+
+    if not run.header.rig_yaml:
+        return "-"
+    try:
+        config = recorded(run.header, run.path).config
+    except BadInputError:
+        return "unknown: the rig was recorded by another version of softrig"
+    if config.tracker is not None:
+        return f"tracker {next(iter(config.trackers))}"
+    if config.board is None or not config.cameras:
+        return "-"
+    kind = "camera" if len(config.cameras) == 1 else "cameras"
+    return f"{kind} {', '.join(config.cameras)}: " + "; ".join((config.board.words, *config.board.marker_texts))
 
 
 def _study(place: StudyRun | None) -> str:

@@ -205,7 +205,12 @@ def _frames(journal: Journal) -> Group:
                 "the encoded picture, byte for byte",
             ),
             Field("pixel", ["u", "v"], about="to the right, down; 0 in the middle of the first pixel"),
-            Field("corner", np.arange(1, pictures.corners + 1), about="of the board, row by row", any_length=True),
+            Field(
+                "corner",
+                np.arange(1, pictures.corners + 1),
+                about="of the board: inner corners row by row, or of each tag the four, clockwise from its top left",
+                any_length=True,
+            ),
             Field("point", np.arange(1, pictures.backbone + 1), about="from the base to the tip", any_length=True),
             Field(
                 "corners_px",

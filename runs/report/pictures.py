@@ -243,7 +243,8 @@ def _overlay(run: Run, k: int, unit: float) -> str:
             f'<polyline points="{_points(line)}" fill="none" stroke="{MODEL}" stroke-width="{1.6 * unit:.2f}"/>'
         )
     corners = frames.corners_px[k]
-    for i, (u, v) in enumerate(corners[np.isfinite(corners).all(axis=1)]):
+    for i in np.flatnonzero(np.isfinite(corners).all(axis=1)):
+        u, v = corners[i]
         fill = BOARD if i == 0 else "none"
         parts.append(
             f'<circle cx="{u:.2f}" cy="{v:.2f}" r="{1.9 * unit:.2f}" fill="{fill}" stroke="{BOARD}" '

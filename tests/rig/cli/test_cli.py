@@ -283,7 +283,8 @@ def test_show_prints_how_a_run_was_made(
     (archive,) = (recorded / "data").glob("*.h5")
     assert inside("show", archive.stem) == 0
     shown = capsys.readouterr().out
-    for fact in (archive.stem, "simulated", "ada", "short", "virtual time", "mean error"):
+    seen_by = "camera front: checkerboard of 30 corners"
+    for fact in (archive.stem, "simulated", "ada", "short", "virtual time", "mean error", seen_by):
         assert fact in shown
     inside("show", archive, "--json")
     facts = json.loads(capsys.readouterr().out)

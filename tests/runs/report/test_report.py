@@ -26,7 +26,7 @@ from runs.archive.writer import finalise
 from runs.export.exporters import ExportError
 from runs.journal.journal import JournalWriter
 from runs.records import DetectionStatus, Event, Level, RunFooter, Status
-from runs.report import drawing, figure_export, figure_specifications, pictures, reference_figure
+from runs.report import colours, drawing, figure_export, figure_specifications, pictures, reference_figure
 from runs.report import page as report
 from runs.report.comparison import by_axis, by_model
 from runs.report.drawing import STYLE
@@ -135,6 +135,21 @@ def test_annotations_are_drawn_into_the_pictures(archive: Path, text: str) -> No
         marks = made_up.marks(k)
         for u, v in (*marks.corners_px, *([marks.tip_px] if len(marks.corners_px) else [])):
             assert (f"{u:.2f}", f"{v:.2f}") in drawn
+
+
+def test_only_the_boards_first_corner_is_drawn_filled_and_none_where_it_is_hidden(tmp_path: Path) -> None:
+    path = tmp_path / "hidden.mcap"
+    writer = JournalWriter(path, made_up.header("hidden", 1.0))
+    writer.observations(made_up.observations(1.0))
+    for index in range(2):
+        shown = made_up.picture(index)
+        corners = shown.marks.corners_px.copy()
+        corners[0 if index else 1] = np.nan
+        writer.picture(dataclasses.replace(shown, marks=dataclasses.replace(shown.marks, corners_px=corners)))
+    writer.close(RunFooter(made_up.START_NS + 10**9, Status.FINISHED, ""))
+    run = runs.open(finalise(path))
+    filled = [pictures._overlay(run, k, 1.0).count(f'fill="{colours.BOARD}"') for k in range(2)]
+    assert filled == [1, 0]
 
 
 def test_pictures_show_the_ends_of_steps_the_largest_error_and_where_the_board_was_lost(tmp_path: Path) -> None:
