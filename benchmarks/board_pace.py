@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.boards import BOARDS, FACING, LENS, ours
 from calibration.vision.board import Board
 from calibration.vision.checkerboard import Checkerboard
-from calibration.vision.tracker import Tracker
+from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
 
 Result = TypeVar("Result")
@@ -44,7 +44,7 @@ def main() -> None:
     asked = parser.parse_args()
     cv2.setNumThreads(1)
     draws = {name: ours(board, None, asked.seed) for name, board in KINDS.items()}
-    trackers = {name: Tracker(board, LENS) for name, board in KINDS.items()}
+    trackers = {name: BoardTracker(board, LENS) for name, board in KINDS.items()}
     ms: dict[str, list[tuple[float, float, float]]] = {name: [] for name in KINDS}
     for k in range(asked.pictures):
         for name, board in KINDS.items():

@@ -13,13 +13,13 @@ from rig.control.control_loop import ControlLoop
 from rig.execution.plan import RunPlan
 from rig.experiment import run as experiment
 from rig.hardware.bench import Bench
-from rig.hardware.cameras import mock
 from rig.realtime import process_group
 from rig.realtime.health_monitor import HealthMonitor
 from rig.realtime.process_group import ProcessGroup
 from rig.realtime.scheduling import HeartbeatMonitor
 from rig.realtime.shared_state import SharedState, Stage, StateLayout
 from rig.realtime.timing_limits import TimingLimits, TimingProfile
+from rig.simulator import mock_camera
 from rig.simulator.mock_camera import MockCamera
 from rig.simulator.plant import Plant
 from rig.simulator.tip_pose import TipPose
@@ -172,7 +172,7 @@ def test_a_camera_whose_reader_stalled_takes_the_newest_picture_and_blames_no_si
             return TipPose(t_ns, np.array([0.0, 0.0, 0.17]), np.eye(3))
 
     clock = Clock()
-    monkeypatch.setattr(mock, "time", clock)
+    monkeypatch.setattr(mock_camera, "time", clock)
     camera = MockCamera(loader.load("mock"), Forgetful())
     exposed: list[int] = []
     monkeypatch.setattr(camera, "develop", lambda exposure: exposed.append(exposure.t_ns))
