@@ -47,12 +47,17 @@ SWING_M, SWING_S = 2e-3, 0.1
 """The arm swings after a change: standard deviation at its start, and the time in which it decays."""
 SETTLING_FRAMES = 12
 """Frames after a change in which only payload and offset are estimated."""
+RELAPSE_FRAMES = 90
+"""A second change within so many frames: it is not a payload, but an arm beyond the priors."""
+BEYOND_PRIORS = 3.0
+"""The prior standard deviations are multiplied by this for an arm beyond them, and everything is learned again."""
 
 
 class EstimatorState(NamedTuple):
     """Estimates `z` (n,) with covariance (n, n), and the number of frames.
 
-    `excess`: sum of the NIS beyond USUAL_NIS. `settling`: frames until the arm has settled after a change.
+    `excess`: sum of the NIS beyond USUAL_NIS. `frames`: since everything is learned. `settling`: frames until the arm
+    has settled after a change. `relapse`: frames in which a second change is not taken for a payload.
     z: gains (V,), softness, lag, payload, offset (3,), then a_k and b_k (3,) of each harmonic.
     """
 
@@ -61,6 +66,7 @@ class EstimatorState(NamedTuple):
     excess: float = 0.0
     frames: int = 0
     settling: int = 0
+    relapse: int = 0
 
 
 class TipEstimator:
@@ -75,9 +81,7 @@ class TipEstimator:
 
     def start(self) -> EstimatorState:
         """The prior."""
-        waves = np.repeat(HARMONIC_STD_M / np.arange(1, HARMONICS + 1), 6)
-        std = self._unknown * self._each(GAIN_STD, SOFTNESS_STD, LAG_STD_S, PAYLOAD_STD_KG, OFFSET_STD_M, waves)
-        return EstimatorState(np.zeros(self._size), np.diag(std**2))
+        return EstimatorState(np.zeros(self._size), np.diag((self._unknown * self._prior_std()) ** 2))
 
     def gains(self, state: EstimatorState) -> Array:
         """Relative strength (V,) of each valve's actuators beyond the model's."""
@@ -154,14 +158,18 @@ class TipEstimator:
         gap = measured_m - predicted
         innovation = slope @ covariance @ slope.T + noise
         nis = float(gap @ np.linalg.solve(innovation, gap))
-        excess, settling = 0.0, max(0, state.settling - 1)
+        excess, settling, relapse = 0.0, max(0, state.settling - 1), max(0, state.relapse - 1)
+        frames = state.frames + 1
         if state.frames > LEARNING_FRAMES and not settling:
             excess = max(0.0, state.excess + min(nis, OUTLIER_NIS) - USUAL_NIS)
             if nis > OUTLIER_NIS and state.excess <= SUSPICION_NIS:
-                return EstimatorState(state.z, covariance, excess, state.frames + 1), nis
-            if excess > CHANGE_NIS:
+                return EstimatorState(state.z, covariance, excess, frames, relapse=relapse), nis
+            if excess > CHANGE_NIS and relapse:
+                covariance += np.diag((BEYOND_PRIORS * self._prior_std()) ** 2)
+                excess, frames, relapse = 0.0, 0, 0
+            elif excess > CHANGE_NIS:
                 covariance[self._payload, self._payload] += JUMP_KG**2
-                excess, settling = 0.0, SETTLING_FRAMES
+                excess, settling, relapse = 0.0, SETTLING_FRAMES, RELAPSE_FRAMES
         if settling:
             since_s = (SETTLING_FRAMES - settling) * passed_s
             noise = noise + (SWING_M * np.exp(-since_s / SWING_S)) ** 2 * np.eye(3)
@@ -172,7 +180,11 @@ class TipEstimator:
         gain = moves[:, None] * np.linalg.solve(innovation, slope @ covariance).T
         keep = np.eye(self._size) - gain @ slope
         after = keep @ covariance @ keep.T + gain @ noise @ gain.T  # Joseph form
-        return EstimatorState(state.z + gain @ gap, after, excess, state.frames + 1, settling), nis
+        return EstimatorState(state.z + gain @ gap, after, excess, frames, settling, relapse), nis
+
+    def _prior_std(self) -> Array:
+        waves = np.repeat(HARMONIC_STD_M / np.arange(1, HARMONICS + 1), 6)
+        return self._each(GAIN_STD, SOFTNESS_STD, LAG_STD_S, PAYLOAD_STD_KG, OFFSET_STD_M, waves)
 
     def _each(self, gain: float, softness: float, lag: float, payload: float, offset: float, waves: Array) -> Array:
         return np.concatenate([np.full(self._valves, gain), [softness, lag, payload], np.full(3, offset), waves])

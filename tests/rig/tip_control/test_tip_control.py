@@ -201,6 +201,18 @@ def test_one_wrong_measurement_moves_no_estimate_and_more_of_them_only_payload_a
     assert forgotten.settling == 0
 
 
+def test_a_sideways_shift_that_no_payload_explains_is_learned_within_half_a_second(static_map: StaticMap) -> None:
+    estimator, rng = TipEstimator(static_map), np.random.default_rng(1)
+    state, pressure, still = estimator.start(), np.array([4e4, 2e4, 2e4]), np.zeros(3)
+    tip, shift = static_map.tips(pressure[None])[0], np.array([0.4e-3, 1.5e-3, -0.3e-3])
+    for k in range(136):
+        prediction = estimator.predict(state, tip, still, pressure, k / 30, None)
+        measured = tip + (shift if k >= 120 else 0.0) + 5e-5 * rng.standard_normal(3)
+        state, _ = estimator.update(state, measured, 2.5e-9 * np.eye(3), prediction, 1 / 30, None)
+    predicted, _ = estimator.predict(state, tip, still, pressure, 136 / 30, None)
+    np.testing.assert_allclose(predicted, tip + shift, atol=1.5e-4)
+
+
 def test_the_same_run_is_the_same_bit_for_bit() -> None:
     task, truth = _task(1.0, 1.5), Truth(OTHER, np.ones(3))
     first, second = (simulate(SETTINGS, HorizonControl(SETTINGS), truth, task, seed=4) for _ in range(2))
