@@ -10,13 +10,12 @@ import numpy as np
 
 from rig.config.schema import RigConfig
 from rig.driver_contract.check import BrokenContractError, Check
+from rig.driver_contract.time_stamps import rate_and_age
 from rig.hardware.trackers.base import TrackerReading
 from rig.hardware.trackers.registry import open_tracker
 
 READINGS = 50
 FIRST_S, NEXT_S = 5.0, 1.0
-LATEST_S = 2.0
-"""A time that is older than this at its arrival is on another clock."""
 _TOLERANCE = 1e-6
 
 
@@ -57,18 +56,9 @@ def poses(subject: TrackerSubject) -> str:
 def times(subject: TrackerSubject) -> str:
     """Readings are in order of time on CLOCK_MONOTONIC, at the stated rate."""
     readings = subject.readings()
-    t_ns = np.array([reading.t_ns for reading, _ in readings])
-    index = np.array([reading.index for reading, _ in readings])
-    age_s = np.array([arrived - reading.t_ns for reading, arrived in readings]) * 1e-9
-    if np.any(np.diff(t_ns) <= 0) or np.any(np.diff(index) <= 0):
-        raise BrokenContractError("times or numbers of the readings do not increase")
-    if age_s.min() < -_early_s(readings) or age_s.max() > LATEST_S:
-        raise BrokenContractError(f"readings are {age_s.min():.3f} to {age_s.max():.3f} s old at their arrival")
-    rate = (index[-1] - index[0]) / ((t_ns[-1] - t_ns[0]) * 1e-9)
-    wanted = subject.config.trackers[subject.name].rate_hz
-    if not 0.8 * wanted <= rate <= 1.25 * wanted:
-        raise BrokenContractError(f"{rate:.1f} readings/s; the rig file says {wanted:g}")
-    return f"{rate:.1f} readings/s, {np.median(age_s) * 1e3:.0f} ms old at arrival"
+    # A time may be ahead of its arrival by its uncertainty.
+    early_s = 3 * max(reading.time_std_s for reading, _ in readings)
+    return rate_and_age(readings, "readings", subject.config.trackers[subject.name].rate_hz, early_s)
 
 
 def reopening(subject: TrackerSubject) -> str:
@@ -79,11 +69,6 @@ def reopening(subject: TrackerSubject) -> str:
             if tracker.read(FIRST_S) is None:
                 raise BrokenContractError(f"no reading within {FIRST_S:g} s of opening")
     return f"opened twice in {time.monotonic() - began:.1f} s"
-
-
-def _early_s(readings: list[tuple[TrackerReading, int]]) -> float:
-    """How far ahead of its arrival a time may be: by its uncertainty."""
-    return 3 * max(reading.time_std_s for reading, _ in readings)
 
 
 TRACKER_CHECKS: tuple[Check[TrackerSubject], ...] = (

@@ -32,7 +32,7 @@ class Breakable(Pneubox):  # type: ignore[misc]
         owner = Path(f"{file_of(setup.device)}.owner")
         watched = not setup.inputs
         if self._fault == "stale lock" and owner.exists():
-            raise CardError("somebody has the box")
+            raise CardError("the box is in use")
         if watched and self._fault == "refuses the watchdog":
             raise CardError("no second process, please")
         if watched and self._fault == "does not name the holder" and owner.exists():

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import runs
 from protocols import BadInputError
 from rig.importing import ImportResult, import_table
 from runs.records import Level
@@ -54,6 +55,10 @@ def imported_in(folder: Path, data: str | Path, mapping: str) -> ImportResult:
         file.write_text(data, encoding="utf-8")
     (folder / "mapping.yaml").write_text(mapping, encoding="utf-8")
     return import_table(file, folder / "mapping.yaml", folder / "archives")
+
+
+def run_imported(folder: Path, data: str | Path, mapping: str) -> Run:
+    return runs.open(imported_in(folder, data, mapping).archive)
 
 
 def warnings_of(run: Run) -> str:

@@ -295,7 +295,7 @@ def test_runs_lists_archives_and_filters_them(
     recorded: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(recorded)
-    for options, found in (((), 1), (("--text", "nobody"), 0)):
+    for options, found in (((), 1), (("--text", "absent"), 0)):
         assert inside("runs", "--json", *options) == 0
         assert len(json.loads(capsys.readouterr().out)) == found
 

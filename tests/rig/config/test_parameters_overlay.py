@@ -138,7 +138,7 @@ def test_identified_values_are_found_in_the_rig(found: Path) -> None:
     config = loader.read("mock").identified(read(found)).config
     assert config.arm.geometry.length_mm == pytest.approx(175.0)
     assert config.arm.cap_mass_g == pytest.approx(56.0)
-    # A sensor that reads 2 % too much at 1 bar is told so.
+    # The reading of a sensor that is 2 % too large at 1 bar is corrected.
     sensor = next(s for s in config.sensors if s.actuator == 1)
     plain = next(s for s in load("mock").sensors if s.actuator == 1)
     volts = np.array([1.0])

@@ -111,7 +111,7 @@ def test_the_mock_card_keeps_the_contract(tmp_path: Path) -> None:
         ("second opener", "does not name the holder", "softrig cannot end it"),
         ("second opener", "raises an OSError", "OSError: device busy"),
         ("second opener", "second write is lost", "and reads back"),
-        ("killed owner", "stale lock", "somebody has the box"),
+        ("killed owner", "stale lock", "the box is in use"),
         ("vanished device", "blind to a pulled cable", "scans still come"),
     ],
 )

@@ -107,7 +107,7 @@ def test_the_arm_of_the_mock_rig_is_identified_from_its_archive(resting: Run) ->
         assert estimate.value is not None, name
         assert estimate.std is not None
         assert abs(estimate.value - true) < 4 * estimate.std
-    # An arm a few per cent off the published one is told from it.
+    # An arm that differs by a few per cent from the published one is identified as different.
     a1 = fit["a1_per_n"]
     assert a1.std is not None
     assert a1.std < 0.02 * expected["a1_per_n"]

@@ -11,16 +11,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import model
-import runs
 from calibration.identify import Setup, identify, quasi_static_poses
 from calibration.identify.tip_predictor import Predictor
 from model import sensitivities
 from model.statics import statics
 from model.variation import TipWrench
 from protocols import BadInputError
-from rig.importing import import_table
-from runs.run import Run
-from tests.support.import_bench import warnings_of
+from tests.support.import_bench import run_imported, warnings_of
 
 Array = NDArray[np.float64]
 
@@ -101,12 +98,6 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def bring(table: Path, mapping: str, folder: Path) -> Run:
-    file = folder / "mapping.yaml"
-    file.write_text(mapping, encoding="utf-8")
-    return runs.open(import_table(table, file, folder).archive)
-
-
 def turned_as(straight: Array) -> str:
     """How the load cell stands on the tip sensor, as a mapping says it."""
     x, y, z = np.degrees(Rotation.from_matrix(straight).inv().as_rotvec())
@@ -118,7 +109,7 @@ STATED = CELL.replace("aligned_rows: 4", turned_as(pulled(np.zeros(3), np.zeros(
 
 @pytest.mark.parametrize("wrench", [TRACKER, TIP, CELL, STATED])
 def test_the_wrench_of_any_stated_frame_predicts_the_tip(table: Path, tmp_path: Path, wrench: str) -> None:
-    poses = quasi_static_poses(bring(table, HEAD + wrench, tmp_path))
+    poses = quasi_static_poses(run_imported(tmp_path, table, HEAD + wrench))
     assert len(poses) == 40
     error = np.linalg.norm(Predictor(poses)(TRUTH) - poses.tip_m, axis=1)
     # A tenth of a millimetre: the pressures of the table are smoothed, as those of every run are.
@@ -144,7 +135,7 @@ def test_a_strong_force_off_the_axis_is_solved_or_reported_as_unsolved() -> None
 
 
 def test_an_arm_under_load_determines_its_law_without_free_pressures(table: Path, tmp_path: Path) -> None:
-    poses = quasi_static_poses(bring(table, HEAD + TRACKER, tmp_path))
+    poses = quasi_static_poses(run_imported(tmp_path, table, HEAD + TRACKER))
     material = replace(TRUTH.arm.material, a1_per_n=0.0065)
     fit = identify([poses], replace(TRUTH, arm=replace(TRUTH.arm, material=material)), ["a1_per_n"])
     found = fit["a1_per_n"]
@@ -169,13 +160,13 @@ def test_a_wrench_without_a_known_frame_is_refused(table: Path, tmp_path: Path, 
     text = HEAD + TIP
     assert old in text
     with pytest.raises(BadInputError, match=r"mapping\.yaml|pulled\.csv") as bad:
-        bring(table, text.replace(old, new), tmp_path)
+        run_imported(tmp_path, table, text.replace(old, new))
     assert said in str(bad.value)
 
 
 def test_a_wrench_that_is_doubtful_is_imported_with_a_warning(table: Path, tmp_path: Path) -> None:
-    said = warnings_of(bring(table, HEAD + CELL.replace("N mm", "N m").replace("rows: 4", "rows: 20"), tmp_path))
+    said = warnings_of(run_imported(tmp_path, table, HEAD + CELL.replace("N mm", "N m").replace("rows: 4", "rows: 20")))
     assert "are their units right?" in said
     assert "whose mean is used as the no-load reading" in said
     assert "degrees within the first 20 rows" in said
-    assert warnings_of(bring(table, HEAD + CELL, tmp_path)).count("\n") == 0
+    assert warnings_of(run_imported(tmp_path, table, HEAD + CELL)).count("\n") == 0

@@ -32,16 +32,6 @@ DATED = "title: D\ntime: {column: when, unit: iso}\npressures: {columns: [p], un
 EXAMPLE = ROOT / "docs" / "examples" / "stiff-flop.yaml"
 
 
-@pytest.fixture
-def bring(tmp_path: Path) -> Bring:
-    """Imports a text or a file by a mapping and opens the archive."""
-
-    def imported(data: str | Path, mapping: str) -> Run:
-        return runs.open(imported_in(tmp_path, data, mapping).archive)
-
-    return imported
-
-
 @pytest.fixture(scope="module")
 def stiff_flop(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """The real data set, by the mapping that the documentation shows."""

@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 import model
-import runs
 from calibration.identify import Setup, quasi_static_poses
 from calibration.identify.errors import NoDataError
 from calibration.identify.nuisance import nuisance_parameters
@@ -27,9 +26,8 @@ from rig.experiment.provenance import quantities
 from rig.identify.estimation import rig_uncertainties
 from rig.identify.from_archives import open_runs
 from rig.identify.initial_setup import recorded_rig, starting_rigs
-from rig.importing import import_table
 from runs.run import Run
-from tests.support.import_bench import warnings_of
+from tests.support.import_bench import run_imported, warnings_of
 from tests.support.shared_data import shared_data
 
 Array = NDArray[np.float64]
@@ -73,16 +71,10 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def bring(table: Path, mapping: str, folder: Path) -> Run:
-    file = folder / "mapping.yaml"
-    file.write_text(mapping, encoding="utf-8")
-    return runs.open(import_table(table, file, folder).archive)
-
-
 @pytest.fixture(scope="module")
 def measured(table: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
     """The table with the load cell in its mapping."""
-    return bring(table, HEAD + GRAVITY, tmp_path_factory.mktemp("measured"))
+    return run_imported(tmp_path_factory.mktemp("measured"), table, HEAD + GRAVITY)
 
 
 def angle_deg(one: object, other: object) -> float:
@@ -139,7 +131,7 @@ def test_rig_show_states_the_measured_direction(measured: Run) -> None:
 def test_a_known_zero_gives_the_direction_without_weights(table: Path, tmp_path: Path) -> None:
     zero = ", ".join(f"{x:g}" for x in ZERO_N)
     mapping = HEAD + GRAVITY + f"  at_rest_s: [[0, 0.95]]\n  zero_N: [{zero}]\n  zero_std_N: 0.02\n"
-    gravity = bring(table, mapping, tmp_path).header.measured_gravity
+    gravity = run_imported(tmp_path, table, mapping).header.measured_gravity
     assert gravity is not None
     # 0.02 N across 0.12 kg x 9.81 m/s^2 is 0.97 degrees.
     assert math.degrees(gravity.uncertainty) == pytest.approx(math.hypot(0.5, 0.97), abs=0.15)
@@ -149,7 +141,7 @@ def test_a_known_zero_gives_the_direction_without_weights(table: Path, tmp_path:
 
 def test_a_wrong_sign_or_unit_is_imported_with_a_warning(table: Path, tmp_path: Path) -> None:
     mapping = HEAD + GRAVITY.replace("reaction", "weight").replace("unit: N", "unit: mN")
-    said = warnings_of(bring(table, mapping, tmp_path))
+    said = warnings_of(run_imported(tmp_path, table, mapping))
     assert "against the rig's gravity_direction, [0, 0, 1]: does it read weight or reaction" in said
     assert "1 kg more on the arm changes the force of the load cell by 0.0098 N, not by 9.81 N" in said
 
@@ -179,15 +171,15 @@ def test_a_cell_that_cannot_show_gravity_is_refused_with_its_line(
     text = HEAD + GRAVITY
     assert old in text
     with pytest.raises(BadInputError, match=r"mapping\.yaml|leaning\.csv") as bad:
-        bring(table, text.replace(old, new), tmp_path)
+        run_imported(tmp_path, table, text.replace(old, new))
     assert said in str(bad.value)
     assert line in {problem.line for problem in bad.value.problems} or line == 0
 
 
 def test_runs_with_different_directions_are_not_identified_together(measured: Run, table: Path, tmp_path: Path) -> None:
-    alone = bring(table, HEAD, tmp_path)
+    alone = run_imported(tmp_path, table, HEAD)
     assert any("counts for all runs" in note for note in open_runs([measured.path, alone.path], one_arm=True).notes)
-    turned = bring(table, HEAD + GRAVITY.replace("[0, 0, 30]", "[0, 0, 60]"), tmp_path)
+    turned = run_imported(tmp_path, table, HEAD + GRAVITY.replace("[0, 0, 30]", "[0, 0, 60]"))
     with pytest.raises(NoDataError, match="degrees apart"):
         open_runs([measured.path, turned.path], one_arm=True)
 
@@ -204,7 +196,7 @@ def test_the_load_cell_of_the_real_arm_shows_that_it_hangs(tmp_path: Path) -> No
     (between_pushes,) = [line for line in reference.splitlines() if line.startswith("gravity: {at_rest_s:")]
     rig = ROOT / "docs" / "examples" / "stiff-flop-arm.yaml"
     text = example.replace("rig: stiff-flop-arm.yaml", f"rig: {rig}") + between_pushes + "\n"
-    run = bring(shared_data("stiff_flop", "Load1.mat"), text, tmp_path)
+    run = run_imported(tmp_path, shared_data("stiff_flop", "Load1.mat"), text)
     gravity = run.header.measured_gravity
     assert gravity is not None
     assert angle_deg(gravity.value, [0, 0, 1]) < 10

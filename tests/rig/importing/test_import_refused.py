@@ -18,19 +18,8 @@ from rig.config import loader
 from rig.identify import estimation
 from runs.records import DetectionStatus
 from runs.report.page import write
-from runs.run import Run
 from tests.support.budget import examples
 from tests.support.import_bench import BENCH, BENCH_CSV, SMALL, Bring, complaint, imported_in, warnings_of
-
-
-@pytest.fixture
-def bring(tmp_path: Path) -> Bring:
-    """Imports a text or a file by a mapping and opens the archive."""
-
-    def imported(data: str | Path, mapping: str) -> Run:
-        return runs.open(imported_in(tmp_path, data, mapping).archive)
-
-    return imported
 
 
 class TestBadData:

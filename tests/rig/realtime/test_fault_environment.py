@@ -74,7 +74,7 @@ def test_a_reader_that_has_gone_is_not_an_error() -> None:
     os.close(read_end)
     with os.fdopen(write_end, "w") as stream:
         outlet = NonBlockingWriter(stream)
-        outlet.write("to nobody\n")
+        outlet.write("without a reader\n")
         outlet.close()
 
 
