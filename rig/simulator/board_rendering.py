@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,23 @@ U, UX, UY, UT, V, VX, VY, VT, BEHIND = range(9)
 _sources = (__file__, calibration.vision.board.__file__)
 exact_kernel = partial(kernel, sources=_sources, fastmath=False)
 fast_kernel = partial(kernel, sources=_sources, fastmath=True)
+
+
+class ExposedView(NamedTuple):
+    """What a camera sees of a board during one exposure.
+
+    corner: the pixel (x, y) of the picture at the top left of what is drawn. light and backdrop (height, width): those
+    of the whole picture. rays (2, height + 2, width + 2): with a rim of one pixel. H: map from a ray to squares at
+    mid-exposure; dH: its change over the exposure. samples (3, k): where a pixel and an exposure are sampled.
+    """
+
+    corner: tuple[int, int]
+    light: Singles
+    backdrop: Singles
+    rays: Floats
+    H: Floats
+    dH: Floats  # noqa: N815 - the change of H
+    samples: Singles
 
 
 @fast_kernel
@@ -174,24 +191,12 @@ def look_along(
 
 
 @fast_kernel
-def draw(
-    fine: Singles,
-    corner: tuple[int, int],
-    light: Singles,
-    backdrop: Singles,
-    rays: Floats,
-    H: Floats,
-    dH: Floats,
-    samples: Singles,
-    nx: int,
-    ny: int,
-) -> None:
-    """Fill `fine` (FINE h, FINE w), whose top left is the picture's pixel `corner` (x, y), with grey values.
+def draw(fine: Singles, view: ExposedView, nx: int, ny: int) -> None:
+    """Fill `fine` (FINE h, FINE w) with grey values of a checkerboard of nx by ny squares.
 
-    `light` and `backdrop` (height, width) are those of the whole picture; `rays` (2, height + 2, width + 2) has a rim
-    of one pixel. `H` maps a ray to squares at mid-exposure, `dH` is its change over the exposure. Within a pixel the
-    map is taken as linear in position and time. `samples` (3, k): where a pixel and an exposure are sampled.
+    Within a pixel the map is taken as linear in position and time.
     """
+    corner, light, backdrop, rays, H, dH, samples = view
     x0, y0 = corner
     h, w = fine.shape[0] // FINE, fine.shape[1] // FINE
     u, ux, uy, ut = np.empty(w), np.empty(w), np.empty(w), np.empty(w)

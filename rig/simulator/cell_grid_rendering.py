@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial, singledispatch
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from rig.simulator.board_rendering import (
     VX,
     VY,
     WHITE,
+    ExposedView,
     draw,
     look_along,
     quarters,
@@ -42,21 +43,8 @@ _DISTANCE, _SLOPE_X, _SLOPE_Y, _SLOPE_T, _BRIGHT, _BEFORE, _BEYOND = range(7)
 fast_kernel = partial(kernel, sources=(__file__, rig.simulator.board_rendering.__file__), fastmath=True)
 
 
-class Painter(Protocol):
-    """Fills `fine` (FINE h, FINE w) with grey values; see `rig.simulator.board_rendering.draw`."""
-
-    def __call__(
-        self,
-        fine: Singles,
-        corner: tuple[int, int],
-        light: Singles,
-        backdrop: Singles,
-        rays: Floats,
-        H: Floats,
-        dH: Floats,
-        samples: Singles,
-        /,
-    ) -> None: ...
+Painter = Callable[[Singles, ExposedView], None]
+"""Fills the fine grid (FINE h, FINE w) with grey values."""
 
 
 @singledispatch
@@ -67,8 +55,8 @@ def painter(board: Board) -> Painter:
 
 @painter.register
 def _(board: Checkerboard) -> Painter:
-    def paint(*scene: object) -> None:
-        draw(*scene, board.squares_x, board.squares_y)
+    def paint(fine: Singles, view: ExposedView) -> None:
+        draw(fine, view, board.squares_x, board.squares_y)
 
     return paint
 
@@ -101,8 +89,8 @@ def print_painter(board: Board, cover: Cover | None = None) -> Painter:
         inside_x = (x > cover.left * width) & (x < cover.right * width)
         table[np.ix_((y > cover.top * height) & (y < cover.bottom * height), inside_x)] = cover.reflectance
 
-    def paint(*scene: object) -> None:
-        draw_print(*scene, across, down, table)
+    def paint(fine: Singles, view: ExposedView) -> None:
+        draw_print(fine, view, across, down, table)
 
     return paint
 
@@ -157,24 +145,13 @@ def _uniform(table: Floats, first_row: int, last_row: int, first_column: int, la
 
 
 @fast_kernel
-def draw_print(
-    fine: Singles,
-    corner: tuple[int, int],
-    light: Singles,
-    backdrop: Singles,
-    rays: Floats,
-    H: Floats,
-    dH: Floats,
-    samples: Singles,
-    across: Floats,
-    down: Floats,
-    table: Floats,
-) -> None:
-    """Fill `fine` as `rig.simulator.board_rendering.draw` does, for cells between lines.
+def draw_print(fine: Singles, view: ExposedView, across: Floats, down: Floats, table: Floats) -> None:
+    """Fill `fine` (FINE h, FINE w) with grey values of cells between lines.
 
     `across` (p,) and `down` (q,) are the lines in units of the board, `table` (q + 1, p + 1) the reflectances between
     them. Cells are taken to be larger than those of the fine grid.
     """
+    corner, light, backdrop, rays, H, dH, samples = view
     x0, y0 = corner
     h, w = fine.shape[0] // FINE, fine.shape[1] // FINE
     u, ux, uy, ut = np.empty(w), np.empty(w), np.empty(w), np.empty(w)

@@ -13,7 +13,7 @@ from calibration.vision.board import Board
 from calibration.vision.lens import Lens
 from calibration.vision.projection import extent
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.board_rendering import FINE, shrink
+from rig.simulator.board_rendering import FINE, ExposedView, shrink
 from rig.simulator.cell_grid_rendering import Cover, painter, print_painter
 
 Floats = NDArray[np.float64]
@@ -90,8 +90,7 @@ class Scene:
             x0, y0, x1, y1 = box
             at_open, at_middle, at_close = self._to_squares((opened, middle, closed))
             fine = np.empty(((y1 - y0) * FINE, (x1 - x0) * FINE), np.float32)
-            self._paint(
-                fine,
+            view = ExposedView(
                 (x0, y0),
                 self._light,
                 self._backdrop,
@@ -100,6 +99,7 @@ class Scene:
                 at_close - at_open,
                 self._samples,
             )
+            self._paint(fine, view)
             seen = np.empty((y1 - y0, x1 - x0), np.float32)
             shrink(fine, self._taps, seen)
             dx, dy = self._noise_places[index % _NOISE_PLACES].tolist()
