@@ -100,7 +100,7 @@ class PiecewisePath(TipPath):
         """Positions (n, 3) [m] at times (n,)."""
         left, share, _ = self._place(t_s)
         if self.smooth:
-            share = share**3 * (10 + share * (6 * share - 15))
+            share = smooth_weight(share)
         found: Array = self.points_m[left] + share[:, None] * (self.points_m[left + 1] - self.points_m[left])
         return found
 
@@ -175,6 +175,12 @@ class TipStart:
     velocity_m_s: Array
 
 
+def smooth_weight(share: Array) -> Array:
+    """Weights from 0 to 1 over shares 0..1, at rest and unaccelerated at both ends: the quintic of `Smooth`."""
+    weight: Array = share**3 * (10 + share * (6 * share - 15))
+    return weight
+
+
 def fade(start: TipStart, path: TipPath, lead_in_s: float, t_s: Array) -> tuple[Array, Array]:
     """Positions and velocities (n, 3) of a lead-in of `lead_in_s` and the path, at times (n,) from the path's begin.
 
@@ -186,7 +192,7 @@ def fade(start: TipStart, path: TipPath, lead_in_s: float, t_s: Array) -> tuple[
     if lead_in_s <= 0 or not before.any():
         return position, velocity
     share = np.clip((t_s[before] + lead_in_s) / lead_in_s, 0.0, 1.0)[:, None]
-    weight = share**3 * (10 + share * (6 * share - 15))
+    weight = smooth_weight(share)
     slope = 30 * share**2 * (1 - share) ** 2 / lead_in_s
     drift = lead_in_s * share * (1 - share) ** 3
     moving = t_s[before][:, None] > -lead_in_s * (1 + 1e-9)

@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline, make_smoothing_spline
 from scipy.ndimage import gaussian_filter1d
 
 from model.inverse.static_map import StaticMap
+from protocols.tip_paths import smooth_weight
 from rig.tip_control.estimator import HARMONICS
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.tip_dynamics import TipDynamics
@@ -72,8 +73,7 @@ class PathPeriod:
         share = (
             np.clip((times_s - self.begin_s) / self.lead_in_s, 0.0, 1.0) if self.lead_in_s else np.ones(len(times_s))
         )
-        rise = share**3 * (10 + share * (6 * share - 15))
-        waves: Array = rise[:, None] * np.hstack([np.cos(phase), np.sin(phase)])
+        waves: Array = smooth_weight(share)[:, None] * np.hstack([np.cos(phase), np.sin(phase)])
         return waves
 
 
