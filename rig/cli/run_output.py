@@ -84,7 +84,7 @@ def check_screen(request: RunRequest, plan: RunPlan) -> Group:
         actuators = ", ".join(str(a) for a in valve.actuators)
         highest = max(peak[a - 1] for a in valve.actuators)
         where = f"{valve.card} AO {valve.channel}"
-        state = f"{valve.safe_state} ({safe:g} V)"
+        state = f"{valve.safe_state} ({safe:g} {valve.output_unit})"
         table.add_row(str(i), actuators, where, f"{highest:.3f}", f"{limits.pressure_bar:.3f}", state)
     return Group(facts, table)
 

@@ -17,6 +17,7 @@ from rig.config import loader
 from rig.execution.plan import Progress
 from rig.experiment import run as experiment
 from runs.records import DetectionStatus, Quantity, adaptation_dtype, observation_dtype, sample_dtype
+from tests.support.bus_rig import bus_text
 
 
 def drawn(what: RenderableType, columns: int) -> str:
@@ -80,6 +81,12 @@ def test_the_check_screen_names_each_valves_own_card(tmp_path: Path) -> None:
     said = checked("ramp-a", file, 110)
     assert "daq AO 0" in said
     assert "daq2 AO 0" in said
+
+
+def test_the_check_screen_states_the_safe_state_of_a_valve_on_a_bus_in_bar(tmp_path: Path) -> None:
+    file = tmp_path / "bus.yaml"
+    file.write_text(bus_text(", vent_bar: 0.05"))
+    assert "vent (0.05 bar)" in checked("ramp-a", file, 110)
 
 
 def test_a_plot_of_nothing_but_0_bar_has_one_line_for_it(tmp_path: Path) -> None:
