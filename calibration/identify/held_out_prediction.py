@@ -11,7 +11,7 @@ from scipy.special import chdtri
 
 from calibration.identify.fit_range import outside
 from calibration.identify.least_squares import LeastSquaresProblem
-from calibration.identify.model_error import error_columns
+from calibration.identify.model_error import error_inputs
 from calibration.identify.poses import Poses
 from calibration.identify.results import NORMAL_95, Fit, rms
 from calibration.identify.scaled_parameter import ScaledParameter
@@ -124,7 +124,7 @@ def predict(fit: Fit, poses: Poses) -> Prediction:
     if (found := fit.model_error) is not None:
         response = Predictor(poses).push_response(problem.setup(z, 0))
         terms = [effect.term for effect in found.effects]
-        of_effects = error_columns(poses, response, found.reference_pa, terms).pose[:, :3]
+        of_effects = error_inputs(poses, found.reference_pa, terms).columns(response)[:, :3]
         by_fit = np.concatenate([by_fit, of_effects], axis=2)
         second, noise_m = found.second, found.noise_m
     by_pressure = problem.pressure_covariances(z)[0][:, :3, :3]

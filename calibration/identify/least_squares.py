@@ -125,17 +125,21 @@ class LeastSquaresProblem:
         """The unknowns' values (n,) at z (n,)."""
         return np.array([unknown.at(value) for unknown, value in zip(self.unknowns, z.tolist(), strict=True)])
 
+    def predictors(self, z: Array) -> Sequence[Predictor]:
+        """The predictor of every run at z (n,)."""
+        return self._predictors
+
     def predicted(self, z: Array) -> list[Array]:
         """Tips (K, 3) of every run."""
-        return [predictor(self.setup(z, run)) for run, predictor in enumerate(self._predictors)]
+        return [predictor(self.setup(z, run)) for run, predictor in enumerate(self.predictors(z))]
 
     def rotations(self, z: Array) -> list[Array]:
         """Orientations (K, 3, 3) of every run."""
-        return [predictor.rotations(self.setup(z, run)) for run, predictor in enumerate(self._predictors)]
+        return [predictor.rotations(self.setup(z, run)) for run, predictor in enumerate(self.predictors(z))]
 
     def gaps(self, z: Array) -> list[Array]:
         """Measured minus predicted (K, D) of every run; see `Predictor.gap`."""
-        return [predictor.gap(self.setup(z, run)) for run, predictor in enumerate(self._predictors)]
+        return [predictor.gap(self.setup(z, run)) for run, predictor in enumerate(self.predictors(z))]
 
     def rms_m(self, z: Array) -> float:
         """Root mean square distance [m] from measured to predicted at z (n,)."""
@@ -154,7 +158,7 @@ class LeastSquaresProblem:
                 chosen = [columns.index(i) for i in only]
                 return [slope[:, :, chosen] for slope in kept]
         out = []
-        for run, predictor in enumerate(self._predictors):
+        for run, predictor in enumerate(self.predictors(z)):
             mine = [(column, i) for column, i in enumerate(only) if i in self._columns[run]]
             perturbed, steps = self._perturbed(z, run, [i for _, i in mine])
             slope = np.zeros((len(self.data[run]), self.data[run].numbers, len(only)))
@@ -303,10 +307,15 @@ class LeastSquaresProblem:
             total += float((self._filtered(run, robust) ** 2 * self._count(run)[:, None]).sum()) / correlation[run]
         return total
 
+    def deviance(self, solution: Solution, correlation: Sequence[float]) -> float:
+        """Minus twice the log posterior density at a solution, up to a constant; correlation: as in `loss`."""
+        scale = sum(one.log_det / factor for one, factor in zip(solution.weights, correlation, strict=True))
+        return self.loss(solution.z, solution.weights, correlation) + scale
+
     def pressure_covariances(self, z: Array) -> list[Array]:
         """Covariances (K, D, D) by pressure errors, per run; recomputed only after a noticeable change of z."""
         if self._pressure is None or np.abs(z - self._pressure[0]).max(initial=0.0) > _SAME_COVARIANCE:
-            found = [p.pressure_covariance(self.setup(z, run)) for run, p in enumerate(self._predictors)]
+            found = [p.pressure_covariance(self.setup(z, run)) for run, p in enumerate(self.predictors(z))]
             self._pressure = (z.copy(), found)
         return self._pressure[1]
 

@@ -8,14 +8,13 @@ in other poses as far as the model says.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.poses import Poses
-from calibration.identify.setup import Setup
-from calibration.identify.tip_predictor import Predictor, PushResponse
+from calibration.identify.tip_predictor import PushResponse
 from model.arm import Arm
 
 Array = NDArray[np.float64]
@@ -120,37 +119,50 @@ def lacking(arm: Arm) -> tuple[ModelErrorTerm, ...]:
 
 
 @dataclass(frozen=True)
-class ErrorColumns:
-    """How predictions respond to each coefficient of the terms: pose (K, D, m), and the term (m,) of each one."""
+class ErrorInputs:
+    """What the coefficients of the terms change at K poses, per unit of each of the m coefficients.
 
-    pose: Array
+    push_pa (K, N, m): the pressures that push the arm [Pa], as its sensors read them. load (m,): the load, relative to
+    its amount. term (m,): the number of the coefficient's term.
+    """
+
+    push_pa: Array
+    load: Array
     term: NDArray[np.intp]
 
+    def columns(self, response: PushResponse) -> Array:
+        """Derivatives (K, D, m) of predictions by the coefficients, for predictions that respond so."""
+        by_push = np.einsum("kin,knm->kim", response.by_pressure, self.push_pa)
+        out: Array = by_push + response.by_load[:, :, None] * self.load
+        return out
 
-def error_columns(
-    poses: Poses, response: PushResponse, reference_pa: float, terms: Sequence[ModelErrorTerm]
-) -> ErrorColumns:
-    """The columns of terms for some poses."""
-    columns, numbers = [], []
+    def added_to(self, poses: Poses, coefficients: Array) -> Poses:
+        """The poses with the errors by coefficients (m,) in their pressures and loads.
+
+        The arm of the model, pushed and loaded so, does what the arm with the model error does.
+        """
+        shift_pa = self.push_pa @ coefficients
+        factor = 1.0 + float(self.load @ coefficients)
+        return replace(
+            poses,
+            pressure_pa=poses.pressure_pa + shift_pa,
+            weight_kg=poses.weight_kg * factor,
+            wrench=poses.wrench * factor,
+            course=None if poses.course is None else poses.course.changed(shift_pa, factor),
+        )
+
+
+def error_inputs(poses: Poses, reference_pa: float, terms: Sequence[ModelErrorTerm]) -> ErrorInputs:
+    """What the coefficients of some terms change at some poses."""
+    push, load, numbers = [], [], []
     for k, term in enumerate(terms):
-        if term.push is None:
-            column = response.by_load[:, :, None]
-        else:
-            column = np.einsum("kin,knm->kim", response.by_pressure, term.push(poses, reference_pa))
-        columns.append(column)
-        numbers += [k] * column.shape[2]
-    return ErrorColumns(np.concatenate(columns, axis=2), np.array(numbers))
+        own = np.zeros((*poses.pressure_pa.shape, 1)) if term.push is None else term.push(poses, reference_pa)
+        push.append(own)
+        load += [float(term.push is None)] * own.shape[2]
+        numbers += [k] * own.shape[2]
+    return ErrorInputs(np.concatenate(push, axis=2), np.array(load), np.array(numbers))
 
 
 def reference_pressure_pa(data: Sequence[Poses]) -> float:
     """The highest pressure in some runs: the one at which sizes of effects that grow with it are stated."""
     return max(float(np.abs(poses.pressure_pa).max()) for poses in data) or 1.0
-
-
-def columns_of(data: Sequence[Poses], arm: Arm, setup: Callable[[int], Setup]) -> list[ErrorColumns]:
-    """The columns of what an arm's model lacks, for each run; setup: of a run, by its number."""
-    reference_pa, terms = reference_pressure_pa(data), lacking(arm)
-    return [
-        error_columns(poses, Predictor(poses).push_response(setup(run)), reference_pa, terms)
-        for run, poses in enumerate(data)
-    ]

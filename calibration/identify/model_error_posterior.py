@@ -20,7 +20,7 @@ from scipy.special import ndtri
 
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.likelihood import Discrepancy, Weights, outlying, whitened
-from calibration.identify.model_error import ModelErrorTerm, columns_of, lacking, reference_pressure_pa
+from calibration.identify.model_error import ModelErrorTerm, error_inputs, lacking, reference_pressure_pa
 
 Array = NDArray[np.float64]
 
@@ -107,25 +107,28 @@ class NormalEquations:
 def model_error_posterior(problem: LeastSquaresProblem, solution: Solution, assumed: Array) -> ModelErrorPosterior:
     """The posterior at the solution of a fit; assumed (n,): information on unknowns that are held, in spans."""
     terms = lacking(problem.start.arm)
-    columns = columns_of(problem.data, problem.start.arm, lambda run: problem.setup(solution.z, run))
+    reference_pa = reference_pressure_pa(problem.data)
+    inputs = [error_inputs(poses, reference_pa, terms) for poses in problem.data]
+    term = inputs[0].term
+    columns = [
+        own.columns(predictor.push_response(problem.setup(solution.z, run)))
+        for run, (own, predictor) in enumerate(zip(inputs, problem.predictors(solution.z), strict=True))
+    ]
     off = solution.discrepancy
     shares = _NOISE_SHARES if off.tip_m or off.rotation_rad else (0.0,)
     noises = [off.scaled(share) for share in shares]
-    equations = [normal_equations(problem, solution, assumed, [c.pose for c in columns], noise) for noise in noises]
+    equations = [normal_equations(problem, solution, assumed, columns, noise) for noise in noises]
     scale = np.array([one.scale for one in terms])
-    drawn = sample(equations, columns[0].term, scale)
+    drawn = sample(equations, term, scale)
     sizes = np.column_stack(
-        [
-            one.size(drawn.coefficients[:, columns[0].term == k], problem.data[0].actuators)
-            for k, one in enumerate(terms)
-        ]
+        [one.size(drawn.coefficients[:, term == k], problem.data[0].actuators) for k, one in enumerate(terms)]
     )
-    mean_square = np.array([(drawn.coefficients[:, columns[0].term == k] ** 2).mean() for k in range(len(terms))])
+    mean_square = np.array([(drawn.coefficients[:, term == k] ** 2).mean() for k in range(len(terms))])
     return ModelErrorPosterior(
         second=drawn.second,
-        amplitude=np.sqrt(np.maximum(mean_square, (_LEAST_SHARE * scale) ** 2))[columns[0].term],
+        amplitude=np.sqrt(np.maximum(mean_square, (_LEAST_SHARE * scale) ** 2))[term],
         noise_m=off.tip_m * float(np.sqrt(np.mean(np.square(shares)[drawn.noise]))),
-        reference_pa=reference_pressure_pa(problem.data),
+        reference_pa=reference_pa,
         effects=tuple(
             _effect(one, float(drawn.probability[k]), sizes[:, k], drawn.present[:, k]) for k, one in enumerate(terms)
         ),

@@ -30,6 +30,21 @@ class PressureCourse:
         """The course of some of the poses."""
         return replace(self, at=self.at[chosen])
 
+    def changed(self, shift_pa: Array, load_factor: float) -> PressureCourse:
+        """The course with other loads and with pressures that are shifted by shift_pa (K, N) at the poses.
+
+        Between two poses the shift is interpolated; before the first and after the last one it stays the same.
+        """
+        order = np.argsort(self.at, kind="stable")
+        rows = np.arange(len(self.pressure_pa))
+        shift = [np.interp(rows, self.at[order], own) for own in shift_pa[order].T]
+        return replace(
+            self,
+            pressure_pa=self.pressure_pa + np.stack(shift, axis=1),
+            weight_kg=self.weight_kg * load_factor,
+            wrench=self.wrench * load_factor,
+        )
+
 
 def course_rows(first_s: float, pose_s: Array) -> tuple[Array, NDArray[np.intp]]:
     """Times (T,) of the rows of a course from first_s to the last of the poses' times (K,), and the poses' rows."""

@@ -37,7 +37,10 @@ _LOAD_STEP = 1e-3
 
 @dataclass(frozen=True)
 class PushResponse:
-    """Derivatives by_pressure (K, D, N) [m/Pa, rad/Pa] and by_load (K, D) [m, rad], a relative change of the load."""
+    """Derivatives by_pressure (K, D, N) [m/Pa, rad/Pa] and by_load (K, D) [m, rad], a relative change of the load.
+
+    The pressures are those that push the arm, as its sensors read them.
+    """
 
     by_pressure: Array
     by_load: Array
@@ -176,7 +179,7 @@ class Predictor:
         """How predictions at rest respond to the pressures that push the arm, and to the load."""
         still, nearest = self._at_rest()
         poses = still.poses
-        by_pressure = _by_pressure(still, setup) * -np.array(setup.sensor_gain)
+        by_pressure = -_by_pressure(still, setup)
         by_load = np.zeros((len(poses), poses.numbers))
         if poses.weight_kg.any() or poses.wrench.any():
             more = 1.0 + _LOAD_STEP

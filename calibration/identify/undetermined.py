@@ -24,6 +24,10 @@ _SPAN_PER_DISTANCE = 0.5
 # parameters that they hardly correlate with.
 PRIOR_SPANS = 2.0
 _MIN_COMPONENT = 0.2
+# An unknown that the fit moved by more spans than this is fitted again with the effects.
+_FAR_SPANS = 1.0
+# Decrease of the deviance, over that at its start, above which an unknown is published: three standard deviations.
+_EXCLUDED = 9.0
 # Information below which an unknown has no effect: a standard deviation of a thousand spans.
 _NO_INFORMATION = 1e-6
 
@@ -95,9 +99,12 @@ def _obscured(
 ) -> dict[int, Held]:
     """Those of the unknowns `left` that are far from their start, and open if the effects are fitted, too.
 
-    The linearised model cannot tell: where the fit has taken up an effect, it no longer shows how they exchange.
+    The linearised model cannot tell: where the fit has taken up an effect, it no longer shows how they exchange. The
+    curvature at the minimum tells only near it: along a curved valley the likelihood is steep on one side and flat on
+    the other. So the value must also be more likely than the start, by the likelihood ratio with the effects fitted at
+    both.
     """
-    far = [i for i in left if span_factors(solution.z)[i] > 1]
+    far = [i for i in left if abs(solution.z[i]) > _FAR_SPANS]
     if not far:
         return {}
     effects = EffectsProblem(problem, error.amplitude)
@@ -106,8 +113,25 @@ def _obscured(
     z, information = found.z[:n], covariance_of(covariance_of(found.information)[:n, :n])
     others = [i for i in range(n) if i not in far and i not in held]
     undetermined = _worst_first(scaled_information(information, z), far, others)
-    factors = span_factors(z)
-    return {i: Held(Verdict.OBSCURED, 1 / (one.std * factors[i]) ** 2) for i, one in undetermined.items()}
+    if undetermined:
+        factors = span_factors(z)
+        return {i: Held(Verdict.OBSCURED, 1 / (one.std * factors[i]) ** 2) for i, one in undetermined.items()}
+    ratios = {i: _likelihood_ratio(effects, found, i, held) for i in far}
+    least = min(ratios, key=ratios.__getitem__)
+    # The curvature is no measure of what such data say, so they are taken to say nothing.
+    return {least: Held(Verdict.OBSCURED, 0.0)} if ratios[least] < _EXCLUDED else {}
+
+
+def _likelihood_ratio(effects: EffectsProblem, found: Solution, i: int, held: Collection[int]) -> float:
+    """By how much the deviance is smaller at a solution than with unknown i at its start.
+
+    A weak prior about the start is counted as part of the deviance.
+    """
+    at_start = found.z.copy()
+    at_start[i] = 0.0
+    there = effects.solve(at_start, sorted({*held, i}))
+    gain = effects.deviance(there, found.correlation) - effects.deviance(found, found.correlation)
+    return gain - float(found.z[i] / PRIOR_SPANS) ** 2
 
 
 def _posterior(

@@ -49,14 +49,20 @@ def test_an_unknown_without_effect_is_held_with_half_a_span() -> None:
     assert np.sqrt(fit.joint_covariance[0, 0]) == pytest.approx(0.5, rel=1e-3)
 
 
-def test_an_effect_that_the_model_lacks_is_not_published_as_a_parameter_far_from_its_start() -> None:
-    """The push grows with the pressure. The data alone explain it by a radial effect three times the true one."""
+@pytest.mark.parametrize("growth_per_bar", [0.12, 0.3])
+def test_an_effect_that_the_model_lacks_is_not_published_as_a_parameter_far_from_its_start(
+    growth_per_bar: float,
+) -> None:
+    """The push grows with the pressure. The data alone explain it by a radial effect that is wrong by twice the truth.
+
+    With the stronger growth the curvature of the likelihood at the minimum would determine it.
+    """
     bar = np.linspace(0.15, 0.65, 11)[:, None] * np.array([1.0, 0, 0])
     errors = MeasurementErrors((3e-5, 3e-5, 3e-5), 20.0, 100.0)
-    grown = 1e5 * bar * (1 + 0.12 * bar)
+    grown = 1e5 * bar * (1 + growth_per_bar * bar)
     poses = perform(plan("ramp-a", 1e5 * bar, errors=errors), START, np.random.default_rng(2), errors, felt_pa=grown)
     fit = identify([poses], START, ("law", "rpe_per_bar", "base"), stated=stated_values(START, {}))
     assert fit["rpe_per_bar"].verdict is Verdict.OBSCURED
     interval = fit["a1_per_n"].interval
-    assert interval is not None
-    assert interval[0] < START.arm.material.a1_per_n < interval[1]
+    assert interval is None or interval[0] < START.arm.material.a1_per_n < interval[1]
+    assert interval is not None or growth_per_bar > 0.2
