@@ -20,7 +20,7 @@ from calibration.identify.orientation import (
 from calibration.identify.poses import PA_PER_BAR, Poses
 from calibration.identify.pressure_course import PressureCourse, course_rows, mean_around
 from calibration.identify.pressure_history import pressure_history
-from calibration.identify.pressure_smoothing import curve, noise_std, smoothed
+from calibration.identify.pressure_smoothing import curve, noise_std, regression_calibrated, smoothed
 from runs.interpolation import interpolated
 from runs.records import DetectionStatus
 from runs.run import Run
@@ -129,6 +129,7 @@ def in_motion(run: Run) -> Poses:
     # of the mean of its own samples.
     step_s = float(np.median(np.diff(samples.time_s))) if len(samples.time_s) > 1 else period_s
     deviation = np.maximum(deviation, noise_std(samples.pa) * min(1.0, np.sqrt(step_s / period_s)))
+    course, mixing = regression_calibrated(course, deviation)
     frame_s = np.interp(every, index, tip.time_s)
     pressure, spread = curve(samples.time_s, course, frame_s)[0], interpolated(frame_s, samples.time_s, deviation)
     near_limit = maximum_filter1d(samples.clipped.astype(float), _CLIP_WINDOW, axis=0)
@@ -147,6 +148,7 @@ def in_motion(run: Run) -> Poses:
         period_s=period_s,
         pressure_pa=pressure,
         pressure_std_pa=np.where(clipped, np.hypot(spread, samples.clipped_std_pa * _repeats(clipped)), spread),
+        pressure_mixing=mixing,
         weight_kg=weight,
         wrench=interpolated(frame_s, tip.time_s[loaded], _wrench(run)[loaded]),
         tip_m=measured,

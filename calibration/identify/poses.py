@@ -23,10 +23,11 @@ MIN_IN_SEQUENCE = 32
 class Poses:
     """Tips and loads of one run: static (K plateaus) or in motion (K frames, `period_s` apart).
 
-    pressure_pa (K, N) as measured; `pressure_std_pa` (K, N) is the standard deviation of the random error, without the
-    sensor offsets. weight_kg (K,) is the tip load on the cap. wrench (K, 6): measured force [N] and moment [N m] at the
-    measured point, in the frame of the tips. tip_m (K, 3) in the rod-base frame with covariance_m2 (K, 3, 3); both NaN
-    in frames without a tip. frames (K,): camera frames per entry. time_s (K,) counts from the start of the run; for a
+    pressure_pa (K, N) as measured. Its random errors, without the sensor offsets, are pressure_mixing (N, N) times
+    independent ones with the standard deviations pressure_std_pa (K, N); None is the unit matrix. weight_kg (K,) is the
+    tip load on the cap. wrench (K, 6): measured force [N] and moment [N m] at the measured point, in the frame of the
+    tips. tip_m (K, 3) in the rod-base frame with covariance_m2 (K, 3, 3); both NaN in frames without a tip. frames
+    (K,): camera frames per entry. time_s (K,) counts from the start of the run; for a
     plateau it is the end. period_s is zero for static poses. history: of the pressures. live_m (K, 3):
     tips of the model that ran beside the experiment, NaN where there was none; None if there was no such model.
     course: of static poses, for models that remember; None where it is unknown, and each pose has long been held.
@@ -48,6 +49,7 @@ class Poses:
     live_m: Array | None = None
     course: PressureCourse | None = None
     orientation: Orientations | None = None
+    pressure_mixing: Array | None = None
 
     def __len__(self) -> int:
         return len(self.weight_kg)

@@ -1,7 +1,8 @@
-"""Smoothing of pressure samples by local polynomials with adaptive windows (intersection of confidence intervals).
+"""Removal of the noise of pressure samples: local polynomials with adaptive windows, then regression calibration.
 
 Pressure noise does not average out in a fit of a motion: it moves the model but not the arm, so the fit prefers models
-that respond less to fast changes, and the density comes out too small. So the noise is removed first.
+that respond less to it. Where it is fast, the density comes out too small; where the chambers of one valve differ by
+nothing else, the arm comes out too wide. So the noise is removed first.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ _WIDTHS = (9, 15, 23, 37, 59)
 _SELECT_DEGREE, _VALUE_DEGREE = 4, 6
 # Confidence interval of an estimate, in standard deviations.
 _AGREEMENT_STD = 2.5
+# A smaller standard deviation counts as this: some samples, as those of a constant, show no noise.
+_LEAST_NOISE_PA = 1e-3
 
 
 def noise_std(samples: Array) -> Array:
@@ -51,6 +54,27 @@ def smoothed(samples: Array) -> tuple[Array, Array]:
         best = np.where(growing, value, best)
         deviation = np.where(growing, share * noise, deviation)
     return best, deviation
+
+
+def regression_calibrated(samples: Array, deviation: Array) -> tuple[Array, Array]:
+    """Expected pressures (K, N) given samples (K, N) with errors of standard deviations (K, N), and a matrix (N, N).
+
+    The errors that remain are the matrix times independent ones of the same standard deviations. A combination of the
+    pressures that varies by no more than its errors, as the difference of two chambers on one valve, becomes constant;
+    one that varies much more stays as it is (regression calibration; Carroll et al. 2006, section 4.4).
+    """
+    if len(samples) < 2:
+        return samples.copy(), np.eye(samples.shape[1])
+    scale = np.maximum(np.sqrt((deviation**2).mean(axis=0)), _LEAST_NOISE_PA)
+    centre = samples.mean(axis=0)
+    values, vectors = np.linalg.eigh(np.atleast_2d(np.cov((samples - centre) / scale, rowvar=False)))
+    reliability = np.maximum(0.0, 1.0 - 1.0 / np.maximum(values, 1.0))
+
+    def turned(share: Array) -> Array:
+        out: Array = scale[:, None] * ((vectors * share) @ vectors.T) / scale
+        return out
+
+    return centre + (samples - centre) @ turned(reliability).T, turned(np.sqrt(reliability))
 
 
 def _windowed(samples: Array, width: int, degree: int) -> tuple[Array, Array]:

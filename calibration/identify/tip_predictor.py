@@ -170,9 +170,11 @@ class Predictor:
         if not poses.pressure_std_pa.any():
             return np.zeros((len(poses), poses.numbers, poses.numbers))
         still, nearest = self._at_rest()
-        slope = _by_pressure(still, setup).swapaxes(1, 2)
-        spread = slope[nearest] * poses.pressure_std_pa[:, :, None]
-        out: Array = np.swapaxes(spread, 1, 2) @ spread
+        slope = _by_pressure(still, setup)
+        if poses.pressure_mixing is not None:
+            slope = slope @ poses.pressure_mixing
+        spread = slope[nearest] * poses.pressure_std_pa[:, None, :]
+        out: Array = spread @ np.swapaxes(spread, 1, 2)
         return out
 
     def push_response(self, setup: Setup) -> PushResponse:
