@@ -20,6 +20,9 @@ from rig.sections.plugins import PluginError, PluginGroup, PluginSections, packa
 if TYPE_CHECKING:
     from rig.config.finding import Finding
 
+Examine = Callable[[Any, str], Iterable["Finding"]]
+"""Examines the device of a rig: (RigConfig, name of the device) to findings."""
+
 
 @dataclass(frozen=True)
 class Plugin:
@@ -29,8 +32,8 @@ class Plugin:
     `CameraConfig`, `TrackerConfig`). `open` opens a device: that of a card takes a `CardSetup`, that of a camera
     returns a `CameraDriver`, that of a tracker a `TrackerDriver`. `about` says in one line what it drives, `safe_state`
     what the outputs do once the program is dead.
-    A run with a `simulated` device is marked as simulated. `examine` takes the name and the section of a device and
-    returns the findings for `rig doctor`; it must not write to the device.
+    A run with a `simulated` device is marked as simulated. `examine` takes the rig's `RigConfig` and the name of a
+    device and returns the findings for `rig doctor`; it must not write to the device.
     """
 
     section: type[BaseModel]
@@ -38,14 +41,15 @@ class Plugin:
     about: str
     safe_state: str = "outputs keep their values"
     simulated: bool = False
-    examine: Callable[[str, Any], Iterable[Finding]] | None = None
+    examine: Examine | None = None
 
 
 @dataclass(frozen=True)
 class Driver:
     """A registered driver: `module` holds its `driver()` function, or `plugin` is the object of another package.
 
-    `section` is the model of its section in the rig file, where a driver of softrig has one of its own.
+    `section` is the model of its section in the rig file, where a driver of softrig has one of its own. `checks` names
+    the module whose `examine` serves `rig doctor` as that of a plug-in does.
     """
 
     name: str
@@ -54,6 +58,7 @@ class Driver:
     safe_state: str = ""
     simulated: bool = False
     section: type[BaseModel] | None = None
+    checks: str = ""
     package: str = "softrig"
     plugin: Plugin | None = None
 
@@ -63,6 +68,13 @@ class Driver:
             return self.plugin.open
         opener: Callable[..., Any] = importlib.import_module(self.module).driver()
         return opener
+
+    def load_checks(self) -> Examine | None:
+        """Return the function that examines a device for `rig doctor`; None where the driver has none."""
+        if self.plugin is not None:
+            return self.plugin.examine
+        examine: Examine | None = importlib.import_module(self.checks).examine if self.checks else None
+        return examine
 
 
 @dataclass(frozen=True)
@@ -175,7 +187,17 @@ def _checked(name: str, found: object) -> Plugin:
 
 CAMERA_DRIVERS = DriverRegistry(
     "cameras",
-    Driver("opencv", "rig.hardware.cameras.opencv", "V4L2 cameras, folders of pictures and video files"),
-    Driver("realsense", "rig.hardware.cameras.realsense", "Intel RealSense by librealsense (softrig[realsense])"),
+    Driver(
+        "opencv",
+        "rig.hardware.cameras.opencv",
+        "V4L2 cameras, folders of pictures and video files",
+        checks="rig.doctor.opencv_camera",
+    ),
+    Driver(
+        "realsense",
+        "rig.hardware.cameras.realsense",
+        "Intel RealSense by librealsense (softrig[realsense])",
+        checks="rig.doctor.realsense_camera",
+    ),
     Driver("mock", "rig.simulator.mock_camera", "a camera of the simulated bench", simulated=True),
 )

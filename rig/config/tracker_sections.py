@@ -106,7 +106,13 @@ class UninstalledTrackerConfig(TrackerConfig):
 
 TRACKER_DRIVERS = DriverRegistry(
     "trackers",
-    Driver("udp", "rig.hardware.trackers.udp", "poses in UDP datagrams from another program", section=UdpTrackerConfig),
+    Driver(
+        "udp",
+        "rig.hardware.trackers.udp",
+        "poses in UDP datagrams from another program",
+        section=UdpTrackerConfig,
+        checks="rig.doctor.udp_tracker",
+    ),
     Driver(
         "mock",
         "rig.simulator.mock_tracker",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rig.config.finding import Finding
 from rig.config.schema import RigConfig
-from rig.doctor import boards, cameras, cards, machine, plugins, trackers
+from rig.doctor import boards, cameras, cards, devices, machine
 
 
 def examine(folder: Path, config: RigConfig | None = None) -> tuple[Finding, ...]:
@@ -17,12 +17,9 @@ def examine(folder: Path, config: RigConfig | None = None) -> tuple[Finding, ...
     return (
         machine.python(),
         *cards.cards(),
-        *(cards.rig_cards(config) if config else ()),
         *cameras.cameras(),
-        *(cameras.rig_cameras(config) if config else ()),
+        *(devices.rig_devices(config) if config else ()),
         *(boards.rig_boards(config) if config else ()),
-        *(trackers.rig_trackers(config) if config else ()),
-        *(plugins.rig_devices(config) if config else ()),
         machine.processor(),
         machine.real_time(),
         machine.memory_lock(),

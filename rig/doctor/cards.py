@@ -7,13 +7,10 @@ from collections import Counter
 from pathlib import Path
 
 from rig.config.finding import Finding
-from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
-from rig.hardware.cards.comedi import ComediCard
 from rig.hardware.cards.comedi_device import closed, device_paths, require
 from rig.hardware.cards.comedi_survey import ComediCardSurvey, survey
 from rig.hardware.cards.kernel_devices import ComediModule, PciCard, comedi, has_module, pci_cards
-from rig.hardware.cards.setup import card_setup
 
 ADVANTECH = "0x13fe"
 FAMILY_DRIVER = "adv_pci1710"
@@ -168,39 +165,3 @@ def _card(found: ComediCardSurvey, kernel: ComediModule | None) -> list[Finding]
         at_zero = "attaching the driver put every output to 0 V, where a 5/3 valve (MPYE) is fully open"
         findings.append(Finding("power-up", "note", at_zero, POWER_UP))
     return findings
-
-
-def rig_cards(config: RigConfig) -> tuple[Finding, ...]:
-    """Check the rig's cards, their channels and ranges, and the effect of 0 V on its valves."""
-    findings = []
-    for name, card in config.cards.items():
-        if card.driver != "comedi":
-            continue
-        try:
-            opened = ComediCard(card_setup(config, name))
-        except CardError as error:
-            remedy = error.remedy or f"change card '{name}' of the rig, or use another card"
-            findings.append(Finding(f"rig's card {name}", "missing", error.what, remedy))
-            continue
-        used = sum(valve.card == name for valve in config.valves)
-        left = opened.outputs_there - used
-        findings.append(
-            Finding(
-                f"rig's card {name}",
-                "ok",
-                f"{opened.description} has every channel and range that the rig wants; "
-                f"{used} of {opened.outputs_there} outputs used, {left or 'none'} left",
-            )
-        )
-        opened.close()
-    for number, valve in enumerate(config.valves, 1):
-        if config.cards[valve.card].driver == "comedi" and valve.fills_at_power_up:
-            findings.append(
-                Finding(
-                    f"rig's valve {number}",
-                    "note",
-                    "at 0 V, where attaching the driver puts it, it FILLS its chamber up to the supply's pressure",
-                    f"hang the chamber on port 4 (fills: above); until then {POWER_UP}",
-                )
-            )
-    return tuple(findings)

@@ -15,7 +15,7 @@ from protocols import BadInputError
 from rig.cli.app import main
 from rig.config import loader
 from rig.config.schema import RigConfig
-from rig.doctor.plugins import rig_devices
+from rig.doctor.devices import rig_devices
 from rig.hardware.bench import open_bench
 from rig.valves.registry import UninstalledValve
 from runs.records import RunHeader
@@ -47,11 +47,12 @@ class Box:
     def close(self):
         pass
 
-def examine(name, section):
+def examine(config, name):
     from rig.config.finding import Finding
-    if section.gain > 100:
+    gain, used = config.cards[name].gain, sum(valve.card == name for valve in config.valves)
+    if gain > 100:
         raise RuntimeError("no such gain")
-    return [Finding(f"box {name}", "ok", f"gain {section.gain:g}")]
+    return [Finding(f"box {name}", "ok", f"gain {gain:g}, {used} outputs used")]
 
 box = Plugin(BoxConfig, Box, about="a box of volts", safe_state="vents after 50 ms", examine=examine)
 """
@@ -215,12 +216,12 @@ def test_drivers_lists_plugins_with_package_keys_and_safe_state(site: Path, caps
 
 
 def test_doctor_asks_the_plugin_about_its_device(site: Path) -> None:
-    behind, own = rig_devices(loader.parse(rig_text(), "my.yaml"))
+    behind, own, *_ = rig_devices(loader.parse(rig_text(), "my.yaml"))
     assert "softrig-box 1.0" in behind.found
     assert "vents after 50 ms" in behind.found
-    assert (own.topic, own.found) == ("box daq", "gain 2")
+    assert (own.topic, own.found) == ("box daq", "gain 2, 2 outputs used")
     card = "{driver: box, device: b, gain: 200, inputs: 3, outputs: 2}"
-    *_, failed = rig_devices(loader.parse(rig_text(card), "my.yaml"))
+    _, failed, *_ = rig_devices(loader.parse(rig_text(card), "my.yaml"))
     assert failed.verdict == "missing"
     assert "RuntimeError: no such gain" in failed.found
 

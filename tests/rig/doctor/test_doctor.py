@@ -16,8 +16,9 @@ import pytest
 import rig.config.loader
 from rig.config.finding import Finding
 from rig.config.schema import RigConfig
-from rig.doctor import cameras, cards, examine
+from rig.doctor import cameras, cards, comedi_card, examine, opencv_camera, realsense_camera
 from rig.doctor import machine as computer
+from rig.doctor.devices import rig_devices
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.comedi_survey import ComediCardSurvey, SubdeviceSurvey
 from rig.hardware.cards.kernel_devices import AttachedDevice, ComediModule, comedi, has_module, pci_cards
@@ -289,8 +290,8 @@ class OpenCard:
 
 
 def test_the_free_outputs_of_a_sufficient_card_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cards, "ComediCard", OpenCard)
-    (said,) = cards.rig_cards(rig.config.loader.load("pci1716"))
+    monkeypatch.setattr(comedi_card, "ComediCard", OpenCard)
+    (said,) = comedi_card.examine(rig.config.loader.load("pci1716"), "daq")
     assert said.verdict == "ok"
     assert "2 of 2 outputs used, none left" in said.found
 
@@ -299,26 +300,36 @@ def test_a_missing_output_is_reported_with_the_message_of_the_card(monkeypatch: 
     def lacks(setup: object) -> OpenCard:
         raise CardError("pci1716 has 2 analogue outputs (0 to 1): there is no output 2")
 
-    monkeypatch.setattr(cards, "ComediCard", lacks)
-    (said,) = cards.rig_cards(rig.config.loader.load("pci1716"))
+    monkeypatch.setattr(comedi_card, "ComediCard", lacks)
+    (said,) = comedi_card.examine(rig.config.loader.load("pci1716"), "daq")
     assert said.verdict == "missing"
     assert "there is no output 2" in said.found
     assert "another card" in said.remedy
 
 
 def test_a_valve_that_0_v_opens_to_the_supply_is_pointed_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cards, "ComediCard", OpenCard)
+    monkeypatch.setattr(comedi_card, "ComediCard", OpenCard)
     text = rig.config.loader.text("pci1716").replace(
         "    dead_zone_V: 0.4\n", "    dead_zone_V: 0.4\n    fills: below\n", 1
     )
-    _, said = cards.rig_cards(rig.config.loader.parse(text, "rig.yaml"))
+    _, said = comedi_card.examine(rig.config.loader.parse(text, "rig.yaml"), "daq")
     assert said.topic == "rig's valve 1"
     assert "FILLS" in said.found
     assert "port 4" in said.remedy
 
 
-def test_the_card_of_a_mock_rig_is_not_examined() -> None:
-    assert cards.rig_cards(rig.config.loader.load("mock")) == ()
+def test_the_devices_of_a_mock_rig_are_not_examined() -> None:
+    assert list(rig_devices(rig.config.loader.load("mock"))) == []
+
+
+def test_a_card_that_the_doctor_cannot_check_is_named() -> None:
+    text = rig.config.loader.text("pci1716")
+    card = "{driver: comedi, device: /dev/comedi0, sampling_hz: 1000, inputs: 16, outputs: 2}"
+    serial = "{driver: serial, device: /dev/ttyACM0, inputs: 16, outputs: 2}"
+    said, *_ = rig_devices(rig.config.loader.parse(text.replace(card, serial), "rig.yaml"))
+    assert (said.topic, said.verdict) == ("rig's card daq", "note")
+    assert "driver serial of softrig" in said.found
+    assert "rig test-driver" in said.remedy
 
 
 def test_a_priority_that_only_a_part_of_a_run_could_have_is_not_enough(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -485,7 +496,7 @@ def test_a_camera_that_cannot_be_opened_is_reported_with_the_reason(
 def test_a_missing_camera_is_a_fault_only_if_a_rig_needs_one(plugged: Cameras) -> None:
     (said,) = cameras.cameras(plugged.root)
     assert said.verdict == "note"
-    (said,) = cameras.rig_cameras(with_camera("opencv", "/dev/video0"), plugged.root)
+    (said,) = opencv_camera.examine(with_camera("opencv", "/dev/video0"), "front", plugged.root)
     assert (said.topic, said.verdict) == ("rig's camera front", "missing")
     assert said.found == "/dev/video0 does not exist (video devices present: none)"
 
@@ -493,7 +504,7 @@ def test_a_missing_camera_is_a_fault_only_if_a_rig_needs_one(plugged: Cameras) -
 @pytest.mark.parametrize("device", ["/dev/video2", 2])
 def test_a_camera_of_the_rig_that_is_present_is_named(plugged: Cameras, device: str | int) -> None:
     plugged.add("video2", "HD Webcam", 0x04200001)
-    (said,) = cameras.rig_cameras(with_camera("opencv", device), plugged.root)
+    (said,) = opencv_camera.examine(with_camera("opencv", device), "front", plugged.root)
     assert said == Finding("rig's camera front", "ok", "/dev/video2: HD Webcam")
 
 
@@ -502,23 +513,22 @@ def test_a_camera_may_be_named_by_its_persistent_path(plugged: Cameras) -> None:
     steady = plugged.root / "dev/v4l/by-id"
     steady.mkdir(parents=True)
     (steady / "usb-webcam-index0").symlink_to("../../video2")
-    (said,) = cameras.rig_cameras(with_camera("opencv", "/dev/v4l/by-id/usb-webcam-index0"), plugged.root)
+    (said,) = opencv_camera.examine(with_camera("opencv", "/dev/v4l/by-id/usb-webcam-index0"), "front", plugged.root)
     assert said == Finding("rig's camera front", "ok", "/dev/v4l/by-id/usb-webcam-index0: HD Webcam")
 
 
 def test_a_rig_that_names_a_device_without_pictures_is_reported(plugged: Cameras) -> None:
     plugged.add("video3", "HD Webcam", 0x04A00000)
-    (said,) = cameras.rig_cameras(with_camera("opencv", "/dev/video3"), plugged.root)
+    (said,) = opencv_camera.examine(with_camera("opencv", "/dev/video3"), "front", plugged.root)
     assert said.verdict == "missing"
     assert "gives no pictures" in said.found
 
 
-def test_a_rigs_recording_and_a_rigs_mock_need_no_camera(plugged: Cameras, tmp_path: Path) -> None:
-    (said,) = cameras.rig_cameras(with_camera("opencv", str(tmp_path)), plugged.root)
+def test_a_rigs_recording_needs_no_camera(plugged: Cameras, tmp_path: Path) -> None:
+    (said,) = opencv_camera.examine(with_camera("opencv", str(tmp_path)), "front", plugged.root)
     assert said.verdict == "ok"
-    (said,) = cameras.rig_cameras(with_camera("opencv", str(tmp_path / "gone.mp4")), plugged.root)
+    (said,) = opencv_camera.examine(with_camera("opencv", str(tmp_path / "gone.mp4")), "front", plugged.root)
     assert (said.verdict, said.found) == ("missing", f"recording {tmp_path / 'gone.mp4'} does not exist")
-    assert not cameras.rig_cameras(rig.config.loader.load("mock"), plugged.root)
 
 
 class RealSense:
@@ -540,13 +550,13 @@ class RealSense:
         return self._serial
 
 
-def test_a_realsense_is_searched_by_its_serial_number(plugged: Cameras, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_realsense_is_searched_by_its_serial_number(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    (said,) = cameras.rig_cameras(with_camera("realsense", "any"), plugged.root)
+    (said,) = realsense_camera.examine(with_camera("realsense", "any"), "front")
     assert (said.verdict, said.remedy) == ("missing", "pip install pyrealsense2")
     monkeypatch.setitem(sys.modules, "pyrealsense2", RealSense("1234"))
     assert [
-        cameras.rig_cameras(with_camera("realsense", device), plugged.root)[0].verdict
+        realsense_camera.examine(with_camera("realsense", device), "front")[0].verdict
         for device in ("any", "1234", "999")
     ] == ["ok", "ok", "missing"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rig.config import loader
-from rig.doctor.trackers import rig_trackers
+from rig.doctor.devices import rig_devices
 from rig.driver_contract.session import bench_of
 from rig.driver_contract.tracker_checks import TRACKER_CHECKS, TrackerSubject
 from rig.hardware.installed_drivers import installed_drivers
@@ -18,13 +18,13 @@ from tests.rig.realtime.test_tracker import example, udp_rig
 def test_the_doctor_hears_a_sender_and_says_how_well_times_are_known(tmp_path: Path) -> None:
     port = free_port()
     with example(port):
-        (finding,) = rig_trackers(loader.load(udp_rig(tmp_path, port)))
+        (finding,) = rig_devices(loader.load(udp_rig(tmp_path, port)))
     assert finding.verdict == "ok", finding
     assert f"poses at UDP 127.0.0.1:{port}" in finding.found
 
 
 def test_the_doctor_names_a_sender_that_is_not_heard(tmp_path: Path) -> None:
-    (finding,) = rig_trackers(loader.load(udp_rig(tmp_path, free_port())))
+    (finding,) = rig_devices(loader.load(udp_rig(tmp_path, free_port())))
     assert finding.verdict == "missing"
     assert "must come from 127.0.0.1" in finding.remedy
 

@@ -1,4 +1,4 @@
-"""Checks of the trackers that a rig names."""
+"""Check of a rig's tracker that sends UDP datagrams."""
 
 from __future__ import annotations
 
@@ -15,16 +15,14 @@ LISTENS_S = 1.5
 """Time in which a sender's clock becomes known and a pose comes."""
 
 
-def rig_trackers(config: RigConfig) -> list[Finding]:
-    """Whether the UDP trackers that a rig names send poses; none does while a run uses the port."""
-    return [
-        _udp(config, name, tracker)
-        for name, tracker in config.trackers.items()
-        if isinstance(tracker, UdpTrackerConfig)
-    ]
+def examine(config: RigConfig, name: str) -> list[Finding]:
+    """Listen for poses; none come while a run uses the port."""
+    tracker = config.trackers[name]
+    assert isinstance(tracker, UdpTrackerConfig)
+    return [_listen(config, name, tracker)]
 
 
-def _udp(config: RigConfig, name: str, tracker: UdpTrackerConfig) -> Finding:
+def _listen(config: RigConfig, name: str, tracker: UdpTrackerConfig) -> Finding:
     topic, place = f"rig's tracker {name}", f"UDP {tracker.address}:{tracker.port}"
     try:
         with closing(open_tracker(config, name)) as source:
