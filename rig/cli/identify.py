@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from rig.identify.from_archives import OpenedRuns
     from runs.run import Run
 
-FIGURES = (".png", ".pdf", ".svg")
-
 app = typer.Typer(
     cls=DefaultCommandGroup,
     no_args_is_help=True,
@@ -103,9 +101,6 @@ def fit(
         typer.Option("--rig-file", metavar="FILE", help="Write the initial rig with the parameters applied."),
     ] = None,
     report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a report page (HTML).")] = None,
-    figure: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw the predictions before and after (png, pdf, svg).")
-    ] = None,
     replace: Replace = False,
     json: AsJson = False,
 ) -> None:
@@ -127,15 +122,13 @@ def fit(
 
     if not quasi_static:
         _refuse("needs --quasi-static", {"--every": every > 1})
-    if split_s is None and not leave_out:
-        _refuse("nothing is predicted: add --leave-out or --split-s", {"--figure": figure})
     if not bootstrap:
         _refuse("nothing runs in parallel: add --bootstrap", {"--scheduler": scheduler, "--store": store})
     if bootstrap == 1:
         _refuse("at least two refits are needed", {"--bootstrap": bootstrap})
     if rig_file is not None and to is None:
         to = rig_file.with_suffix(".parameters.yaml")
-    _check_places({"--report": report, "--figure": figure, "--to": to, "--rig-file": rig_file}, replace)
+    _check_places({"--report": report, "--to": to, "--rig-file": rig_file}, replace)
     priors = _priors(prior or [])
     opened = _opened(archives, leave_out or [], one_arm=bool(start))
     data = read_data(opened, start=start or [], quasi_static=quasi_static, every=every, split_s=split_s, read=_read)
@@ -163,8 +156,6 @@ def fit(
         with progress_bar("refitting") as progress:
             refits = refit(best, bootstrap, scheduler=scheduler, store=store, progress=progress)
         output.bootstrap_errors(best, refits, bootstrap, json)
-    if figure is not None:
-        typer.echo(estimation.draw_predictions(predictions, figure), err=json)
     if report is not None:
         truth = initial_setup.truth_of(opened.seen[0])
         typer.echo(write_report(best, report, dependences, intervals, refits, predictions, truth), err=json)
@@ -254,10 +245,7 @@ def _check_places(places: Mapping[str, Path | None], replace: bool) -> None:
             raise typer.BadParameter(f"{place}: name a file, not a folder", param_hint=option)
         if (above := next(folder for folder in place.parents if folder.exists())) and not above.is_dir():
             raise typer.BadParameter(f"{place}: {above} is a file, not a folder", param_hint=option)
-        if option == "--figure" and place.suffix.lower() not in FIGURES:
-            raise typer.BadParameter(f"{place}: a name that ends with .png, .pdf or .svg", param_hint=option)
-        points = [place.with_suffix(".csv")] if option == "--figure" else []
-        refuse_existing([place, *points], replace=replace)
+        refuse_existing([place], replace=replace)
 
 
 def _refuse(why: str, options: Mapping[str, object]) -> None:

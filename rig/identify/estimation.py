@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.identify.data import poses_of, quasi_static_poses
-from calibration.identify.figures import predictions
 from calibration.identify.fit import identify
-from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.memory_parameters import memory_names
 from calibration.identify.nuisance import nuisance_parameters, stated_values
 from calibration.identify.parameters import Prior, UnknownParameter, named
@@ -27,7 +25,6 @@ from rig.config.sections import Placement
 from rig.identify.initial_setup import rig_of
 from rig.observation.online_estimation import default_parameters
 from rig.sections.quantities import PA_PER_BAR
-from runs.report.drawing import save
 from runs.run import Run
 
 # A narrower prior, relative to the parameter's span, makes the problem ill-conditioned.
@@ -185,10 +182,3 @@ def check_priors(priors: Mapping[str, Prior], estimated: Sequence[str], actuator
             else:
                 continue
             raise BadInputError([Problem("--prior", 0, 0, one.name, given, expected)])
-
-
-def draw_predictions(found: Sequence[Prediction], file: Path) -> Path:
-    """Draw the prediction error of each run over time, before and after identification."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    save(predictions, (9, 2.6 * len(found)), file, found)
-    return file

@@ -111,7 +111,6 @@ COUNTERPARTS = {
             "to": "calibration.identify.parameters_document:write",
             "rig_file": "rig.identify.estimation:rig_with",
             "report": "calibration.identify.report:write",
-            "figure": "rig.identify.estimation:draw_predictions",
             "replace": "pathlib:Path.write_text",
         },
     ),

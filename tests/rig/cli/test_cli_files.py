@@ -144,13 +144,13 @@ def test_figures_overwrite_no_file_without_consent(data: Path) -> None:
     assert (folder / sorted(names)[0]).read_text() != "mine"
 
 
-@pytest.mark.parametrize("option", ["--to", "--report", "--figure", "--rig-file"])
+@pytest.mark.parametrize("option", ["--to", "--report", "--rig-file"])
 def test_identify_refuses_an_existing_file_before_it_computes(
     data: Path, option: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = Path("mine.png" if option == "--figure" else "mine.yaml")
+    file = Path("mine.yaml")
     file.write_text("mine")
-    assert inside("identify", "last", "--leave-out", "sine-1", option, file) == 2
+    assert inside("identify", "last", option, file) == 2
     assert f"{file} exists" in capsys.readouterr().err
     assert file.read_text() == "mine"
 

@@ -240,14 +240,14 @@ def test_the_rest_of_a_run_is_predicted_and_drawn(
     bench: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     middle_s = runs.open(bench["one"]).duration_s / 2
-    picture = tmp_path / "predicted.svg"
-    told = ["--split-s", f"{middle_s:g}", "--figure", str(picture)]
+    page = tmp_path / "arm.html"
+    told = ["--split-s", f"{middle_s:g}", "--report", str(page)]
     rig(bench["one"], "--free", "law,rpe_per_bar", *told)
     said = capsys.readouterr()
     before, after = map(float, re.findall(rf"from {middle_s:g} s \(left out\): rms ([\d.]+) -> ([\d.]+)", said.out)[0])
     assert after < 0.3 * before
     assert "" not in said.err.splitlines()  # what a bar leaves behind where there is no terminal
-    assert "before, rms" in picture.read_text()
+    assert "before, rms" in page.read_text()
 
 
 def test_of_several_starts_the_most_likely_result_is_taken(
@@ -281,11 +281,10 @@ def test_of_several_starts_the_most_likely_result_is_taken(
     [
         (["--every", "2"], "needs --quasi-static"),
         (["--start", "nowhere"], "there is no such file"),
-        (["--figure", "x.png"], "nothing is predicted"),
         (["--split-s", "1e6"], "shows no tip after"),
     ],
 )
-def test_an_invalid_figure_or_split_is_refused(
+def test_an_invalid_start_or_split_is_refused(
     bench: dict[str, str], options: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig(bench["one"], *options, status=2)
@@ -299,10 +298,7 @@ def test_an_invalid_output_path_is_refused_before_the_search(
     monkeypatch.setattr("rig.identify.estimation.most_likely_fit", lambda *_: pytest.fail("the search had begun"))
     (tmp_path / "short.yaml").write_text(text("mock").replace("length_mm: 170", "length_mm: 140"), encoding="utf-8")
     found = str(tmp_path / "found.yaml")
-    (tmp_path / "points.csv").write_text("another's", encoding="utf-8")
     for options, said in (
-        (["--figure", str(tmp_path / "points.png"), "--split-s", "15"], "points.csv exists: name another file"),
-        (["--figure", str(tmp_path / "a.xyz"), "--split-s", "15"], "a name that ends with .png, .pdf or .svg"),
         (["--rig-file", found, "--report", str(tmp_path)], "a file, not a folder"),
         (["--to", str(tmp_path / "short.yaml" / "a.yaml")], "is a file, not a folder"),
     ):
