@@ -22,6 +22,7 @@ from calibration.identify.results import Estimate, Fit, RunFit
 from rig.cli.console import console
 from rig.cli.json_output import plain_json
 from rig.identify.estimation import FitsByStart
+from rig.identify.from_archives import Identification
 from rig.identify.model_comparison import RunComparison
 from rig.reproduce.identification import PaperEstimate, PaperEstimates
 
@@ -36,7 +37,19 @@ def notes(lines: Iterable[str]) -> None:
         screen.print(line, soft_wrap=True)
 
 
-def fits_by_start(found: FitsByStart) -> None:
+def identification(
+    done: Identification, predicted: Sequence[Prediction], dependences: Sequence[Dependence], as_json: bool
+) -> None:
+    """Print the likelihood by initial rig, the estimates and the errors of the runs that were held out."""
+    _fits_by_start(done.found)
+    if as_json:
+        _print_json(done.best, done.baseline, predicted, dependences)
+    else:
+        _estimates(done.best, dependences)
+    _prediction_errors(predicted, as_json)
+
+
+def _fits_by_start(found: FitsByStart) -> None:
     """Print the likelihood from each initial rig, if there are several."""
     if len(found.fits) > 1:
         notes(
@@ -46,7 +59,7 @@ def fits_by_start(found: FitsByStart) -> None:
         )
 
 
-def as_json(
+def _print_json(
     fit: Fit, under: Baseline | None, predicted: Sequence[Prediction], dependences: Sequence[Dependence]
 ) -> None:
     """Print the content of a parameter file, the model error and the predictions of held-out runs, as JSON."""
@@ -99,7 +112,7 @@ def _prediction_facts(found: Prediction) -> dict[str, object]:
     }
 
 
-def estimates(fit: Fit, dependences: Sequence[Dependence]) -> None:
+def _estimates(fit: Fit, dependences: Sequence[Dependence]) -> None:
     """Print the estimates with error bars or verdicts, what was held, the residuals and the model error."""
     screen = console()
     free = [(e, fixed) for e, fixed in zip(fit.estimates, fit.fixed, strict=True) if not e.nuisance]
@@ -255,7 +268,7 @@ def bootstrap_errors(fit: Fit, found: Bootstrap, samples: int, beside_json: bool
     results(lines, beside_json)
 
 
-def prediction_errors(found: Sequence[Prediction], beside_json: bool) -> None:
+def _prediction_errors(found: Sequence[Prediction], beside_json: bool) -> None:
     """Print the prediction errors of held-out runs."""
     for one in found:
         how = ", under its measured wrench" if one.under_wrench else ""

@@ -16,8 +16,10 @@ from rig.cli.options import Archives, AsJson, Every, Free, ParametersFile, Repla
 
 if TYPE_CHECKING:
     from calibration.identify import Poses, Prior
+    from calibration.identify.bootstrap import Bootstrap
     from calibration.identify.profile_likelihood import LikelihoodProfile
-    from rig.identify.from_archives import OpenedRuns
+    from calibration.identify.results import Fit
+    from rig.identify.from_archives import Identification, OpenedRuns
     from runs.run import Run
 
 app = typer.Typer(
@@ -43,64 +45,77 @@ Between = Annotated[
 ]
 
 
+InitialRigs = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--start",
+        metavar="RIG",
+        autocompletion=completion.rigs,
+        help="Initial rig, by name or file; default: the first run's. Of several, the likeliest is used.",
+    ),
+]
+PerRun = Annotated[
+    str,
+    typer.Option(
+        "--per-run",
+        metavar="NAME,..",
+        help="Parameters or groups, free or not, with a value of their own in each run, as base,tool after "
+        "a new mounting.",
+    ),
+]
+Starts = Annotated[
+    int | None,
+    typer.Option(
+        "--starts",
+        metavar="N",
+        help="Starting points of the search.",
+        show_default="1; up to 4 where the first result is doubtful",
+        min=1,
+    ),
+]
+LeftOut = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--leave-out",
+        metavar="RUN",
+        help="Hold this run out and predict it; may be repeated.",
+        autocompletion=completion.runs,
+    ),
+]
+SplitTime = Annotated[
+    float | None,
+    typer.Option(
+        "--split-s", metavar="S", help="Identify from each run's first S seconds, and predict the rest.", min=0
+    ),
+]
+Profile = Annotated[bool, typer.Option("--profile", help="Profile-likelihood intervals of every shared parameter.")]
+Refits = Annotated[int, typer.Option("--bootstrap", metavar="N", help="Bootstrap errors from N refits.", min=0)]
+IdentifiedRig = Annotated[
+    Path | None,
+    typer.Option("--rig-file", metavar="FILE", help="Write the initial rig with the parameters applied."),
+]
+ReportPage = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write a report page (HTML).")]
+
+
 @app.command(cls=EstimationCommand)
 def fit(
     archives: Archives,
     free: Free = "",
     prior: Priors = None,
-    start: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="RIG",
-            autocompletion=completion.rigs,
-            help="Initial rig, by name or file; default: the first run's. Of several, the likeliest is used.",
-        ),
-    ] = None,
-    per_run: Annotated[
-        str,
-        typer.Option(
-            "--per-run",
-            metavar="NAME,..",
-            help="Parameters or groups, free or not, with a value of their own in each run, as base,tool after "
-            "a new mounting.",
-        ),
-    ] = "",
-    starts: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Starting points of the search.",
-            show_default="1; up to 4 where the first result is doubtful",
-            min=1,
-        ),
-    ] = None,
+    start: InitialRigs = None,
+    per_run: PerRun = "",
+    starts: Starts = None,
     quasi_static: QuasiStatic = False,
     every: Every = 1,
-    leave_out: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--leave-out",
-            metavar="RUN",
-            help="Hold this run out and predict it; may be repeated.",
-            autocompletion=completion.runs,
-        ),
-    ] = None,
-    split_s: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Identify from each run's first S seconds, and predict the rest.", min=0),
-    ] = None,
-    profile: Annotated[
-        bool, typer.Option("--profile", help="Profile-likelihood intervals of every shared parameter.")
-    ] = False,
-    bootstrap: Annotated[int, typer.Option(metavar="N", help="Bootstrap errors from N refits.", min=0)] = 0,
+    leave_out: LeftOut = None,
+    split_s: SplitTime = None,
+    profile: Profile = False,
+    bootstrap: Refits = 0,
     scheduler: Scheduler = None,
     store: Store = None,
     to: ParametersFile = None,
-    rig_file: Annotated[
-        Path | None,
-        typer.Option("--rig-file", metavar="FILE", help="Write the initial rig with the parameters applied."),
-    ] = None,
-    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a report page (HTML).")] = None,
+    rig_file: IdentifiedRig = None,
+    report: ReportPage = None,
     replace: Replace = False,
     json: AsJson = False,
 ) -> None:
@@ -110,22 +125,16 @@ def fit(
 
     Without --free, these are free: law, rpe_per_bar, base, sensor_offsets, and damping_s for dynamic runs.
     """
-    from calibration.identify.bootstrap import bootstrap as refit
-    from calibration.identify.parameters_document import write
-    from calibration.identify.profile_likelihood import profiles
     from calibration.identify.report import write as write_report
     from calibration.identify.residual_dependence import residual_dependence
     from rig.cli import identification_output as output
-    from rig.cli.progress import progress_bar, state_of
-    from rig.identify import estimation, initial_setup
+    from rig.cli.progress import state_of
     from rig.identify.from_archives import from_data, read_data
+    from rig.identify.initial_setup import truth_of
 
     if not quasi_static:
         _refuse("needs --quasi-static", {"--every": every > 1})
-    if not bootstrap:
-        _refuse("nothing runs in parallel: add --bootstrap", {"--scheduler": scheduler, "--store": store})
-    if bootstrap == 1:
-        _refuse("at least two refits are needed", {"--bootstrap": bootstrap})
+    _check_bootstrap(bootstrap, scheduler, store)
     if rig_file is not None and to is None:
         to = rig_file.with_suffix(".parameters.yaml")
     _check_places({"--report": report, "--to": to, "--rig-file": rig_file}, replace)
@@ -134,38 +143,65 @@ def fit(
     data = read_data(opened, start=start or [], quasi_static=quasi_static, every=every, split_s=split_s, read=_read)
     with state_of("searching") as show:
         done = from_data(data, free=_names(free), priors=priors, per_run=_names(per_run), starts=starts, progress=show)
-    found, best, under = done.found, done.best, done.baseline
-    if best.worse_than_start:
-        output.failure(best)
+    if done.best.worse_than_start:
+        output.failure(done.best)
         raise typer.Exit(FAULT)
-    output.fits_by_start(found)
-    predictions = done.predictions()
-    dependences = residual_dependence(best)
-    if json:
-        output.as_json(best, under, predictions, dependences)
-    else:
-        output.estimates(best, dependences)
-    output.prediction_errors(predictions, json)
-    intervals: tuple[LikelihoodProfile, ...] = ()
-    refits = None
-    if profile:
-        with progress_bar("profiles") as progress:
-            intervals = profiles(best, progress=progress)
-        output.profile_intervals(intervals, json)
-    if bootstrap:
-        with progress_bar("refitting") as progress:
-            refits = refit(best, bootstrap, scheduler=scheduler, store=store, progress=progress)
-        output.bootstrap_errors(best, refits, bootstrap, json)
+    predictions, dependences = done.predictions(), residual_dependence(done.best)
+    output.identification(done, predictions, dependences, json)
+    intervals = _profiles(done.best, json) if profile else ()
+    refits = _bootstrap(done.best, bootstrap, scheduler, store, json) if bootstrap else None
     if report is not None:
-        truth = initial_setup.truth_of(opened.seen[0])
-        typer.echo(write_report(best, report, dependences, intervals, refits, predictions, truth), err=json)
+        truth = truth_of(opened.seen[0])
+        typer.echo(write_report(done.best, report, dependences, intervals, refits, predictions, truth), err=json)
     if to is not None:
-        written = write(best, to, intervals, under)
-        typer.echo(written, err=json)
-        if rig_file is not None:
-            rig_file.parent.mkdir(parents=True, exist_ok=True)
-            rig_file.write_text(estimation.rig_with(found.rigs[found.best], written), encoding="utf-8")
-            typer.echo(rig_file, err=json)
+        _write_parameters(done, to, rig_file, intervals, json)
+
+
+def _check_bootstrap(refits: int, scheduler: str | None, store: Path | None) -> None:
+    """Refuse a single refit, and options of refits without any."""
+    if not refits:
+        _refuse("nothing runs in parallel: add --bootstrap", {"--scheduler": scheduler, "--store": store})
+    if refits == 1:
+        _refuse("at least two refits are needed", {"--bootstrap": refits})
+
+
+def _profiles(best: Fit, json: bool) -> tuple[LikelihoodProfile, ...]:
+    """Compute and print the profile-likelihood intervals."""
+    from calibration.identify.profile_likelihood import profiles
+    from rig.cli import identification_output as output
+    from rig.cli.progress import progress_bar
+
+    with progress_bar("profiles") as progress:
+        found = profiles(best, progress=progress)
+    output.profile_intervals(found, json)
+    return found
+
+
+def _bootstrap(best: Fit, count: int, scheduler: str | None, store: Path | None, json: bool) -> Bootstrap:
+    """Compute and print the bootstrap errors."""
+    from calibration.identify.bootstrap import bootstrap
+    from rig.cli import identification_output as output
+    from rig.cli.progress import progress_bar
+
+    with progress_bar("refitting") as progress:
+        found = bootstrap(best, count, scheduler=scheduler, store=store, progress=progress)
+    output.bootstrap_errors(best, found, count, json)
+    return found
+
+
+def _write_parameters(
+    done: Identification, to: Path, rig_file: Path | None, intervals: Sequence[LikelihoodProfile], json: bool
+) -> None:
+    """Write the parameters and, to `rig_file`, the initial rig with them applied; print the names of the files."""
+    from calibration.identify.parameters_document import write
+    from rig.identify.estimation import rig_with
+
+    written = write(done.best, to, intervals, done.baseline)
+    typer.echo(written, err=json)
+    if rig_file is not None:
+        rig_file.parent.mkdir(parents=True, exist_ok=True)
+        rig_file.write_text(rig_with(done.found.rigs[done.found.best], written), encoding="utf-8")
+        typer.echo(rig_file, err=json)
 
 
 @app.command(cls=EstimationCommand)
