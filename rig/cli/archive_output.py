@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -15,17 +14,17 @@ from rich.table import Table
 from rich.text import Text
 
 import runs as records
-from protocols.problems import BadInputError, Problem, closest
-from rig.cli.column_table import ColumnTable
+from protocols.problems import BadInputError, Problem
+from rig.cli.column_table import ColumnTable, facts_table
 from rig.cli.completion import DATA
 from rig.cli.console import console
 from rig.cli.exit_status import FAULT
-from rig.cli.json_output import plain_json
+from rig.cli.json_output import to_json
 from rig.cli.run_names import resolve
 from runs import annotation_file
 from runs.catalogue import Entry
 from runs.pressure_cycles import pressure_cycles
-from runs.records import Quantity, Status, StudyRun
+from runs.records import Quantity, StudyRun
 from runs.recovery import RecoveryStatus
 from runs.recovery import recover as recover_folder
 from runs.run import Run
@@ -36,20 +35,14 @@ from runs.tip_plans import TipPlans
 _DATE = re.compile(r"\d{4}(-(0[1-9]|1[0-2])(-(0[1-9]|[12]\d|3[01])(T([01]\d|2[0-3])(:[0-5]\d(:[0-5]\d)?)?)?)?)?")
 
 
-def check_search(
-    folder: Path, status: str = "", since: str = "", until: str = "", error_above_mm: float | None = None
-) -> None:
+def check_search(folder: Path, since: str = "", until: str = "") -> None:
     """Raise `BadInputError` for a filter that no archive can match; only the default folder may be missing."""
     problems = []
     if folder != DATA and not folder.is_dir():
         problems.append(Problem("DIR", 0, 0, "", str(folder), "a folder of archives: this folder does not exist"))
-    if status and status not in set(Status):
-        problems.append(Problem("--status", 0, 0, "", status, f"one of {', '.join(Status)}", closest(status, Status)))
     for option, date in (("--since", since), ("--until", until)):
         if date and not _DATE.fullmatch(date):
             problems.append(Problem(option, 0, 0, "", date, "a date or its beginning, as 2026-11 or 2026-11-21T14:05"))
-    if error_above_mm is not None and math.isnan(error_above_mm):
-        problems.append(Problem("--error-above-mm", 0, 0, "", "nan", "a number (mm)"))
     if problems:
         raise BadInputError(problems)
 
@@ -61,24 +54,13 @@ def show(name: Path, as_json: bool) -> None:
     summary = summarise(run)
     added = annotation_file.read(archive)
     if as_json:
-        typer.echo(
-            json.dumps(
-                {
-                    "header": plain_json(asdict(run.header)),
-                    "summary": summary_json(archive),
-                    "annotations": asdict(added),
-                },
-                indent=2,
-            )
-        )
+        whole = {"header": asdict(run.header), "summary": summary_facts(archive), "annotations": asdict(added)}
+        typer.echo(to_json(whole))
         return
     header = run.header
     screen = console()
-    facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    facts.add_column()
-    facts.add_column(overflow="fold")
     simulated = " (simulated)" if header.simulated else ""
-    for key, value in (
+    facts = (
         ("run", header.run_id + simulated),
         ("title", header.title),
         ("status", f"{summary.status} {summary.message}".strip()),
@@ -100,9 +82,8 @@ def show(name: Path, as_json: bool) -> None:
         ("host", header.host),
         ("commit", (header.git_commit or "-") + (" with uncommitted changes" if header.git_diff else "")),
         ("versions", ", ".join(f"{name} {version}" for name, version in header.versions.items())),
-    ):
-        facts.add_row(key, value)
-    screen.print(facts)
+    )
+    screen.print(facts_table(facts))
     screen.print(summary_table(summary, run.timing.counters))
 
 
@@ -139,10 +120,10 @@ def _study(place: StudyRun | None) -> str:
     return f"{place.study}, {place.role} {place.number}, combination {place.combination}, block {place.block}"
 
 
-def summary_json(archive: Path) -> dict[str, Any]:
-    """Return a run's summary for JSON, with null for NaN and infinity."""
+def summary_facts(archive: Path) -> dict[str, Any]:
+    """Return a run's summary for JSON."""
     summary = summarise(records.open(archive))
-    facts: dict[str, Any] = plain_json(asdict(summary))
+    facts: dict[str, Any] = asdict(summary)
     if not summary.camera:
         # A count of frames would be a zero for what is not measured.
         facts |= dict.fromkeys(("frames", "frames_measured", "frames_dropped", "frames_expected"))
@@ -242,7 +223,7 @@ def recover(folder: Path) -> None:
 def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
     """Print the entries of a catalogue."""
     if as_json:
-        typer.echo(json.dumps([asdict(entry) for entry in entries], indent=2))
+        typer.echo(to_json([asdict(entry) for entry in entries]))
         return
     if not entries:
         typer.echo(f"no such archives in {folder}")

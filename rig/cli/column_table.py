@@ -1,8 +1,10 @@
-"""A table that is readable on a narrow terminal, where it is a list of rows."""
+"""Tables without lines: columns that become rows on a narrow terminal, and facts by name."""
 
 from __future__ import annotations
 
-from rich.console import Console, ConsoleOptions, RenderResult
+from collections.abc import Iterable
+
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
@@ -14,8 +16,11 @@ LEAST_COLUMNS = 60
 class ColumnTable(Table):
     """A table without lines; below `LEAST_COLUMNS` each row is its first cell, then a line for each other cell."""
 
-    def __init__(self) -> None:
+    def __init__(self, *heads: str) -> None:
+        """Text columns with these heads; others are added with `add_column`."""
         super().__init__(box=None, padding=(0, 2, 0, 0), title_justify="left")
+        for head in heads:
+            self.add_column(head, overflow="fold")
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Render columns or, on a narrow terminal, rows."""
@@ -30,9 +35,15 @@ class ColumnTable(Table):
                 filled = [(first, filled[0][1])]
             else:
                 yield Text(f"{heads[0]} {first}".strip(), "bold")
-            listed = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-            listed.add_column()
-            listed.add_column(overflow="fold")
-            for head, cell in filled:
-                listed.add_row(head, cell)
+            listed = facts_table(filled)
             yield Padding(listed, (0, 0, 0, 2 if len(filled) > 1 else 0))
+
+
+def facts_table(facts: Iterable[tuple[RenderableType, RenderableType]] = ()) -> Table:
+    """Return a table without heads: a name and its value in each row."""
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    table.add_column()
+    table.add_column(overflow="fold")
+    for name, value in facts:
+        table.add_row(name, value)
+    return table

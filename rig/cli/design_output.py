@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import typer
 
 from rig.cli.column_table import ColumnTable
 from rig.cli.console import console
+from rig.cli.json_output import to_json
 from rig.design.design import LIBRARY, Design
 from rig.design.law_comparison import RIGHT, LawDesign, share_text
 
@@ -30,11 +30,9 @@ def error_bars(found: Design, to: Path, as_json: bool) -> None:
             }
             for (name, unit, decided), (value, std, other, least) in zip(labels, numbers, strict=True)
         }
-        typer.echo(json.dumps({"protocol": str(to), "parameters": rows}, indent=2))
+        typer.echo(to_json({"protocol": str(to), "parameters": rows}))
         return
-    table = ColumnTable()
-    for head in ("parameter", "value", "design +-", "library +-", "ratio", "limit +-", "unit", "identified"):
-        table.add_column(head)
+    table = ColumnTable("parameter", "value", "design +-", "library +-", "ratio", "limit +-", "unit", "identified")
     for (name, unit, decided), (value, std, other, least) in zip(labels, numbers, strict=True):
         shown = (f"{value:.4g}", f"{std:.3g}", f"{other:.3g}", f"{std / other:.2f}", f"{least:.2g}")
         table.add_row(name, *shown, unit, "yes" if decided else "no")
@@ -64,11 +62,9 @@ def separations(found: LawDesign, to: Path, as_json: bool) -> None:
             for one in found.separations
         ]
         facts = {"protocol": str(to), "sufficient": found.sufficient, "cases": rows}
-        typer.echo(json.dumps(facts, indent=2))
+        typer.echo(to_json(facts))
         return
-    table = ColumnTable()
-    for head in ("true law", "rival", "distance", "right decisions"):
-        table.add_column(head)
+    table = ColumnTable("true law", "rival", "distance", "right decisions")
     for one in found.separations:
         distance = f"{one.distance2**0.5:.3g}" if one.separable else "0"
         table.add_row(one.truth, one.rival, distance, share_text(one))

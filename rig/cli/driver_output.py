@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 
@@ -10,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rig.cli.column_table import ColumnTable
+from rig.cli.json_output import to_json
 from rig.config.drivers import InstalledDriver
 from rig.driver_contract.check import CheckResult, CheckVerdict
 
@@ -18,9 +18,7 @@ _STYLE = {CheckVerdict.PASS: "green", CheckVerdict.FAIL: "bold red", CheckVerdic
 
 def table(rows: Sequence[InstalledDriver]) -> Table:
     """Return the drivers as a table; a plug-in that cannot be used has its fault in red."""
-    found = ColumnTable()
-    for head in ("section", "name", "package", "what it does"):
-        found.add_column(head, overflow="fold")
+    found = ColumnTable("section", "name", "package", "what it does")
     for row in rows:
         found.add_row(row.kind, row.name, row.package, Text(row.fault, "red") if row.fault else _about(row))
     return found
@@ -38,7 +36,7 @@ def _about(row: InstalledDriver) -> str:
 
 def as_json(rows: Sequence[InstalledDriver]) -> str:
     """Return the drivers as JSON."""
-    return json.dumps([asdict(row) for row in rows], indent=2)
+    return to_json([asdict(row) for row in rows])
 
 
 def result_line(result: CheckResult) -> Text:
@@ -49,9 +47,7 @@ def result_line(result: CheckResult) -> Text:
 
 def results_table(results: Sequence[CheckResult]) -> Table:
     """Return the results of `rig test-driver`; a failed check has what softrig relies on below."""
-    found = ColumnTable()
-    for head in ("", "device", "check", "found"):
-        found.add_column(head, overflow="fold")
+    found = ColumnTable("", "device", "check", "found")
     for result in results:
         words = f"{result.found}\nexpected: {result.expected}" if result.failed else result.found
         found.add_row(Text(result.verdict, _STYLE[result.verdict]), result.device, result.check, words)
@@ -60,4 +56,4 @@ def results_table(results: Sequence[CheckResult]) -> Table:
 
 def results_json(results: Sequence[CheckResult]) -> str:
     """Return the results of `rig test-driver` as JSON."""
-    return json.dumps([asdict(result) for result in results], indent=2)
+    return to_json([asdict(result) for result in results])

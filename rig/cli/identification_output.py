@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
@@ -19,8 +18,9 @@ from calibration.identify.parameters_document import Baseline, content
 from calibration.identify.profile_likelihood import LikelihoodProfile
 from calibration.identify.residual_dependence import Dependence
 from calibration.identify.results import Estimate, Fit, RunFit
+from rig.cli.column_table import ColumnTable
 from rig.cli.console import console
-from rig.cli.json_output import plain_json
+from rig.cli.json_output import to_json
 from rig.identify.estimation import FitsByStart
 from rig.identify.from_archives import Identification
 from rig.identify.model_comparison import RunComparison
@@ -70,7 +70,7 @@ def _print_json(
         ],
         "predictions": [_prediction_facts(one) for one in predicted],
     }
-    typer.echo(json.dumps(plain_json(facts), indent=2))
+    typer.echo(to_json(facts))
 
 
 def _model_error_facts(fit: Fit, found: Findings) -> dict[str, object]:
@@ -116,9 +116,7 @@ def _estimates(fit: Fit, dependences: Sequence[Dependence]) -> None:
     """Print the estimates with error bars or verdicts, what was held, the residuals and the model error."""
     screen = console()
     free = [(e, fixed) for e, fixed in zip(fit.estimates, fit.fixed, strict=True) if not e.nuisance]
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for head in ("parameter", "value", "95 %", "rig file or prior", "run"):
-        table.add_column(head, overflow="fold")
+    table = ColumnTable("parameter", "value", "95 %", "rig file or prior", "run")
     undetermined = []
     for e, fixed in free:
         if e.value is None or e.std is None or e.interval is None:
@@ -142,9 +140,7 @@ def _model_error(found: Findings) -> None:
     screen = console()
     for shown in found.tables:
         screen.print(shown.caption, soft_wrap=True)
-        table = Table(box=None, padding=(0, 2, 0, 0))
-        for head in shown.heads:
-            table.add_column(head, overflow="fold")
+        table = ColumnTable(*shown.heads)
         for row in shown.rows:
             table.add_row(*row)
         screen.print(table)
@@ -178,9 +174,7 @@ def _held(fit: Fit) -> None:
         return
     screen = console()
     screen.print("Not free; estimated with the stated standard uncertainty, which is in the error bars above:")
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for head in ("parameter", "stated", "after the fit", "run"):
-        table.add_column(head, overflow="fold")
+    table = ColumnTable("parameter", "stated", "after the fit", "run")
     for one, std in held:
         table.add_row(one.name, _expected(one), quantity(one.name, one.unit, one.used, std), one.run)
     screen.print(table)
@@ -288,7 +282,7 @@ def comparison(found: RunComparison, as_json: bool) -> None:
     if as_json:
         rows = [_row_facts(row) for row in compared.rows]
         facts = {"rows": rows, "best": compared.best.candidate.name, "sentence": compared.sentence}
-        typer.echo(json.dumps(plain_json(facts), indent=2))
+        typer.echo(to_json(facts))
         return
     screen = console()
     table = Table(box=None, padding=(0, 2, 0, 0))
@@ -344,7 +338,7 @@ def paper_estimates(found: PaperEstimates, as_json: bool) -> None:
             e.name: {"value": e.value, "std": e.std, "unit": e.unit, "r2": e.r2, "verdict": e.verdict or None}
             for e in found.estimates
         }
-        typer.echo(json.dumps(plain_json({**facts, "published": found.published}), indent=2))
+        typer.echo(to_json({**facts, "published": found.published}))
         return
     screen = console()
     table = Table(box=None, padding=(0, 2, 0, 0))

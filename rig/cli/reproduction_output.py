@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rich.table import Table
 
+from rig.cli.column_table import ColumnTable
 from rig.reproduce.comparison import PaperComparison
 from rig.reproduce.table3 import PRINTED, Table3Row
 from rig.reproduce.table4 import HORIZON_S, Table4Row
@@ -11,9 +12,8 @@ from rig.reproduce.table4 import HORIZON_S, Table4Row
 
 def table3(rows: tuple[Table3Row, ...]) -> Table:
     """Return distances of the homogeneous models from the inhomogeneous one, for each rule and error definition."""
-    table = Table(box=None, padding=(0, 2, 0, 0), title="Table 3: mean distance from the inhomogeneous model [%]")
-    for head in ("rule for E_i", "reading of the error", "no RPE", "with RPE", "possible"):
-        table.add_column(head)
+    table = ColumnTable("rule for E_i", "reading of the error", "no RPE", "with RPE", "possible")
+    table.title = "Table 3: mean distance from the inhomogeneous model [%]"
     table.add_row("printed", "", f"{PRINTED[0]:.2f}", f"{PRINTED[1]:.2f}", "")
     for row in rows:
         possible = "yes" if row.possible else "no"
@@ -23,9 +23,7 @@ def table3(rows: tuple[Table3Row, ...]) -> Table:
 
 def compared(rows: tuple[PaperComparison, ...]) -> Table:
     """Return the paper's results beside the computed ones."""
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for head in ("item", "what", "paper", "here", "by", "why different"):
-        table.add_column(head, overflow="fold")
+    table = ColumnTable("item", "what", "paper", "here", "by", "why different")
     for row in rows:
         table.add_row(row.item, row.what, row.paper, row.here, row.origin, row.why)
     return table

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from contextlib import suppress
@@ -15,8 +14,9 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
-from rig.cli.column_table import ColumnTable
+from rig.cli.column_table import ColumnTable, facts_table
 from rig.cli.exit_status import DONE, FAULT, INTERRUPTED
+from rig.cli.json_output import to_json
 from rig.cli.printable import printable
 from rig.config.schema import RigConfig
 from rig.execution.plan import RunPlan
@@ -46,9 +46,7 @@ def title(request: RunRequest) -> str:
 def check_screen(request: RunRequest, plan: RunPlan) -> Group:
     """Return the check screen: limits, peak pressure, valves, duration."""
     config, trajectory = plan.config, plan.trajectory
-    facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    facts.add_column()
-    facts.add_column(overflow="fold")
+    facts = facts_table()
     facts.add_row("protocol", f"{request.protocol.name}: {request.protocol.title}")
     if request.protocol.parameters:
         facts.add_row("parameters", ", ".join(map(str, request.protocol.parameters)))
@@ -115,7 +113,7 @@ def peak_bar(plan: RunPlan) -> list[float]:
 
 def check_json(request: RunRequest, plan: RunPlan) -> str:
     """Return the check screen as JSON."""
-    return json.dumps(
+    return to_json(
         {
             "protocol": request.protocol.name,
             "parameters": {p.name: p.value for p in request.protocol.parameters},
@@ -128,8 +126,7 @@ def check_json(request: RunRequest, plan: RunPlan) -> str:
             "peak_bar": peak_bar(plan),
             "limit_bar": request.config.limits.pressure_bar,
             **_tip_paths_json(plan),
-        },
-        indent=2,
+        }
     )
 
 
@@ -168,9 +165,7 @@ def tip_paths(plan: RunPlan) -> Table:
     """Return margins and expected errors of the tip paths."""
     from rig.tip_planning.assessment import assess
 
-    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    table.add_column()
-    table.add_column(overflow="fold")
+    table = facts_table()
     for path in assess(plan.config, plan.trajectory, plan.variant):
         causes = ", ".join(f"{name} {error:.2g}" for name, error in path.causes)
         table.add_row("tip path", f"{path.label}: up to {path.fastest_mm_s:.1f} mm/s")
@@ -228,9 +223,9 @@ def last_screen(screen: Console, result: RunResult) -> None:
 
 def result_json(result: RunResult) -> str:
     """Return the result of a run as JSON."""
-    from rig.cli.archive_output import summary_json
+    from rig.cli.archive_output import summary_facts
 
-    return json.dumps(
+    return to_json(
         {
             "status": str(result.outcome.status),
             "message": result.outcome.message,
@@ -239,9 +234,8 @@ def result_json(result: RunResult) -> str:
             "parameters": str(result.parameters) if result.parameters else None,
             "trouble": result.warnings,
             "counters": result.outcome.counters,
-            "summary": summary_json(result.archive) if result.archive else None,
-        },
-        indent=2,
+            "summary": summary_facts(result.archive) if result.archive else None,
+        }
     )
 
 
@@ -252,9 +246,7 @@ def exit_status(result: RunResult) -> int:
 
 def findings_table(findings: tuple[Finding, ...]) -> Table:
     """Return the findings of `rig doctor` as a table."""
-    table = ColumnTable()
-    for head in ("", "topic", "found", "what to do"):
-        table.add_column(head, overflow="fold")
+    table = ColumnTable("", "topic", "found", "what to do")
     for finding in findings:
         remedy = "" if finding.verdict == "ok" else finding.remedy
         table.add_row(Text(finding.verdict, _VERDICT[finding.verdict]), finding.topic, finding.found, remedy)
@@ -263,4 +255,4 @@ def findings_table(findings: tuple[Finding, ...]) -> Table:
 
 def findings_json(findings: tuple[Finding, ...]) -> str:
     """Return the findings of `rig doctor` as JSON."""
-    return json.dumps([asdict(finding) for finding in findings], indent=2)
+    return to_json([asdict(finding) for finding in findings])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import typer
 from rich.console import Console
 
 from rig.cli.column_table import ColumnTable
+from rig.cli.json_output import to_json
 from rig.study.study import Study
 from runs.catalogue import Entry
 
@@ -24,12 +24,10 @@ def planned(screen: Console, study: Study, done: Mapping[int, Entry], *, as_json
             for r in study.runs
         ]
         about = {"study": study.name, "duration_s": study.duration_s(study.runs), "runs": runs}
-        typer.echo(json.dumps({**about, "remaining_s": study.duration_s(left)}, indent=2))
+        typer.echo(to_json({**about, "remaining_s": study.duration_s(left)}))
         return
     screen.print(f"study {study.name}: {study.plan.title}")
-    table = ColumnTable()
-    for head in ("combination", *every[0], "duration [s]", "runs, in this order"):
-        table.add_column(head, overflow="fold")
+    table = ColumnTable("combination", *every[0], "duration [s]", "runs, in this order")
     for index, settings in enumerate(every):
         numbers = ", ".join(str(run.number) for run in study.runs if run.combination == index + 1)
         duration_s = study.plans[index].trajectory.duration_s
@@ -56,7 +54,7 @@ def written(
     if as_json:
         runs = {number: done[number].run_id for number in sorted(done)}
         files = {"page": str(page), "table": str(table)}
-        typer.echo(json.dumps({"study": study.name, "planned": len(study.runs), "runs": runs, **files}, indent=2))
+        typer.echo(to_json({"study": study.name, "planned": len(study.runs), "runs": runs, **files}))
         return
     screen.print(f"{len(done)} of {len(study.runs)} runs of study {study.name} are finished")
     screen.print(f"table   {table}", soft_wrap=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +9,7 @@ from rich.console import Group
 
 from protocols.problems import BadInputError, Problem
 from rig.cli.column_table import ColumnTable
+from rig.cli.json_output import to_json
 from rig.config.schema import RigConfig
 from runs.overwriting import refuse_existing
 
@@ -60,7 +60,7 @@ def table(space: TipWorkspace, config: RigConfig) -> Group:
 
 def as_json(space: TipWorkspace, config: RigConfig) -> str:
     """Return the same as JSON."""
-    return json.dumps(
+    return to_json(
         {
             "rig": config.name,
             "height_mm": space.height_mm,
@@ -73,6 +73,5 @@ def as_json(space: TipWorkspace, config: RigConfig) -> str:
                 }
                 for section in space.sections
             ],
-        },
-        indent=2,
+        }
     )

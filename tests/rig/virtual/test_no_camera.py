@@ -59,7 +59,7 @@ def test_the_summary_shows_no_count_of_frames_without_a_camera(run: Run, capsys:
     shown = " ".join(capsys.readouterr().out.split())
     assert "the rig has no camera" in shown
     assert "frames" not in shown
-    summary = archive_output.summary_json(run.path)
+    summary = archive_output.summary_facts(run.path)
     assert summary["frames_measured"] is None
     assert summary["frames_dropped"] is None
 
