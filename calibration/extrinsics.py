@@ -113,8 +113,8 @@ class ExtrinsicCalibration:
         return distance(start), float(np.sqrt(slope @ self.covariance[np.ix_(at, at)] @ slope))
 
 
-def locate(cameras: Sequence[CameraSightings], board: Board, *, bundle: bool = True) -> ExtrinsicCalibration:
-    """Find cameras and boards from simultaneous views; with `bundle`, by bundle adjustment.
+def locate(cameras: Sequence[CameraSightings], board: Board) -> ExtrinsicCalibration:
+    """Find cameras and boards from simultaneous views by bundle adjustment.
 
     On a board that looks the same upside down the corners' order is chosen so that the cameras agree.
 
@@ -125,8 +125,6 @@ def locate(cameras: Sequence[CameraSightings], board: Board, *, bundle: bool = T
     poses = {name: {key: found for key, found in views.items() if found} for name, views in poses.items()}
     placed, chosen = _chain([c.name for c in cameras], poses)
     start = _assemble(cameras, board, placed, chosen)
-    if not bundle:
-        return start
     dropped: list[tuple[str, str]] = []
     while True:
         found = replace(_refine(cameras, start), left_out=tuple(dropped))

@@ -36,7 +36,6 @@ class DLTCalibrationRequest:
     rig: str | None = None
     size: str = ""
     points_std_mm: float = 0.0
-    bundle: bool = True
     world_view: str = ""
     base: str = ""
     every: int = 1
@@ -76,7 +75,7 @@ def run(request: DLTCalibrationRequest) -> DLTCalibration:
     board = None
     if is_csv:
         csv = Path(request.given[0])
-        result = from_points(csv, request.size, request.points_std_mm, request.bundle, rig, known)
+        result = from_points(csv, request.size, request.points_std_mm, rig, known)
         used.insert(0, calibration_schema.SourceFileSection(name=csv.name, sha256=sha256_of(csv)))
     else:
         board = inputs.shown_board(request.corners, request.square_mm, rig)
@@ -88,7 +87,6 @@ def run(request: DLTCalibrationRequest) -> DLTCalibration:
             world_view=request.world_view,
             base=_base(request.base) if request.base else None,
             every=request.every,
-            bundle=request.bundle,
         )
     in_base = is_csv or bool(request.base)
     content = dlt_file(result, rig, tuple(used), board, in_base=in_base, note=request.output.note)

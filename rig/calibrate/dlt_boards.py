@@ -52,7 +52,6 @@ def from_boards(
     world_view: str = "",
     base: RigidTransform | None = None,
     every: int = 1,
-    bundle: bool = True,
 ) -> DLTCalibrationResult:
     """Calibrate cameras from simultaneous views of a board.
 
@@ -65,7 +64,7 @@ def from_boards(
     """
     base = RigidTransform(np.eye(3), np.zeros(3)) if base is None else base
     views = _seen(sources, every, board, rig, known)
-    extrinsics = locate(views.cameras, board, bundle=bundle)
+    extrinsics = locate(views.cameras, board)
     world = _world_view(world_view, extrinsics, views)
     places, boards = extrinsics.in_world(world, base)
     observations = {}
@@ -81,22 +80,14 @@ def from_boards(
     return DLTCalibrationResult(
         observations,
         {name: fitted(name, observation) for name, observation in observations.items()},
-        {
-            name: (place, extrinsics.placement_covariance(name, world, base) if bundle else np.full((6, 6), np.nan))
-            for name, place in places.items()
-        },
+        {name: (place, extrinsics.placement_covariance(name, world, base)) for name, place in places.items()},
         leave_out(list(observations.values()), groups, board),
         views.sizes_px,
         _used_views(views, extrinsics),
         (*views.left_out, *(ExcludedView(key, why, views.sha256_at(key)) for key, why in extrinsics.left_out)),
         world,
-        {pair: _baseline_m(extrinsics, pair, bundle) for pair in combinations(extrinsics.cameras, 2)},
+        {pair: extrinsics.baseline_m(*pair) for pair in combinations(extrinsics.cameras, 2)},
     )
-
-
-def _baseline_m(extrinsics: ExtrinsicCalibration, pair: tuple[str, str], bundle: bool) -> tuple[float, float]:
-    distance, std = extrinsics.baseline_m(*pair)
-    return distance, std if bundle else float("nan")
 
 
 def _used_views(views: SeenBoards, extrinsics: ExtrinsicCalibration) -> tuple[calibration_schema.UsedView, ...]:

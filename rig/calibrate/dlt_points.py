@@ -24,11 +24,11 @@ _WIDEST_MM = 1e6
 
 
 def from_points(
-    csv: Path, size: str, points_std_mm: float, bundle: bool, rig: RigConfig | None, known: dict[str, LoadedCalibration]
+    csv: Path, size: str, points_std_mm: float, rig: RigConfig | None, known: dict[str, LoadedCalibration]
 ) -> DLTCalibrationResult:
     """Calibrate cameras from control points.
 
-    `size`: width and height of the pictures, as 640x480; `known`: other calibrations, by camera. With `bundle` and an
+    `size`: width and height of the pictures, as 640x480; `known`: other calibrations, by camera. With an
     uncertainty of the points, bundle adjustment refines the coefficients.
 
     Raises:
@@ -43,7 +43,7 @@ def from_points(
         lens = known_lens(name, rig, known, sizes[name], "the pictures are")
         observations[name] = PointObservations(points.names, points.world_m, points.pixels, lens)
     dlts = {name: fitted(name, observation) for name, observation in observations.items()}
-    if bundle and points_std_mm > 0:
+    if points_std_mm > 0:
         better = adjust(list(observations.values()), list(dlts.values()), points_std_mm * 1e-3)
         dlts = dict(zip(dlts, better, strict=True))
     places = {name: camera_in_world(observation, dlts[name]) for name, observation in observations.items()}

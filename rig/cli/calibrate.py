@@ -51,7 +51,6 @@ def dlt(
     points_std_mm: Annotated[
         float, typer.Option(help="Standard uncertainty of the control points, for the bundle adjustment.")
     ] = 0.0,
-    bundle: Annotated[bool, typer.Option(help="Refine by bundle adjustment.")] = True,
     world_view: Annotated[str, typer.Option(help="View whose board defines the world frame.")] = "",
     base: Annotated[
         str,
@@ -79,7 +78,6 @@ def dlt(
             rig=rig,
             size=size,
             points_std_mm=points_std_mm,
-            bundle=bundle,
             world_view=world_view,
             base=base,
             every=every,
