@@ -116,10 +116,8 @@ def search(
     entries: Iterable[Entry],
     text: str = "",
     *,
-    status: str = "",
     since: str = "",
     until: str = "",
-    error_above_mm: float | None = None,
     tag: str = "",
     specimen: str = "",
     study: str = "",
@@ -134,13 +132,11 @@ def search(
         entry
         for entry in entries
         if all(word in _words(entry) for word in words)
-        and (not status or entry.status == status)
         and (not tag or tag in entry.tags)
         and (not specimen or entry.specimen == specimen)
         and (not study or entry.study == study)
         and entry.start_time >= since
         and entry.start_time[: len(until)] <= until
-        and (error_above_mm is None or (entry.mean_error_mm or 0.0) > error_above_mm)
     )
 
 

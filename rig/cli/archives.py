@@ -28,34 +28,22 @@ from rig.cli.options import (
 
 def runs(
     folder: Annotated[Path, typer.Argument(metavar="DIR", file_okay=False)] = DATA,
-    text: Annotated[str, typer.Option(help="Words to find in any field, such as protocol or operator.")] = "",
-    status: Annotated[str, typer.Option(help="finished, interrupted, aborted or recovered.")] = "",
+    text: Annotated[str, typer.Option(help="Words to find in any field, such as protocol, status or operator.")] = "",
     since: Annotated[str, typer.Option(help="From this date on, as 2026-11 or 2026-11-21.")] = "",
     until: Annotated[str, typer.Option(help="Up to and including this date.")] = "",
     tag: Annotated[str, typer.Option(help="Only those with this tag.")] = "",
     specimen: Annotated[str, typer.Option(help="Only those of this specimen, with the sum of pressure cycles.")] = "",
     study: Annotated[str, typer.Option(help="Only those of this study.")] = "",
-    error_above_mm: Annotated[float | None, typer.Option(help="Only those with a larger mean error.")] = None,
     json: AsJson = False,
 ) -> None:
     """List the archives of a folder, newest first."""
     from rig.cli import archive_output, recovery_offer
     from runs.catalogue import catalogue, search, specimen_cycles
 
-    archive_output.check_search(folder, status, since, until, error_above_mm)
+    archive_output.check_search(folder, since, until)
     recovery_offer.offer(folder)
     entries = catalogue(folder)
-    found = search(
-        entries,
-        text,
-        status=status,
-        since=since,
-        until=until,
-        error_above_mm=error_above_mm,
-        tag=tag,
-        specimen=specimen,
-        study=study,
-    )
+    found = search(entries, text, since=since, until=until, tag=tag, specimen=specimen, study=study)
     archive_output.runs(found, folder, json)
     if specimen and found and not json:
         archive_output.cycles(specimen, *specimen_cycles(entries, specimen))

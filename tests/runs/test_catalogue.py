@@ -168,6 +168,5 @@ def test_it_searches(folder: Path) -> None:
     assert names(search(found, since="2026-01-03")) == ["third", "second"]
     assert names(search(found, since="2026-01-03", until="2026-01-03")) == ["second"]
     assert names(search(found, until="1970")) == ["other"]
-    assert names(search(found, status="aborted")) == []
-    assert names(search(found, "tester", error_above_mm=0.5)) == ["third", "second", "first"]
-    assert names(search(found, error_above_mm=50.0)) == []
+    assert names(search(found, "aborted")) == []
+    assert names(search(found, "tester finished")) == ["third", "second", "first"]

@@ -177,7 +177,7 @@ def test_ctrl_c_while_modules_load_ends_the_program_silently() -> None:
         (["report", "no-such-run", "--to", "."], "ends with .html"),
         (["runs", "nowhere"], "a folder of archives"),
         (["recover", "nowhere"], "a folder of archives"),
-        (["runs", "--since", "yesterday", "--status", "finsihed"], "did you mean finished?"),
+        (["runs", "--since", "yesterday"], "a date or its beginning"),
     ],
 )
 def test_bad_input_gives_one_message_and_status_2(

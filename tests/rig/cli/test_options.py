@@ -92,7 +92,7 @@ def test_help_fits_the_terminal_and_cuts_no_sentence_off(
         (["run", "ramp-a", "--port", "65536"], "'--port': found 65536, expected at most 65535"),
         (["identify", "last", "--every", "0"], "'--every': found 0, expected at least 1"),
         (["identify", "last", "--split-s", "nan"], "'--split-s': found nan, expected at least 0\n"),
-        (["runs", "--error-above-mm", "much"], "'--error-above-mm': found much, expected a number"),
+        (["design", "--duration-s", "much"], "'--duration-s': found much, expected a number"),
     ],
 )
 def test_an_invalid_number_is_shown_with_what_was_expected(
