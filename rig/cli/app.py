@@ -7,7 +7,7 @@ import io
 import sys
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -53,6 +53,9 @@ from rig.cli.options import (
 )
 from rig.cli.printable import printable_streams
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
 GARBAGE_OBJECTS = 50_000
 
 PlainErrors.context_class.formatter_class = HelpFormatter
@@ -86,6 +89,9 @@ def program(
 LOCAL, LIVE_PORT = "127.0.0.1", 8090
 Listen = Annotated[str, typer.Option(metavar="ADDRESS", help="Address of this machine on which to serve the page.")]
 Port = Annotated[int, typer.Option(help="First port to try for the page; 0: any free port.", min=0, max=65535)]
+Live = Annotated[bool, typer.Option("--live", help="Also show the run in the browser.")]
+NoReport = Annotated[bool, typer.Option("--no-report", help="Write no HTML report.")]
+Adapt = Annotated[bool, typer.Option("--adapt", help="Estimate the arm's parameters online; not used for control.")]
 
 
 @app.command(cls=NumericalCommand)
@@ -103,14 +109,12 @@ def run(
     note: Note = "",
     meta: Metadata = None,
     yes: Yes = False,
-    no_report: Annotated[bool, typer.Option("--no-report", help="Write no HTML report.")] = False,
-    adapt: Annotated[
-        bool, typer.Option("--adapt", help="Estimate the arm's parameters online; not used for control.")
-    ] = False,
+    no_report: NoReport = False,
+    adapt: Adapt = False,
     free: Free = "",
     controller: Controller = None,
     learn_from: LearnFrom = None,
-    live: Annotated[bool, typer.Option("--live", help="Also show the run in the browser.")] = False,
+    live: Live = False,
     listen: Listen = LOCAL,
     port: Port = LIVE_PORT,
     json: AsJson = False,
@@ -118,10 +122,7 @@ def run(
     """Run a protocol and leave an archive with a report."""
     from rig.experiment import report_process
 
-    if live and fast:
-        fail("--live needs real time: omit --fast, or play the archive afterwards: rig live RUN", BAD_INPUT)
-    if not live and (listen, port) != (LOCAL, LIVE_PORT):
-        fail("--listen and --port need --live", BAD_INPUT)
+    _check_live(live, fast, listen, port)
     if free and not adapt:
         fail("--free needs --adapt", BAD_INPUT)
     begin_report: report_process.BeginReport = report_process.begin_here
@@ -159,13 +160,8 @@ def run(
     screen.print(run_output.check_screen(request, decided))
     if not yes and not run_output.confirm(screen):
         fail("not armed", BAD_INPUT)
-    page: AbstractContextManager[None] = nullcontext()
-    if live:
-        from rig.live.launch import live_page_of_this_run
-
-        page = live_page_of_this_run(listen, port, lambda line: screen.print(line, soft_wrap=True))
     with (
-        page,
+        _live_page(listen, port, screen) if live else nullcontext(),
         StopSignals() as signals,
         Terminal(screen, lambda: signals.reason, run_output.title(request)) as terminal,
     ):
@@ -174,6 +170,21 @@ def run(
     if json:
         typer.echo(run_output.result_json(result))
     raise typer.Exit(run_output.exit_status(result))
+
+
+def _check_live(live: bool, fast: bool, listen: str, port: int) -> None:
+    """Refuse a live page in virtual time, and options of the page without it."""
+    if live and fast:
+        fail("--live needs real time: omit --fast, or play the archive afterwards: rig live RUN", BAD_INPUT)
+    if not live and (listen, port) != (LOCAL, LIVE_PORT):
+        fail("--listen and --port need --live", BAD_INPUT)
+
+
+def _live_page(listen: str, port: int, screen: Console) -> AbstractContextManager[None]:
+    """Serve the page of the run that this process starts."""
+    from rig.live.launch import live_page_of_this_run
+
+    return live_page_of_this_run(listen, port, lambda line: screen.print(line, soft_wrap=True))
 
 
 @app.command()

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rig.cli.options import AsJson, Folder, Replace
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from rig.reproduce.comparison import PaperComparison, PaperFigure
 
 
 class ReproducedResult(StrEnum):
@@ -44,61 +50,95 @@ def reproduce(
     json: AsJson = False,
 ) -> None:
     """Compute a result of the paper beside the printed one, and explain the difference."""
-    import json as writer
-
-    from rig.cli import reproduction_output
     from rig.cli.console import console
-    from rig.reproduce.comparison import PaperComparison, PaperFigure
+    from rig.cli.json_output import to_json
+    from rig.reproduce.all_results import NEEDS
 
     screen, progress = console(stderr=json), console(stderr=True)
     everything = what is ReproducedResult.ALL
-    found: dict[str, object] = {}
-    rows: list[PaperComparison] = []
-    drawings: list[PaperFigure] = []
-    remarks: list[str] = []
-    if what is ReproducedResult.MODULUS or everything:
-        from calibration.identify.paper_identification import published_modulus
-
-        modulus = published_modulus()
-        found["modulus"] = asdict(modulus)
-        remarks.append(f"E of 5.2.2: {modulus.explanation}")
-        screen.print(f"{remarks[-1]}\n", soft_wrap=True)
-    if what is ReproducedResult.TABLE3 or everything:
-        from rig.reproduce.table3 import table3, verdict
-
-        rules = table3()
-        conclusion = verdict(rules)
-        found["table3"] = {"rows": [asdict(row) for row in rules], "verdict": conclusion}
-        remarks.append(f"Table 3, by the printed numbers alone: {conclusion}")
-        screen.print(reproduction_output.table3(rules))
-        screen.print(f"{conclusion}\n", soft_wrap=True)
-    if what is ReproducedResult.TABLE4 or everything:
-        from rig.reproduce.table4 import drawing, run_times, table4
-
-        methods = table4(report=lambda line: progress.print(line))
-        found["table4"] = [asdict(method) for method in methods]
-        rows += run_times(methods)
-        drawings.append(drawing(methods))
-        screen.print("Table 4: run times per simulated second, stability, errors against a converged reference")
-        screen.print(reproduction_output.table4(methods))
-    from rig.reproduce.all_results import NEEDS, results
-
+    shown = Reproduction(screen, lambda line: progress.print(line))
+    for name, compute in _WITHOUT_ARCHIVES.items():
+        if what is name or everything:
+            compute(shown)
     wanted = tuple(NEEDS) if everything else (what.value,) if what.value in NEEDS else ()
     # The analysis of the printed Table 3 needs no experiment unless archives are given.
     if wanted and not (what is ReproducedResult.TABLE3 and runs is None):
-        reproduced = results(wanted, runs or out / "runs", everything, lambda line: progress.print(line))
-        rows += reproduced.rows
-        drawings += reproduced.drawings
-        found["compared"] = [asdict(row) for row in reproduced.rows]
-        screen.print(reproduction_output.compared(reproduced.rows))
-        found["verdicts"] = list(reproduced.verdicts)
-        remarks += reproduced.verdicts
-        for sentence in reproduced.verdicts:
-            screen.print(f"\n{sentence}", soft_wrap=True)
-    if drawings:
+        _from_archives(shown, wanted, runs or out / "runs", everything)
+    if shown.drawings:
         from rig.reproduce.page import write
 
-        page = write(out, rows, drawings, remarks, replace=replace)
+        page = write(out, shown.rows, shown.drawings, shown.remarks, replace=replace)
         screen.print(f"page and figures  {page}", soft_wrap=True)
     if json:
-        typer.echo(writer.dumps(found, indent=2))
+        typer.echo(to_json(shown.facts))
+
+
+@dataclass
+class Reproduction:
+    """The screen, and what has been computed: facts for JSON, and the content of the page."""
+
+    screen: Console
+    report: Callable[[str], None]
+    facts: dict[str, object] = field(default_factory=dict)
+    rows: list[PaperComparison] = field(default_factory=list)
+    drawings: list[PaperFigure] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+    def remark(self, text: str) -> None:
+        """Print a sentence that also stands on the page."""
+        self.remarks.append(text)
+        self.screen.print(f"{text}\n", soft_wrap=True)
+
+
+def _modulus(shown: Reproduction) -> None:
+    from calibration.identify.paper_identification import published_modulus
+
+    modulus = published_modulus()
+    shown.facts["modulus"] = asdict(modulus)
+    shown.remark(f"E of 5.2.2: {modulus.explanation}")
+
+
+def _table3(shown: Reproduction) -> None:
+    from rig.cli import reproduction_output
+    from rig.reproduce.table3 import table3, verdict
+
+    rules = table3()
+    conclusion = verdict(rules)
+    shown.facts["table3"] = {"rows": [asdict(row) for row in rules], "verdict": conclusion}
+    shown.screen.print(reproduction_output.table3(rules))
+    shown.remark(f"Table 3, by the printed numbers alone: {conclusion}")
+
+
+def _table4(shown: Reproduction) -> None:
+    from rig.cli import reproduction_output
+    from rig.reproduce.table4 import drawing, run_times, table4
+
+    methods = table4(report=shown.report)
+    shown.facts["table4"] = [asdict(method) for method in methods]
+    shown.rows += run_times(methods)
+    shown.drawings.append(drawing(methods))
+    shown.screen.print("Table 4: run times per simulated second, stability, errors against a converged reference")
+    shown.screen.print(reproduction_output.table4(methods))
+
+
+_WITHOUT_ARCHIVES: dict[ReproducedResult, Callable[[Reproduction], None]] = {
+    ReproducedResult.MODULUS: _modulus,
+    ReproducedResult.TABLE3: _table3,
+    ReproducedResult.TABLE4: _table4,
+}
+"""Results that need no archives, in the order in which they are shown."""
+
+
+def _from_archives(shown: Reproduction, wanted: tuple[str, ...], archives: Path, errors_of_methods: bool) -> None:
+    """Compare the results that need runs of the paper's protocols."""
+    from rig.cli import reproduction_output
+    from rig.reproduce.all_results import results
+
+    found = results(wanted, archives, errors_of_methods, shown.report)
+    shown.rows += found.rows
+    shown.drawings += found.drawings
+    shown.facts["compared"] = [asdict(row) for row in found.rows]
+    shown.facts["verdicts"] = list(found.verdicts)
+    shown.screen.print(reproduction_output.compared(found.rows))
+    for sentence in found.verdicts:
+        shown.remark(sentence)
