@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,42 @@ Array = Any
 STATE = 19  # p (3), h (4), n (3), m (3), q (3), w (3): base frame for p, n, m, section frame for q, w
 SAMPLE = 12  # v, u, q, w
 _inner = partial(kernel, called=False)
+
+
+class SectionArguments(NamedTuple):
+    """The section of the rod and the time scheme's c0.
+
+    soft_se, soft_bt (3, 3): inverse stiffnesses. inertia: rho J (3, 3). push (N,): P_i A_i + the RPE's E_i A_m v.
+    arms (N, 3): r_i - D.
+    """
+
+    c0: float
+    soft_se: Array
+    soft_bt: Array
+    rest_v: Array
+    rest_u: Array
+    mass: float
+    inertia: Array
+    push: Array
+    arms: Array
+
+
+class RodArguments(NamedTuple):
+    """What one run along the neutral axis needs beside the base loads.
+
+    history (steps + 1, 12): y^h of (v, u, q, w) at the nodes; half-way between them RK4 takes the mean. load
+    (steps + 1, 6): f_e, l_e. tip: F^g (3), F^e (3), L^e (3). weight_arm: where the weight hangs, from the neutral axis,
+    in the section frame (-D by eq 29).
+    """
+
+    euler: bool
+    steps: int
+    length: float
+    history: Array
+    load: Array
+    section: SectionArguments
+    tip: Array
+    weight_arm: Array
 
 
 @_inner
@@ -34,27 +70,12 @@ def turn(h: Array, r: Array) -> None:
 
 
 @_inner
-def slopes(
-    y: Array,
-    history: Array,
-    load: Array,
-    c0: float,
-    soft_se: Array,
-    soft_bt: Array,
-    rest_v: Array,
-    rest_u: Array,
-    mass: float,
-    inertia: Array,
-    push: Array,
-    arms: Array,
-    dy: Array,
-    sample: Array,
-) -> None:
+def slopes(y: Array, history: Array, load: Array, section: SectionArguments, dy: Array, sample: Array) -> None:
     """Eq 27: dy/ds (19,) of the state y, and the sample (v, u, q, w) from which the next history is made.
 
-    history: y^h of that sample. load: f_e, l_e. soft_se, soft_bt: inverse stiffnesses. push (N,): P_i A_i + the RPE's
-    E_i A_m v. arms (N, 3): r_i - D. inertia: rho J (3, 3).
+    history (12,), load (6,): at this place of the axis.
     """
+    c0, soft_se, soft_bt, rest_v, rest_u, mass, inertia, push, arms = section
     r = np.empty((3, 3))
     turn(y[3:7], r)
     n, m, q, w = y[7:10], y[10:13], y[13:16], y[16:19]
@@ -119,48 +140,24 @@ def slopes(
 
 
 @kernel
-def shoot(
-    guess: Array,
-    euler: bool,
-    steps: int,
-    length: float,
-    history: Array,
-    load: Array,
-    c0: float,
-    soft_se: Array,
-    soft_bt: Array,
-    rest_v: Array,
-    rest_u: Array,
-    mass: float,
-    inertia: Array,
-    push: Array,
-    arms: Array,
-    tip: Array,
-    weight_arm: Array,
-    states: Array,
-    samples: Array,
-) -> Array:
-    """The residual E(G) (6,) of eq 28 for base loads G = (n, m). Fills states (N + 1, 19) and samples (N + 1, 12).
-
-    history (N + 1, 12) stands at the nodes; half-way between them RK4 takes the mean. tip: F^g (3), F^e (3), L^e (3).
-    weight_arm: where the weight hangs, from the neutral axis, in the section frame (-D by eq 29).
-    """
-    h = length / steps
+def shoot(guess: Array, rod: RodArguments, states: Array, samples: Array) -> Array:
+    """The residual E(G) (6,) of eq 28 for base loads G = (n, m). Fills states (N + 1, 19) and samples (N + 1, 12)."""
+    history, load, section, tip = rod.history, rod.load, rod.section, rod.tip
+    push, arms = section.push, section.arms
+    h = rod.length / rod.steps
     y, stage = np.zeros(STATE), np.empty(STATE)
     k1, k2, k3, k4 = np.empty(STATE), np.empty(STATE), np.empty(STATE), np.empty(STATE)
     half, sample, spare = np.empty(SAMPLE), np.empty(SAMPLE), np.empty(SAMPLE)
     half_load = np.empty(6)
     y[3] = 1.0
     y[7:13] = guess
-    for j in range(steps + 1):
-        slopes(
-            y, history[j], load[j], c0, soft_se, soft_bt, rest_v, rest_u, mass, inertia, push, arms, k1, sample
-        )  # fmt: skip
+    for j in range(rod.steps + 1):
+        slopes(y, history[j], load[j], section, k1, sample)
         states[j, :] = y
         samples[j, :] = sample
-        if j == steps:
+        if j == rod.steps:
             break
-        if euler:
+        if rod.euler:
             for i in range(STATE):
                 y[i] += h * k1[i]
             continue
@@ -170,16 +167,13 @@ def shoot(
             half_load[i] = 0.5 * (load[j, i] + load[j + 1, i])
         for i in range(STATE):
             stage[i] = y[i] + 0.5 * h * k1[i]
-        slopes(stage, half, half_load, c0, soft_se, soft_bt, rest_v, rest_u, mass, inertia, push, arms, k2, spare)
+        slopes(stage, half, half_load, section, k2, spare)
         for i in range(STATE):
             stage[i] = y[i] + 0.5 * h * k2[i]
-        slopes(stage, half, half_load, c0, soft_se, soft_bt, rest_v, rest_u, mass, inertia, push, arms, k3, spare)
+        slopes(stage, half, half_load, section, k3, spare)
         for i in range(STATE):
             stage[i] = y[i] + h * k3[i]
-        slopes(
-            stage, history[j + 1], load[j + 1], c0, soft_se, soft_bt, rest_v, rest_u, mass, inertia, push, arms, k4,
-            spare,
-        )  # fmt: skip
+        slopes(stage, history[j + 1], load[j + 1], section, k4, spare)
         for i in range(STATE):
             y[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
     r = np.empty((3, 3))
@@ -191,7 +185,7 @@ def shoot(
         moment[1] -= push[i] * arms[i, 0]
     hung, arm = np.empty(3), np.empty(3)
     for k in range(3):
-        arm[k] = r[k, 0] * weight_arm[0] + r[k, 1] * weight_arm[1] + r[k, 2] * weight_arm[2]
+        arm[k] = r[k, 0] * rod.weight_arm[0] + r[k, 1] * rod.weight_arm[1] + r[k, 2] * rod.weight_arm[2]
     _cross(arm, tip[:3], hung)
     _cross(arm, tip[3:6], lever)
     residual = np.empty(6)
@@ -204,40 +198,14 @@ def shoot(
 
 
 @kernel
-def jacobian(
-    guess: Array,
-    euler: bool,
-    steps: int,
-    length: float,
-    history: Array,
-    load: Array,
-    c0: float,
-    soft_se: Array,
-    soft_bt: Array,
-    rest_v: Array,
-    rest_u: Array,
-    mass: float,
-    inertia: Array,
-    push: Array,
-    arms: Array,
-    tip: Array,
-    weight_arm: Array,
-    states: Array,
-    samples: Array,
-) -> Array:
+def jacobian(guess: Array, rod: RodArguments, states: Array, samples: Array) -> Array:
     """dE/dG (6, 6) by one-sided differences; the steps are absolute, for a load that happens to be zero is no less."""
-    at = shoot(
-        guess, euler, steps, length, history, load, c0, soft_se, soft_bt, rest_v, rest_u, mass, inertia, push, arms,
-        tip, weight_arm, states, samples,
-    )  # fmt: skip
+    at = shoot(guess, rod, states, samples)
     out, moved = np.empty((6, 6)), guess.copy()
     for k in range(6):
         step = 1e-6 if k < 3 else 1e-7
         moved[k] = guess[k] + step
-        there = shoot(
-            moved, euler, steps, length, history, load, c0, soft_se, soft_bt, rest_v, rest_u, mass, inertia, push, arms,
-            tip, weight_arm, states, samples,
-        )  # fmt: skip
+        there = shoot(moved, rod, states, samples)
         for i in range(6):
             out[i, k] = (there[i] - at[i]) / step
         moved[k] = guess[k]

@@ -18,7 +18,7 @@ from model.actuation import PA_PER_BAR
 from model.arm import Arm
 from model.errors import NotConverged
 from model.loads import Loads
-from model.paper.kernels import SAMPLE, STATE, jacobian, shoot, turn
+from model.paper.kernels import SAMPLE, STATE, RodArguments, SectionArguments, jacobian, shoot, turn
 from model.pressures import pressures
 from model.schemes import DEFAULT_ALPHA, scheme_named
 from model.shape import Shape
@@ -174,12 +174,13 @@ class PaperRod:
             load[:, :3] += arm.line_density_kg_m * gravity
         tip = np.concatenate([arm.cap_mass_kg * gravity, loads.tip()])
         side = 1.0 if "weight moment" in self._as_printed else -1.0
-        fixed = (
-            self._euler, self._steps, arm.geometry.length_m, history, load, c0,
-            np.linalg.inv(known.shear_extension), np.linalg.inv(known.bending_torsion), known.rest_v, known.rest_u,
-            arm.line_density_kg_m, self._inertia, known.push_n, known.arms_m, tip, side * known.neutral_m,
-            self._states, self._samples,
+        section = SectionArguments(
+            c0, np.linalg.inv(known.shear_extension), np.linalg.inv(known.bending_torsion), known.rest_v, known.rest_u,
+            arm.line_density_kg_m, self._inertia, known.push_n, known.arms_m,
         )  # fmt: skip
+        length, weight_arm = arm.geometry.length_m, side * known.neutral_m
+        rod = RodArguments(self._euler, self._steps, length, history, load, section, tip, weight_arm)
+        fixed = (rod, self._states, self._samples)
         with np.errstate(all="ignore"):
             found = root(shoot, guess, args=fixed, jac=jacobian, method=self._method, options=self._options)
             residual = shoot(found.x, *fixed)
