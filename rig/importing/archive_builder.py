@@ -7,7 +7,7 @@ import re
 import shlex
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -25,16 +25,15 @@ from rig.experiment.run import free_id
 from rig.importing.columns import ColumnReader
 from rig.importing.gravity import gravity_calibration, measured_gravity, warn_if_opposite
 from rig.importing.mapping import Mapping, load
+from rig.importing.pressure_columns import delayed, pressures, setpoints
 from rig.importing.tables import read as read_table
 from rig.importing.timestamps import RowTimes, times
 from rig.importing.tracker_frames import PlacedTips, placed, wrench
-from rig.importing.units import KILOGRAMS, PASCALS, VOLTS, PressureUnit
+from rig.importing.units import KILOGRAMS, VOLTS
 from rig.sections.quantities import PA_PER_BAR
-from rig.valves.iso6358 import ATMOSPHERE_PA
 from runs.archive.writer import finalise
 from runs.data_folder import DATA
 from runs.export.exporters import SIMULATED
-from runs.interpolation import interpolated
 from runs.journal.journal import SUFFIX, JournalWriter
 from runs.records import (
     GRAVITY_DIRECTION,
@@ -53,10 +52,6 @@ from runs.records import (
 
 EVEN = 0.25
 """Tolerance for even time steps, as a part of the period."""
-VENTED_BAR = 0.02
-"""Largest variation of a vented chamber's pressure in the rows that define the ambient pressure."""
-AMBIENT_BAR = (0.5, 1.1)
-"""Plausible ambient pressures."""
 CLOSEST_S, HIGHEST_BAR, TIP_M, TIP_LENGTHS = 2e-4, 50.0, (1e-3, 5.0), (0.1, 3.0)
 """Beyond these values rows, pressures or tips (from the base, or in arm lengths) likely have another unit."""
 
@@ -72,10 +67,6 @@ class ImportResult:
     warnings: tuple[str, ...]
 
 
-NOISE_PA = 5e3
-"""Tolerance for sensor noise below the lowest pressure."""
-
-
 def import_table(
     data: Path, mapping_file: Path, folder: Path | str = DATA, operator: str = "", notes: str = ""
 ) -> ImportResult:
@@ -87,15 +78,50 @@ def import_table(
         BadInputError: every problem of the mapping and the data.
     """
     mapping, document = load(mapping_file)
+    columns = ColumnReader(read_table(data, mapping.file))
+    found = _read(data, columns, mapping, document)
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    source = f"{data.name}, SHA-256 {sha256_of(data)}"
+    header = replace(
+        _header(found, columns, mapping, document),
+        run_id=free_id(folder, f"{datetime.now(UTC).astimezone():%Y%m%d-%H%M%S}-{_word(data.stem)}"),
+        operator=operator,
+        notes="; ".join(filter(None, (notes, f"imported from {source}"))),
+    )
+    made_of = f"{len(found.samples)} rows from {source}, by mapping {mapping_file.name}"
+    journal = JournalWriter(folder / f"{header.run_id}{SUFFIX}", header)
+    journal.samples(found.samples)
+    journal.observations(found.observations)
+    journal.event(Event(header.started_t_ns, Level.INFO, "import", made_of))
+    for warning in columns.warnings:
+        journal.event(Event(header.started_t_ns, Level.WARNING, "import", warning))
+    journal.close(RunFooter(int(found.samples["t_ns"][-1]), Status.FINISHED, ""))
+    return ImportResult(finalise(journal.path), tuple(columns.warnings))
+
+
+@dataclass(frozen=True)
+class _Measurement:
+    """What a table and its mapping say: the rows of the archive, in SI units, and what holds for all of them."""
+
+    rig: loader.RigFile | None
+    started_utc_ns: int
+    samples: NDArray[np.void]
+    observations: NDArray[np.void]
+    ambient_pa: Floats
+    gravity: GravityDirection | None
+
+
+def _read(data: Path, columns: ColumnReader, mapping: Mapping, document: Document) -> _Measurement:
+    """Read and check every column that the mapping names."""
     rig = _rig(mapping, document)
     length_m = None if rig is None else rig.config.arm.geometry.length_mm * 1e-3
-    columns = ColumnReader(read_table(data, mapping.file))
     read = times(columns, mapping)
     t_ns = read.t_ns
-    gauge_pa, ambient_pa = _pressures(columns, mapping)
-    gauge_pa = _delayed(t_ns, gauge_pa, mapping.pressures.delay_s)
+    gauge_pa, ambient_pa = pressures(columns, mapping)
+    gauge_pa = delayed(t_ns, gauge_pa, mapping.pressures.delay_s)
     tips = placed(columns, mapping)
-    asked_pa, valve_v, weight_kg = _asked(columns, mapping), _valves(columns, mapping), _weight(columns, mapping)
+    setpoint_pa, valve_v, weight_kg = setpoints(columns, mapping), _valves(columns, mapping), _weight(columns, mapping)
     pull = wrench(columns, mapping)
     gravity = measured_gravity(columns, mapping, document, (t_ns - t_ns[0]) * 1e-9, weight_kg)
     columns.check()
@@ -105,20 +131,22 @@ def import_table(
         rig = rig.calibrated_as([RecordedFile.of(measured.source.file, measured.found.kind, measured.source.text)])
     _doubt_units(columns, t_ns, gauge_pa, tips.tip_m, length_m)
     started_utc_ns = _started_utc_ns(columns, mapping, document, read)
-    samples = _samples(t_ns, _frames(columns, t_ns), asked_pa, gauge_pa, valve_v)
+    samples = _samples(t_ns, _frames(columns, t_ns), setpoint_pa, gauge_pa, valve_v)
     observations = _observations(samples, tips, weight_kg)
     observations["force_n"], observations["moment_n_m"] = pull[:, :3], pull[:, 3:]
+    return _Measurement(rig, started_utc_ns, samples, observations, ambient_pa, gravity)
 
-    now = datetime.now(UTC)
+
+def _header(found: _Measurement, columns: ColumnReader, mapping: Mapping, document: Document) -> RunHeader:
+    """Return the header of the archive, without what the import itself adds: id, operator and notes."""
+    rig, t_ns = found.rig, found.samples["t_ns"]
     commit, diff = git_state()
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    source = f"{data.name}, SHA-256 {sha256_of(data)}"
     rate_hz = 1e9 / float(np.median(np.diff(t_ns)))
-    header = RunHeader(
-        run_id=free_id(folder, f"{now.astimezone():%Y%m%d-%H%M%S}-{_word(data.stem)}"),
+    mapping_file = Path(document.file)
+    return RunHeader(
+        run_id="",
         title=mapping.title,
-        started_utc_ns=started_utc_ns,
+        started_utc_ns=found.started_utc_ns,
         started_t_ns=int(t_ns[0]),
         protocol_name=f"import {mapping_file.stem}",
         # The mapping takes the place of the protocol.
@@ -127,39 +155,30 @@ def import_table(
         rig_yaml="" if rig is None else rig.text,
         calibrations=() if rig is None else rig.calibrations,
         actuators=mapping.actuators,
-        valves=valve_v.shape[1],
+        valves=found.samples["valve_v"].shape[1],
         executor="imported",
         simulated=_simulated(columns, mapping),
         seed=None,
         model_variant="",
-        operator=operator,
-        notes="; ".join(filter(None, (notes, f"imported from {source}"))),
+        operator="",
+        notes="",
         command=shlex.join(sys.argv),
         host=platform.node(),
         versions=versions(),
         git_commit=commit,
         git_diff=diff,
-        quantities=_quantities(mapping, mapping_file, ambient_pa, gravity),
+        quantities=_quantities(mapping, mapping_file, found.ambient_pa, found.gravity),
         control_hz=rate_hz,
         camera_hz=rate_hz,
     )
-    made_of = f"{len(t_ns)} rows from {source}, by mapping {mapping_file.name}"
-    journal = JournalWriter(folder / f"{header.run_id}{SUFFIX}", header)
-    journal.samples(samples)
-    journal.observations(observations)
-    journal.event(Event(header.started_t_ns, Level.INFO, "import", made_of))
-    for warning in columns.warnings:
-        journal.event(Event(header.started_t_ns, Level.WARNING, "import", warning))
-    journal.close(RunFooter(int(t_ns[-1]), Status.FINISHED, ""))
-    return ImportResult(finalise(journal.path), tuple(columns.warnings))
 
 
-def _samples(t_ns: Ints, frame: Ints, asked_pa: Floats, gauge_pa: Floats, valve_v: Floats) -> NDArray[np.void]:
+def _samples(t_ns: Ints, frame: Ints, setpoint_pa: Floats, gauge_pa: Floats, valve_v: Floats) -> NDArray[np.void]:
     """One control cycle per row (n,), never late."""
     samples = blank(len(t_ns), sample_dtype(gauge_pa.shape[1], valve_v.shape[1]))
     samples["t_ns"], samples["cycle"], samples["scans"] = t_ns, frame, 1
     samples["protocol_s"] = (t_ns - t_ns[0]) * 1e-9
-    samples["setpoint_pa"], samples["measured_pa"], samples["valve_v"] = asked_pa, gauge_pa, valve_v
+    samples["setpoint_pa"], samples["measured_pa"], samples["valve_v"] = setpoint_pa, gauge_pa, valve_v
     return samples
 
 
@@ -259,78 +278,6 @@ def _frames(columns: ColumnReader, t_ns: Ints) -> Ints:
     return np.concatenate([[0], np.cumsum(whole)])
 
 
-def _delayed(t_ns: Ints, gauge_pa: Floats, delay_s: float) -> Floats:
-    """Pressures (n, N) of `delay_s` earlier, interpolated linearly; before the first row, those of it."""
-    if not delay_s:
-        return gauge_pa
-    time_s = (t_ns - t_ns[0]) * 1e-9
-    return interpolated(time_s - delay_s, time_s, gauge_pa)
-
-
-def _pressures(columns: ColumnReader, mapping: Mapping) -> tuple[Floats, Floats]:
-    """Return gauge pressures (n, N) and the subtracted ambient pressures (N,) [Pa]."""
-    pressures = mapping.pressures
-    raw_pa = _scaled(columns, pressures.columns, pressures.unit)
-    for column, values in zip(pressures.columns, raw_pa.T, strict=True):
-        columns.warn_missing(values, f"the pressure of column {column}")
-        lowest_pa = -NOISE_PA if pressures.reading == "absolute" else -ATMOSPHERE_PA - NOISE_PA
-        if len(rows := np.flatnonzero(values < lowest_pa)):
-            found = f"{values[rows[0]] / PA_PER_BAR:.4g} bar, {pressures.reading}"
-            expected = f"a pressure above vacuum, {lowest_pa / PA_PER_BAR:.3g} bar or more: are unit and reading right?"
-            where = f"column {column}, {columns.table.place(int(rows[0]))}"
-            columns.problems.append(Problem(columns.table.file, 0, 0, where, found, expected))
-    off_pa = np.zeros(mapping.actuators)
-    if columns.problems:
-        return raw_pa, off_pa
-    if pressures.reading == "gauge":
-        for column, values in zip(pressures.columns, raw_pa.T, strict=True):
-            if np.nanmin(values, initial=np.inf) / PA_PER_BAR > AMBIENT_BAR[0]:
-                lowest = f"{np.nanmin(values) / PA_PER_BAR:.3g} bar"
-                columns.warn(f"column {column} never falls below {lowest}: is it absolute? The mapping says gauge")
-        return raw_pa, off_pa
-    if pressures.ambient_bar is not None:
-        off_pa[:] = np.array(pressures.ambient_bar) * PA_PER_BAR
-    elif pressures.ambient_rows is not None:
-        off_pa = _vented(columns, mapping, raw_pa, pressures.ambient_rows)
-    for column, ambient in zip(pressures.columns, off_pa / PA_PER_BAR, strict=True):
-        if not AMBIENT_BAR[0] <= ambient <= AMBIENT_BAR[1]:
-            columns.warn(
-                f"the ambient pressure subtracted from column {column} is {ambient:.4g} bar: is it really absolute?"
-            )
-    return raw_pa - off_pa, off_pa
-
-
-def _vented(columns: ColumnReader, mapping: Mapping, raw_pa: Floats, rows: int) -> Floats:
-    """Each column's mean (N,) [Pa] over the first rows."""
-    first = raw_pa[:rows]
-    if len(first) < rows:
-        expected = f"at least the {rows} rows that ambient_rows names"
-        columns.problems.append(Problem(columns.table.file, 0, 0, "", f"{len(first)} rows", expected))
-        return np.zeros(mapping.actuators)
-    known = np.isfinite(first)
-    means = np.zeros(mapping.actuators)
-    for n, column in enumerate(mapping.pressures.columns):
-        if not known[:, n].any():
-            expected = f"a pressure in the first {rows} rows, for the ambient pressure"
-            columns.problems.append(columns.table.problem(0, column, "nothing", expected))
-            continue
-        values = first[known[:, n], n]
-        means[n] = values.mean()
-        if (spread := float(np.ptp(values)) / PA_PER_BAR) > VENTED_BAR:
-            columns.warn(
-                f"column {column} moves by {spread:.3g} bar within the first {rows} rows, whose mean is used as the "
-                "ambient pressure"
-            )
-    return means
-
-
-def _asked(columns: ColumnReader, mapping: Mapping) -> Floats:
-    """Set-points (n, N) [Pa], or NaN where the file has none."""
-    if mapping.setpoints is None:
-        return np.full((1, mapping.actuators), np.nan)
-    return _scaled(columns, mapping.setpoints.columns, mapping.setpoints.unit)
-
-
 def _valves(columns: ColumnReader, mapping: Mapping) -> Floats:
     """Voltages (n, V), or one row of none."""
     if mapping.valves is None:
@@ -347,29 +294,22 @@ def _weight(columns: ColumnReader, mapping: Mapping) -> Floats:
     return weight
 
 
-def _scaled(
-    columns: ColumnReader, keys: tuple[int | str, ...], unit: PressureUnit | tuple[PressureUnit, ...]
-) -> Floats:
-    units = unit if isinstance(unit, tuple) else (unit,) * len(keys)
-    return columns.several(keys, [PASCALS[word] for word in units])
-
-
 def _quantities(
     mapping: Mapping, file: Path, ambient_pa: Floats, gravity: GravityDirection | None
 ) -> tuple[Quantity, ...]:
     """Every number that the import used."""
     source = f"mapping {file.name}"
-    pressures, place = mapping.pressures, mapping.frame
+    stated, place = mapping.pressures, mapping.frame
     found = [
         Quantity("calibration", "frame_translation", place.translation_mm, "mm", source, place.translation_std_mm),
         Quantity("calibration", "frame_rotation", place.rotation_deg, "deg", source, place.rotation_std_deg),
     ]
-    if pressures.reading == "absolute":
-        how = f"mean of the first {pressures.ambient_rows} rows" if pressures.ambient_rows else source
+    if stated.reading == "absolute":
+        how = f"mean of the first {stated.ambient_rows} rows" if stated.ambient_rows else source
         ambient = tuple(float(p) / PA_PER_BAR for p in ambient_pa)
         found.append(Quantity("calibration", "ambient_pressure", ambient, "bar", how))
-    if pressures.delay_s:
-        found.append(Quantity("calibration", "pressure_delay", (pressures.delay_s,), "s", source))
+    if stated.delay_s:
+        found.append(Quantity("calibration", "pressure_delay", (stated.delay_s,), "s", source))
     if mapping.tip is not None and mapping.tip.offset_mm is not None:
         found.append(Quantity("calibration", "tip_offset", mapping.tip.offset_mm, "mm", source))
     if gravity is not None:

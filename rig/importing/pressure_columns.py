@@ -1,0 +1,103 @@
+"""Pressures and set-points of a foreign table, as gauge pressures [Pa]."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols.problems import Problem
+from rig.importing.columns import ColumnReader
+from rig.importing.mapping import Mapping
+from rig.importing.units import PASCALS, PressureUnit
+from rig.sections.quantities import PA_PER_BAR
+from rig.valves.iso6358 import ATMOSPHERE_PA
+from runs.interpolation import interpolated
+
+VENTED_BAR = 0.02
+"""Largest variation of a vented chamber's pressure in the rows that define the ambient pressure."""
+AMBIENT_BAR = (0.5, 1.1)
+"""Plausible ambient pressures."""
+NOISE_PA = 5e3
+"""Tolerance for sensor noise below the lowest pressure."""
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def delayed(t_ns: Ints, gauge_pa: Floats, delay_s: float) -> Floats:
+    """Pressures (n, N) of `delay_s` earlier, interpolated linearly; before the first row, those of it."""
+    if not delay_s:
+        return gauge_pa
+    time_s = (t_ns - t_ns[0]) * 1e-9
+    return interpolated(time_s - delay_s, time_s, gauge_pa)
+
+
+def pressures(columns: ColumnReader, mapping: Mapping) -> tuple[Floats, Floats]:
+    """Return gauge pressures (n, N) and the subtracted ambient pressures (N,) [Pa]."""
+    stated = mapping.pressures
+    raw_pa = _scaled(columns, stated.columns, stated.unit)
+    for column, values in zip(stated.columns, raw_pa.T, strict=True):
+        columns.warn_missing(values, f"the pressure of column {column}")
+        lowest_pa = -NOISE_PA if stated.reading == "absolute" else -ATMOSPHERE_PA - NOISE_PA
+        if len(rows := np.flatnonzero(values < lowest_pa)):
+            found = f"{values[rows[0]] / PA_PER_BAR:.4g} bar, {stated.reading}"
+            expected = f"a pressure above vacuum, {lowest_pa / PA_PER_BAR:.3g} bar or more: are unit and reading right?"
+            where = f"column {column}, {columns.table.place(int(rows[0]))}"
+            columns.problems.append(Problem(columns.table.file, 0, 0, where, found, expected))
+    off_pa = np.zeros(mapping.actuators)
+    if columns.problems:
+        return raw_pa, off_pa
+    if stated.reading == "gauge":
+        for column, values in zip(stated.columns, raw_pa.T, strict=True):
+            if np.nanmin(values, initial=np.inf) / PA_PER_BAR > AMBIENT_BAR[0]:
+                lowest = f"{np.nanmin(values) / PA_PER_BAR:.3g} bar"
+                columns.warn(f"column {column} never falls below {lowest}: is it absolute? The mapping says gauge")
+        return raw_pa, off_pa
+    if stated.ambient_bar is not None:
+        off_pa[:] = np.array(stated.ambient_bar) * PA_PER_BAR
+    elif stated.ambient_rows is not None:
+        off_pa = _vented(columns, mapping, raw_pa, stated.ambient_rows)
+    for column, ambient in zip(stated.columns, off_pa / PA_PER_BAR, strict=True):
+        if not AMBIENT_BAR[0] <= ambient <= AMBIENT_BAR[1]:
+            columns.warn(
+                f"the ambient pressure subtracted from column {column} is {ambient:.4g} bar: is it really absolute?"
+            )
+    return raw_pa - off_pa, off_pa
+
+
+def _vented(columns: ColumnReader, mapping: Mapping, raw_pa: Floats, rows: int) -> Floats:
+    """Each column's mean (N,) [Pa] over the first rows."""
+    first = raw_pa[:rows]
+    if len(first) < rows:
+        expected = f"at least the {rows} rows that ambient_rows names"
+        columns.problems.append(Problem(columns.table.file, 0, 0, "", f"{len(first)} rows", expected))
+        return np.zeros(mapping.actuators)
+    known = np.isfinite(first)
+    means = np.zeros(mapping.actuators)
+    for n, column in enumerate(mapping.pressures.columns):
+        if not known[:, n].any():
+            expected = f"a pressure in the first {rows} rows, for the ambient pressure"
+            columns.problems.append(columns.table.problem(0, column, "nothing", expected))
+            continue
+        values = first[known[:, n], n]
+        means[n] = values.mean()
+        if (spread := float(np.ptp(values)) / PA_PER_BAR) > VENTED_BAR:
+            columns.warn(
+                f"column {column} moves by {spread:.3g} bar within the first {rows} rows, whose mean is used as the "
+                "ambient pressure"
+            )
+    return means
+
+
+def setpoints(columns: ColumnReader, mapping: Mapping) -> Floats:
+    """Set-points (n, N) [Pa], or NaN where the file has none."""
+    if mapping.setpoints is None:
+        return np.full((1, mapping.actuators), np.nan)
+    return _scaled(columns, mapping.setpoints.columns, mapping.setpoints.unit)
+
+
+def _scaled(
+    columns: ColumnReader, keys: tuple[int | str, ...], unit: PressureUnit | tuple[PressureUnit, ...]
+) -> Floats:
+    units = unit if isinstance(unit, tuple) else (unit,) * len(keys)
+    return columns.several(keys, [PASCALS[word] for word in units])
