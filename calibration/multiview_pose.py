@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -47,45 +48,82 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
     x = np.concatenate([np.asarray(vector, dtype=np.float64).ravel(), translation])
     whiteners = [np.linalg.inv(np.linalg.cholesky(n)) for n in noise]
 
-    def at(values: Floats) -> tuple[Floats, Floats, Floats]:
+    def at(values: Floats) -> _Linearised:
         projected, slope = _project(points, cameras, values)
         rest = [np.einsum("nij,nj->ni", w, s - p) for w, s, p in zip(whiteners, undistorted, projected, strict=True)]
         white = [np.matmul(w, d) for w, d in zip(whiteners, slope, strict=True)]
-        return np.concatenate(projected), np.concatenate(white).reshape(-1, 6), np.concatenate(rest).ravel()
+        return _Linearised(
+            values, np.concatenate(projected), np.concatenate(white).reshape(-1, 6), np.concatenate(rest).ravel()
+        )
 
-    projected, jacobian, residual = at(x)
-    cost = float(residual @ residual)
+    found = _gauss_newton(at, x)
+    if found is None:
+        return None
+    covariance = residual_covariance(found.jacobian, found.cost, points, np.array([c.unexplained for c in corners]))
+    covariance = _add_common_errors(covariance, found, cameras, corners, points, whiteners)
+    residuals = np.concatenate(undistorted) - found.projected
+    return Pose(found.x[:3], found.x[3:], np.asarray(covariance), residuals, found.projected, found.cost)
+
+
+@dataclass(frozen=True)
+class _Linearised:
+    """A pose x (6,), what it projects (n, 2), and its whitened residuals (2 n,) with their derivatives (2 n, 6)."""
+
+    x: Floats
+    projected: Floats
+    jacobian: Floats
+    residual: Floats
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares."""
+        return float(self.residual @ self.residual)
+
+
+def _gauss_newton(at: Callable[[Floats], _Linearised], x: Floats) -> _Linearised | None:
+    """Minimise the sum of squares from x; None if it does not converge."""
+    best = at(x)
     for _ in range(_STEPS):
-        trial = x + np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
-        projected_new, jacobian_new, residual_new = at(trial)
-        cost_new = float(residual_new @ residual_new)
-        if not np.isfinite(cost_new):
+        jacobian = best.jacobian
+        trial = at(best.x + np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ best.residual))
+        if not np.isfinite(trial.cost):
             return None
         # Without noise the cost is only rounding, and may rise.
-        done = abs(cost - cost_new) <= _CONVERGED * max(cost, 1.0)
-        if cost_new <= cost:
-            x, projected, jacobian, residual, cost = trial, projected_new, jacobian_new, residual_new, cost_new
+        done, improved = abs(best.cost - trial.cost) <= _CONVERGED * max(best.cost, 1.0), trial.cost <= best.cost
+        if improved:
+            best = trial
         if done:
-            break
-        if cost_new > cost:
+            return best
+        if not improved:
             return None
-    else:
-        return None
-    covariance = residual_covariance(jacobian, cost, points, np.array([c.unexplained for c in corners]))
+    return None
+
+
+def _add_common_errors(
+    covariance: Floats,
+    found: _Linearised,
+    cameras: Sequence[DLT],
+    corners: Sequence[Corners],
+    points: Sequence[Floats],
+    whiteners: Sequence[Floats],
+) -> Floats:
+    """Add to a covariance (6, 6) what all corners of a camera have in common, so that it does not average out.
+
+    These are the errors of its coefficients, and of the transport of its corners to another time.
+    """
+    jacobian = found.jacobian
     unscaled = np.linalg.inv(jacobian.T @ jacobian)
-    # Errors of the coefficients, and of the transport to another time, are common to all corners of a camera and do not
-    # average out.
-    rotation = np.asarray(cv2.Rodrigues(x[:3])[0])
+    rotation = np.asarray(cv2.Rodrigues(found.x[:3])[0])
     by_camera = np.split(jacobian, np.cumsum([2 * len(seen) for seen in points])[:-1])
     for camera, seen_by, whitener, slope, seen in zip(cameras, corners, whiteners, by_camera, points, strict=True):
-        world = seen @ rotation.T + x[3:]
+        world = seen @ rotation.T + found.x[3:]
         shift = np.matmul(whitener, camera.by_coefficients(world).reshape(-1, 2, 11)).reshape(-1, 11)
         gain = unscaled @ slope.T @ shift
         covariance = covariance + gain @ camera.covariance @ gain.T
         if seen_by.carried_px is not None:
             by_carrying = unscaled @ slope.T @ np.einsum("nij,nj->ni", whitener, seen_by.carried_px).ravel()
             covariance = covariance + np.outer(by_carrying, by_carrying)
-    return Pose(x[:3], x[3:], np.asarray(covariance), np.concatenate(undistorted) - projected, projected, cost)
+    return np.asarray(covariance)
 
 
 def _common(count: int, corners: Sequence[Corners]) -> tuple[NDArray[np.intp], list[NDArray[np.intp]]]:

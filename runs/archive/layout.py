@@ -5,8 +5,9 @@ The documentation for users is `docs/reference/archive.md`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from runs.archive.fields import ComputedColumn, Field, Group, Pictures, named, r
 from runs.columns import COUNT, SECONDS
 from runs.columns.conversions import LARGEST_NS
 from runs.journal.journal import Journal
+from runs.journal.stored_rows import StoredPicture, StoredPictures
 from runs.records import Event, Level, Status
 
 VERSION = 2
@@ -170,8 +172,35 @@ def _counters(journal: Journal) -> Group:
 
 
 def _frames(journal: Journal) -> Group:
-    pictures = journal.pictures
-    by = ("time",)
+    return Group(
+        "entry/frames",
+        "NXcollection",
+        (*_picture_fields(journal), *_mark_fields(journal.pictures)),
+        about="the kept pictures and what was seen in them; NaN where there was nothing",
+    )
+
+
+def _picture_fields(journal: Journal) -> tuple[Field | Pictures, ...]:
+    """Time, camera and bytes of each kept picture."""
+    pictures, by = journal.pictures, ("time",)
+
+    def column(values: Callable[[Sequence[StoredPicture]], Any]) -> ComputedColumn:
+        return ComputedColumn(pictures, values)
+
+    seconds = column(lambda some: column_groups.seconds(journal, np.array([p.t_ns for p in some], np.int64)))
+    index = column(lambda some: np.array([p.frame for p in some], np.int64))
+    image = column(lambda some: [p.data for p in some])
+    return (
+        Field("time", seconds, "s", "middle of the exposure, since start_time", finite=True, limits=SECONDS),
+        Field("index", index, about="as tip/frame", scales=by),
+        Field("camera", column(lambda some: [p.camera for p in some]), scales=by),
+        Field("encoding", column(lambda some: [p.encoding for p in some]), about="jpeg or png", scales=by),
+        Pictures("image", image, by, "the encoded picture, byte for byte"),
+    )
+
+
+def _mark_fields(pictures: StoredPictures) -> tuple[Field, ...]:
+    """What was seen in each kept picture, in pixels."""
 
     def points(name: str, most: int) -> ComputedColumn:
         return ComputedColumn(pictures, lambda some: _stacked([getattr(p.marks, name) for p in some], most))
@@ -181,57 +210,17 @@ def _frames(journal: Journal) -> Group:
             pictures, lambda some: np.array([getattr(p.marks, name) for p in some], np.float32).reshape(-1, 2)
         )
 
-    seconds = ComputedColumn(
-        pictures, lambda some: column_groups.seconds(journal, np.array([p.t_ns for p in some], np.int64))
-    )
-    index = ComputedColumn(pictures, lambda some: np.array([p.frame for p in some], np.int64))
-    return Group(
-        "entry/frames",
-        "NXcollection",
-        (
-            Field("time", seconds, "s", "middle of the exposure, since start_time", finite=True, limits=SECONDS),
-            Field("index", index, about="as tip/frame", scales=by),
-            Field("camera", ComputedColumn(pictures, lambda some: [p.camera for p in some]), scales=by),
-            Field(
-                "encoding",
-                ComputedColumn(pictures, lambda some: [p.encoding for p in some]),
-                about="jpeg or png",
-                scales=by,
-            ),
-            Pictures(
-                "image",
-                ComputedColumn(pictures, lambda some: [p.data for p in some]),
-                by,
-                "the encoded picture, byte for byte",
-            ),
-            Field("pixel", ["u", "v"], about="to the right, down; 0 in the middle of the first pixel"),
-            Field(
-                "corner",
-                np.arange(1, pictures.corners + 1),
-                about="of the board: inner corners row by row, or of each tag the four, clockwise from its top left",
-                any_length=True,
-            ),
-            Field("point", np.arange(1, pictures.backbone + 1), about="from the base to the tip", any_length=True),
-            Field(
-                "corners_px",
-                points("corners_px", pictures.corners),
-                "px",
-                "the board's corners as detected",
-                ("time", "corner", "pixel"),
-            ),
-            Field("tip_px", point("tip_px"), "px", "the measured tool centre point in this picture", ("time", "pixel")),
-            Field(
-                "model_px", point("model_px"), "px", "the model's tool centre point in this picture", ("time", "pixel")
-            ),
-            Field(
-                "backbone_px",
-                points("backbone_px", pictures.backbone),
-                "px",
-                "the model's backbone in this picture",
-                ("time", "point", "pixel"),
-            ),
-        ),
-        about="the kept pictures and what was seen in them; NaN where there was nothing",
+    corners, backbone = points("corners_px", pictures.corners), points("backbone_px", pictures.backbone)
+    of_corners = "of the board: inner corners row by row, or of each tag the four, clockwise from its top left"
+    by_corner, by_point, by_pixel = ("time", "corner", "pixel"), ("time", "point", "pixel"), ("time", "pixel")
+    return (
+        Field("pixel", ["u", "v"], about="to the right, down; 0 in the middle of the first pixel"),
+        Field("corner", np.arange(1, pictures.corners + 1), about=of_corners, any_length=True),
+        Field("point", np.arange(1, pictures.backbone + 1), about="from the base to the tip", any_length=True),
+        Field("corners_px", corners, "px", "the board's corners as detected", by_corner),
+        Field("tip_px", point("tip_px"), "px", "the measured tool centre point in this picture", by_pixel),
+        Field("model_px", point("model_px"), "px", "the model's tool centre point in this picture", by_pixel),
+        Field("backbone_px", backbone, "px", "the model's backbone in this picture", by_point),
     )
 
 
