@@ -259,9 +259,6 @@ def simulate(
     rig: RigName = None,
     model: Variant = None,
     parameters: Parameters = None,
-    static: Annotated[
-        bool, typer.Option("--static", help="Solve statics at every set-point instead of dynamics.")
-    ] = False,
     out: Folder = DATA,
 ) -> None:
     """Run the model alone, driven by the protocol's set-points; leaves an archive of the same layout."""
@@ -278,7 +275,7 @@ def simulate(
         variant=model,
         parameters=parameters,
     )
-    typer.echo(run_model(request, experiment.plan(request), static))
+    typer.echo(run_model(request, experiment.plan(request)))
 
 
 @app.command(cls=NumericalCommand)

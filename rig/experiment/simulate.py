@@ -24,12 +24,13 @@ from runs.records import MODEL_ALONE, DetectionStatus, RunFooter, Status, blank,
 _Solve = Callable[[NDArray[np.float64], model.Loads | None], model.Shape]
 
 
-def simulate(request: RunRequest, plan: RunPlan, static: bool) -> Path:
+def simulate(request: RunRequest, plan: RunPlan) -> Path:
     """Simulate the tip for chambers that follow the set-points exactly; return the archive.
 
     Weights of the protocol's prompts load the model. The rows have no measured tip (`DetectionStatus.NO_FRAME`); the
-    measured pressures are the set-points, and the archive is marked as simulated. Time steps are the camera's. After a
-    step without convergence the model restarts from the static solution.
+    measured pressures are the set-points, and the archive is marked as simulated. Time steps are the camera's. The
+    rig's `model` says whether statics or dynamics are solved. After a step without convergence the model restarts from
+    the static solution.
     """
     config, trajectory = plan.config, plan.trajectory
     rate_hz = config.observation_hz
@@ -37,7 +38,7 @@ def simulate(request: RunRequest, plan: RunPlan, static: bool) -> Path:
     steps = int(trajectory.duration_s * rate_hz) + 1
     pressures = trajectory.sample(np.arange(steps) * dt_s)
     arm = model_arm(config, plan.variant)
-    dynamics = motion_model(arm, dt_s, static)
+    dynamics = motion_model(arm, dt_s, config.model.mode == "static")
 
     samples = blank(steps, sample_dtype(config.actuators, len(config.valves)))
     samples["cycle"] = np.arange(steps)
@@ -64,7 +65,7 @@ def simulate(request: RunRequest, plan: RunPlan, static: bool) -> Path:
             tip_m = shape.tip_m
         row["model_m"], row["backbone_m"], row["model_ok"] = tip_m, backbone(shape), shape is not None
 
-    title = f"{request.protocol.title} (model alone, {'static' if static else 'dynamic'})"
+    title = f"{request.protocol.title} (model alone, {config.model.mode})"
     about = replace(
         header(request, plan, 0),
         title=title,

@@ -141,7 +141,6 @@ class Session:
         out: Path | str = DATA,
         model: str | None = None,
         parameters: Path | str | None = None,
-        static: bool = False,
     ) -> Run:
         """Run the model alone as `rig simulate` does; return its archive.
 
@@ -156,7 +155,7 @@ class Session:
             variant=model,
             parameters=None if parameters is None else Path(parameters),
         )
-        return Run(simulate(request, experiment.plan(request), static))
+        return Run(simulate(request, experiment.plan(request)))
 
     def study(
         self,

@@ -97,7 +97,7 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Run:
     path.write_text(protocols.from_steps("A short circle", steps).text)
     request = experiment.request(str(path), "mock-3", folder=folder)
     assert Path(read("mock-3").file).exists()
-    return runs.open(simulate(request, experiment.plan(request), static=False))
+    return runs.open(simulate(request, experiment.plan(request)))
 
 
 def test_an_archive_has_reference_prediction_and_place_on_the_path(archive: Run) -> None:
@@ -119,6 +119,6 @@ def test_a_run_without_a_tip_path_has_no_reference(tmp_path: Path) -> None:
     path = tmp_path / "still.yaml"
     path.write_text(protocols.from_steps("still", [{"hold": {"duration_s": 0.2}}]).text)
     request = experiment.request(str(path), "mock-3", folder=tmp_path)
-    still = runs.open(simulate(request, experiment.plan(request), static=False))
+    still = runs.open(simulate(request, experiment.plan(request)))
     assert still.reference is None
     assert tip_error(still) is None

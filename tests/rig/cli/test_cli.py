@@ -334,7 +334,7 @@ def test_recover_makes_an_archive_of_an_orphaned_journal(
 
 def test_simulate_writes_only_the_models_tip_in_the_same_layout(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "short.yaml").write_text(SHORT)
-    assert inside("simulate", "short.yaml", "--model", "homogeneous", "--static", "--out", "out") == 0
+    assert inside("simulate", "short.yaml", "--model", "homogeneous", "--out", "out") == 0
     archive = here / capsys.readouterr().out.strip()
     assert inside("replay", archive) == 2
     assert "holds no pictures" in capsys.readouterr().err

@@ -74,10 +74,13 @@ def protocol(folder: Path) -> str:
 
 
 def test_simulate_applies_the_overlay_and_records_it_verbatim(found: Path, tmp_path: Path) -> None:
-    rig("simulate", protocol(tmp_path), "--static", "--parameters", str(found), "--out", str(tmp_path))
+    still = text("mock") + "model: {mode: static}\n"
+    (tmp_path / "still.yaml").write_text(still, encoding="utf-8")
+    options = ["--rig", str(tmp_path / "still.yaml"), "--parameters", str(found), "--out", str(tmp_path)]
+    rig("simulate", protocol(tmp_path), *options)
     run = newest(tmp_path)
     assert run.header.parameters_yaml == found.read_text()
-    assert run.header.rig_yaml == text("mock")
+    assert run.header.rig_yaml == still
     arm = model_arm(recorded(run.header, run.path).config)
     assert arm.material.a1_per_n == 0.0079
     expected = 1e3 * statics(arm, [0.3e5, 0, 0]).tip_m

@@ -170,7 +170,7 @@ def test_ctrl_c_ends_a_run_and_the_loop_around_it(folder: Path) -> None:
 
 
 def test_the_model_alone_runs_too(folder: Path) -> None:
-    assert Session("mock").simulate(folder / "step.yaml", out=folder / "alone", static=True).summary is not None
+    assert Session("mock").simulate(folder / "step.yaml", out=folder / "alone").summary is not None
 
 
 def test_identification_checks_its_options_as_the_command_does(step: Run) -> None:
