@@ -26,8 +26,8 @@ from calibration.vision.marker_board import LEAST_CORNERS
 from calibration.vision.tag_grid import TagGrid
 from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.cell_grid_rendering import Cover
-from rig.simulator.scene import Optics, Scene
+from rig.simulator.cell_grid_rendering import Occlusion
+from rig.simulator.scene import ImageDegradation, Scene
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -47,20 +47,20 @@ BOARDS: dict[str, Board] = {
 }
 _THIRD, _OUT = 1 / 3, 0.3
 STRIPS = (
-    Cover(-_OUT, -_OUT, _THIRD, 1 + _OUT),
-    Cover(1 - _THIRD, -_OUT, 1 + _OUT, 1 + _OUT),
-    Cover(-_OUT, -_OUT, 1 + _OUT, _THIRD),
-    Cover(-_OUT, 1 - _THIRD, 1 + _OUT, 1 + _OUT),
+    Occlusion(-_OUT, -_OUT, _THIRD, 1 + _OUT),
+    Occlusion(1 - _THIRD, -_OUT, 1 + _OUT, 1 + _OUT),
+    Occlusion(-_OUT, -_OUT, 1 + _OUT, _THIRD),
+    Occlusion(-_OUT, 1 - _THIRD, 1 + _OUT, 1 + _OUT),
 )
 _PATCHES = 20
 
 
-def patches(seed: int) -> tuple[Cover, ...]:
+def patches(seed: int) -> tuple[Occlusion, ...]:
     """Patches of a third of the board's area and of its shape, anywhere on it."""
     rng = np.random.default_rng([seed, 1])
     edge = float(np.sqrt(_THIRD))
     places = rng.uniform(0, 1 - edge, (_PATCHES, 2))
-    return tuple(Cover(float(x), float(y), float(x) + edge, float(y) + edge) for x, y in places)
+    return tuple(Occlusion(float(x), float(y), float(x) + edge, float(y) + edge) for x, y in places)
 
 
 LOOKS = {
@@ -73,7 +73,7 @@ LOOKS = {
 class BoardErrors:
     """Errors (n, 3) [m] and covariances (n, 3, 3) of the tool centre point, NaN where no pose was measured.
 
-    `bound` (n,) is its Cramer-Rao bound from the corners that no cover hides, in m per pixel of error of a corner.
+    `bound` (n,) is its Cramer-Rao bound from the corners that no occlusion hides, in m per pixel of error of a corner.
     """
 
     tip_m: Floats
@@ -117,30 +117,31 @@ def poses(count: int, seed: int) -> Iterator[RigidTransform]:
         yield RigidTransform(roll @ FACING @ back, z * np.array([rng.uniform(-0.3, 0.3), rng.uniform(-0.2, 0.2), 1.0]))
 
 
-def ours(board: Board, cover: Cover | None, seed: int) -> Draw:
+def ours(board: Board, occlusion: Occlusion | None, seed: int) -> Draw:
     """The mock camera's renderer."""
-    scene = Scene(board, LENS, SIZE, Optics(0.6, 2.0), seed, cover)
+    scene = Scene(board, LENS, SIZE, ImageDegradation(0.6, 2.0), seed, occlusion)
     return lambda seen, k: scene.render(seen, seen, seen, k)
 
 
-def others(board: Board, cover: Cover | None, look: BoardPose, seed: int) -> Draw:
+def others(board: Board, occlusion: Occlusion | None, look: BoardPose, seed: int) -> Draw:
     """The second renderer, with a print that OpenCV draws."""
     drawn = printed(board)
-    if cover is not None:
+    if occlusion is not None:
         height, width = drawn.shape
-        rows = slice(max(0, round(cover.top * height)), round(cover.bottom * height))
-        drawn[rows, max(0, round(cover.left * width)) : round(cover.right * width)] = 90
+        rows = slice(max(0, round(occlusion.top * height)), round(occlusion.bottom * height))
+        drawn[rows, max(0, round(occlusion.left * width)) : round(occlusion.right * width)] = 90
     renderer = OtherRenderer(board.extent, board.unit_m, LENS.matrix, LENS.distortion, SIZE, look, seed, drawn)
     return lambda seen, _: renderer.picture(seen.rotation, seen.translation_m)
 
 
-def renderers(board: Board, seed: int) -> dict[str, Callable[[Cover | None], Draw]]:
+def renderers(board: Board, seed: int) -> dict[str, Callable[[Occlusion | None], Draw]]:
     """What draws a board, by name."""
 
-    def second(look: BoardPose) -> Callable[[Cover | None], Draw]:
-        return lambda cover: others(board, cover, look, seed)
+    def second(look: BoardPose) -> Callable[[Occlusion | None], Draw]:
+        return lambda occlusion: others(board, occlusion, look, seed)
 
-    return {"mock camera": lambda cover: ours(board, cover, seed)} | {n: second(look) for n, look in LOOKS.items()}
+    mock = {"mock camera": lambda occlusion: ours(board, occlusion, seed)}
+    return mock | {n: second(look) for n, look in LOOKS.items()}
 
 
 def printed(board: Board) -> Image:
@@ -158,14 +159,14 @@ def printed(board: Board) -> Image:
     return np.array(drawn, dtype=np.uint8)
 
 
-def free_corners(board: Board, cover: Cover | None) -> NDArray[np.bool_]:
-    """Which corners (n,) a cover does not hide."""
-    if cover is None:
+def free_corners(board: Board, occlusion: Occlusion | None) -> NDArray[np.bool_]:
+    """Which corners (n,) an occlusion does not hide."""
+    if occlusion is None:
         return np.ones(len(board.corners_m), dtype=np.bool_)
     width, height = board.extent
     across = 0.5 + board.corners_m[:, 0] / (board.unit_m * width)
     down = 0.5 - board.corners_m[:, 1] / (board.unit_m * height)
-    inside = (across > cover.left) & (across < cover.right) & (down > cover.top) & (down < cover.bottom)
+    inside = (across > occlusion.left) & (across < occlusion.right) & (down > occlusion.top) & (down < occlusion.bottom)
     free: NDArray[np.bool_] = ~inside
     return free
 
@@ -182,11 +183,14 @@ def tip_bound(board: Board, pose: RigidTransform, free: NDArray[np.bool_]) -> fl
 
 
 def measure(
-    board: Board, where: list[RigidTransform], covers: tuple[Cover | None, ...], draw: Callable[[Cover | None], Draw]
+    board: Board,
+    where: list[RigidTransform],
+    occlusions: tuple[Occlusion | None, ...],
+    draw: Callable[[Occlusion | None], Draw],
 ) -> BoardErrors:
-    """Measure every pose anew; the covers take turns."""
-    draws = [draw(cover) for cover in covers]
-    free = [free_corners(board, cover) for cover in covers]
+    """Measure every pose anew; the occlusions take turns."""
+    draws = [draw(occlusion) for occlusion in occlusions]
+    free = [free_corners(board, occlusion) for occlusion in occlusions]
     tips, covariances, bounds = [], [], []
     for k, pose in enumerate(where):
         found = BoardTracker(board, LENS).detect(draws[k % len(draws)](pose, k)).pose
@@ -227,17 +231,17 @@ def main() -> None:
     for name, board in BOARDS.items():
         if asked.only not in name:
             continue
-        covers: dict[str, tuple[Cover | None, ...]] = {"whole": (None,)}
+        occlusions: dict[str, tuple[Occlusion | None, ...]] = {"whole": (None,)}
         if len(board.corners_m) > LEAST_CORNERS:
-            covers |= {"patch": patches(asked.seed), "strip": STRIPS}
+            occlusions |= {"patch": patches(asked.seed), "strip": STRIPS}
         for renderer, draw in renderers(board, asked.seed).items():
             if asked.renderer not in renderer:
                 continue
             whole = None
-            for cover_name, chosen in covers.items():
+            for occlusion_name, chosen in occlusions.items():
                 found = measure(board, where, chosen, draw)
                 whole = whole or found
-                print(row(f"{name}, {cover_name}, {renderer}", found, whole), flush=True)
+                print(row(f"{name}, {occlusion_name}, {renderer}", found, whole), flush=True)
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ from calibration.vision.planar_motion import PlaneOfMotion
 from calibration.vision.pose import Pose
 from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.scene import Optics, Scene
+from rig.simulator.scene import ImageDegradation, Scene
 
 if __package__:
     from benchmarks.other_renderer import BoardPose, OtherRenderer
@@ -130,13 +130,13 @@ class VisionBenchmark:
     lost: int
 
 
-def ours(setting: Setting, optics: Optics) -> list[Draw]:
+def ours(setting: Setting, degradation: ImageDegradation) -> list[Draw]:
     """The mock camera's renderer, once for each camera."""
 
     def draw(scene: Scene) -> Draw:
         return lambda seen, k: scene.render(seen, seen, seen, k)
 
-    return [draw(Scene(BOARD, setting.lens, setting.size, optics, seed)) for seed in range(len(setting.places))]
+    return [draw(Scene(BOARD, setting.lens, setting.size, degradation, seed)) for seed in range(len(setting.places))]
 
 
 def others(setting: Setting, look: BoardPose) -> list[Draw]:
@@ -224,7 +224,7 @@ def row(setting: Setting, result: VisionBenchmark) -> str:
     )
 
 
-def coverage(frames: int, only: str, optics: Optics) -> None:
+def coverage(frames: int, only: str, degradation: ImageDegradation) -> None:
     """Print how often the 95 % ellipsoid holds the truth, by both renderers."""
     print(f"| set-up, {frames} frames each | mock camera | " + " | ".join(LOOKS) + " |")
     print("|---|---|" + "---|" * len(LOOKS))
@@ -232,20 +232,20 @@ def coverage(frames: int, only: str, optics: Optics) -> None:
         if only not in setting.name or "0.4 m" in setting.name or setting.planar:
             continue
         cells = []
-        for draw in (ours(setting, optics), *(others(setting, look) for look in LOOKS.values())):
+        for draw in (ours(setting, degradation), *(others(setting, look) for look in LOOKS.values())):
             found = measure(setting, frames, draw)
             lost = f", {found.lost} lost" if found.lost else ""
             cells.append(f"{np.mean(found.distances < CHI2_95_3) * 100:.1f}{lost}")
         print(f"| {setting.name} | " + " | ".join(cells) + " |", flush=True)
 
 
-def speed(optics: Optics) -> None:
+def speed(degradation: ImageDegradation) -> None:
     """Print the CPU time [ms] of a picture: median and 95 % while following, and to find the board anew."""
     print("| picture | following | finding anew, board in view | looking, no board in view |")
     print("|---|---|---|---|")
     for size, focal in (VGA, HD):
         setting = Setting("", size, focal, 0.5, TILTED)
-        (draw,) = ours(setting, optics)
+        (draw,) = ours(setting, degradation)
         place = setting.places[0]
         boards = list(motion(setting, 150))
         pictures = [draw(place.inverse() @ board, k) for k, board in enumerate(boards)]
@@ -277,18 +277,18 @@ def main() -> None:
     parser.add_argument("--noise-grey", type=float, default=2.0)
     asked = parser.parse_args()
     cv2.setNumThreads(1)
-    optics = Optics(asked.blur_px, asked.noise_grey)
+    degradation = ImageDegradation(asked.blur_px, asked.noise_grey)
     if asked.what == "coverage":
-        coverage(asked.frames, asked.only, optics)
+        coverage(asked.frames, asked.only, degradation)
         return
     if asked.what == "speed":
-        speed(optics)
+        speed(degradation)
         return
     print("| set-up | in plane | depth | 3-D | held by 95 % [%] | lost | see [ms] | render [ms] |")
     print("|---|---|---|---|---|---|---|---|")
     for setting in SETTINGS:
         if asked.only in setting.name:
-            print(row(setting, measure(setting, asked.frames, ours(setting, optics))), flush=True)
+            print(row(setting, measure(setting, asked.frames, ours(setting, degradation))), flush=True)
 
 
 if __name__ == "__main__":

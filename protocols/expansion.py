@@ -80,7 +80,7 @@ def expand(
 
 
 class _Expander:
-    """The `Player` of the steps."""
+    """The `TrajectoryBuilder` of the steps."""
 
     def __init__(
         self, actuators: int, document: Document, data: Mapping[LeafStep, Any], inverse: TipInverse | None

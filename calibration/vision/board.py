@@ -26,7 +26,7 @@ MIN_CONTRAST_GREY = 12.0
 
 
 @dataclass(frozen=True)
-class BoardPrint:
+class PrintedCells:
     """What is printed: cells between lines `across` (p + 1,) and `down` (q + 1,), of which `dark` (q, p) are black.
 
     Lines are in units from the top left corner of the print. White surrounds it, `margin` units wide.
@@ -87,7 +87,7 @@ class Board(ABC):
 
     @cached_property
     @abstractmethod
-    def printed(self) -> BoardPrint:
+    def printed(self) -> PrintedCells:
         """What is printed."""
 
     @cached_property

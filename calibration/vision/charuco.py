@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.vision.board import BoardPrint
+from calibration.vision.board import PrintedCells
 from calibration.vision.marker_board import MarkerBoard, Markers, cells_of
 from calibration.vision.partial_corners import CornerKind
 from calibration.vision.square_grid import SquareGrid
@@ -42,7 +42,7 @@ class CharucoBoard(SquareGrid, MarkerBoard):
         return Markers(ids, np.asarray(top_left, dtype=np.float64), edge, cells_of(self.dictionary, ids))
 
     @property
-    def ground(self) -> BoardPrint:
+    def ground(self) -> PrintedCells:
         """The squares."""
         return self.squares
 

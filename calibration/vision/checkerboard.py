@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.vision import board, cell_reading
-from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, BoardPrint, FinestDetail
+from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, FinestDetail, PrintedCells
 from calibration.vision.board_candidates import board_candidates
 from calibration.vision.cell_reading import grey_at
 from calibration.vision.corners import Corners, sharpen
@@ -49,7 +49,7 @@ class Checkerboard(SquareGrid):
         return "count the inner corners, not the squares"
 
     @property
-    def printed(self) -> BoardPrint:
+    def printed(self) -> PrintedCells:
         """The squares."""
         return self.squares
 

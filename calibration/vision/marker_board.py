@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, Board, BoardPrint, FinestDetail
+from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, Board, FinestDetail, PrintedCells
 from calibration.vision.cell_reading import markers_seen
 from calibration.vision.corners import Corners
 from calibration.vision.partial_corners import CornerKind, sharpen_seen
@@ -84,11 +84,11 @@ class MarkerBoard(Board):
 
     @property
     @abstractmethod
-    def ground(self) -> BoardPrint:
+    def ground(self) -> PrintedCells:
         """The print without its markers."""
 
     @cached_property
-    def printed(self) -> BoardPrint:
+    def printed(self) -> PrintedCells:
         """The ground with the markers: lines at every edge of a cell."""
         ground, markers = self.ground, self.markers
         steps = np.arange(markers.cells.shape[1] + 1) * markers.cell
@@ -102,7 +102,7 @@ class MarkerBoard(Board):
             i, j = (y - top) / markers.cell, (x - left) / markers.cell
             inside_y, inside_x = (i > 0) & (i < len(cells)), (j > 0) & (j < len(cells))
             dark[np.ix_(inside_y, inside_x)] = cells[np.ix_(i[inside_y].astype(int), j[inside_x].astype(int))]
-        return BoardPrint(across, down, dark, ground.margin)
+        return PrintedCells(across, down, dark, ground.margin)
 
     @cached_property
     def check_points_m(self) -> Floats:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.vision.board import QUIET_SQUARES, Board, BoardPrint
+from calibration.vision.board import QUIET_SQUARES, Board, PrintedCells
 from calibration.vision.corners import spacing
 
 Floats = NDArray[np.float64]
@@ -47,11 +47,11 @@ class SquareGrid(Board):
         return self.at(np.tile(np.arange(1, columns + 1), rows), np.repeat(np.arange(1, rows + 1), columns))
 
     @cached_property
-    def squares(self) -> BoardPrint:
+    def squares(self) -> PrintedCells:
         """The print of the squares alone."""
         rows, columns = np.indices((self.squares_y, self.squares_x))
         across, down = (np.arange(n + 1, dtype=np.float64) for n in self.extent)
-        return BoardPrint(across, down, (rows + columns) % 2 == 0, QUIET_SQUARES)
+        return PrintedCells(across, down, (rows + columns) % 2 == 0, QUIET_SQUARES)
 
     def spacing(self, corners_px: Floats) -> float:
         """Smallest distance [px] between neighbours of the corners (n, 2)."""

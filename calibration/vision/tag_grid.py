@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.vision.board import BoardPrint
+from calibration.vision.board import PrintedCells
 from calibration.vision.marker_board import MarkerBoard, Markers, cells_of
 from calibration.vision.partial_corners import CornerKind
 
@@ -65,10 +65,10 @@ class TagGrid(MarkerBoard):
         return Markers(ids, np.asarray(top_left, dtype=np.float64), 1.0, cells_of(self.dictionary, ids))
 
     @property
-    def ground(self) -> BoardPrint:
+    def ground(self) -> PrintedCells:
         """White paper."""
         width, height = self.extent
-        return BoardPrint(np.array([0.0, width]), np.array([0.0, height]), np.zeros((1, 1), dtype=bool), self.white)
+        return PrintedCells(np.array([0.0, width]), np.array([0.0, height]), np.zeros((1, 1), dtype=bool), self.white)
 
     @property
     def white(self) -> float:

@@ -59,7 +59,7 @@ class StepPart(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
-class Player(Protocol):
+class TrajectoryBuilder(Protocol):
     """What a step sees of the expansion: the set-points so far [Pa], and the segments that it appends."""
 
     def level_pa(self, actuators: Sequence[int]) -> list[float]:
@@ -101,7 +101,7 @@ class LeafStep(StepPart, ABC):
     moves_tip: ClassVar[bool] = False
 
     @abstractmethod
-    def play(self, player: Player) -> None:
+    def play(self, builder: TrajectoryBuilder) -> None:
         """Append the segments of the step."""
 
     @property

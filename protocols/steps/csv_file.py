@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from protocols.decimals import pa
-from protocols.steps.base import Actuators, MotionStep, Player, SecondsOrNone, Text, fits
+from protocols.steps.base import Actuators, MotionStep, SecondsOrNone, Text, TrajectoryBuilder, fits
 from protocols.steps.csv_samples import read_samples
 from protocols.validation import faults
 from protocols.waveforms import Samples, Smooth
@@ -29,17 +29,17 @@ class Csv(MotionStep):
         faults(fits(self.actuators, {}))
         return self
 
-    def play(self, player: Player) -> None:
+    def play(self, builder: TrajectoryBuilder) -> None:
         """The smooth way to the first row, if it takes time, and the rows."""
-        waves: tuple[Samples, ...] = player.data(self)
+        waves: tuple[Samples, ...] = builder.data(self)
         label = self.label or self.file
         if self.lead_in_s > 0:
             leads = [
                 Smooth(start, wave.values[0], self.lead_in_s)
-                for start, wave in zip(player.level_pa(self.actuators), waves, strict=True)
+                for start, wave in zip(builder.level_pa(self.actuators), waves, strict=True)
             ]
-            player.move("lead-in", f"into {label}", self.actuators, self.lead_in_s, leads)
-        player.move("csv", label, self.actuators, waves[0].times_s[-1], waves)
+            builder.move("lead-in", f"into {label}", self.actuators, self.lead_in_s, leads)
+        builder.move("csv", label, self.actuators, waves[0].times_s[-1], waves)
 
     def read(self, folder: Path) -> tuple[tuple[Samples, ...], dict[str, str]]:
         """The waveform of each actuator, and the text of the file."""

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols.decimals import pa
-from protocols.steps.base import Actuators, BarEach, MotionStep, Player, Seconds, each, fits, levels_text
+from protocols.steps.base import Actuators, BarEach, MotionStep, Seconds, TrajectoryBuilder, each, fits, levels_text
 from protocols.validation import ValidationFault, faults
 
 
@@ -24,11 +24,11 @@ class Hold(MotionStep):
         faults(fits(self.actuators or (), {"level_bar": self.level_bar}))
         return self
 
-    def play(self, player: Player) -> None:
+    def play(self, builder: TrajectoryBuilder) -> None:
         """One segment."""
         if self.actuators is None or self.level_bar is None:
-            player.stand("hold", self.label or "hold", (), self.duration_s)
+            builder.stand("hold", self.label or "hold", (), self.duration_s)
             return
         label = self.label or levels_text(self.level_bar)
         levels_pa = [pa(bar) for bar in each(self.level_bar, len(self.actuators))]
-        player.stand("hold", label, self.actuators, self.duration_s, levels_pa)
+        builder.stand("hold", label, self.actuators, self.duration_s, levels_pa)

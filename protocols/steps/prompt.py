@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
-from protocols.steps.base import LeafStep, Player, Text
+from protocols.steps.base import LeafStep, Text, TrajectoryBuilder
 
 PROMPT_S = 0.1
 """Duration of a prompt's segment, in which the set-points are constant."""
@@ -23,7 +23,7 @@ class PromptStep(LeafStep):
     message: Text
     weight_g: Grams | SkipJsonSchema[None] = Field(default=None, description="hung on the end cap from now on")
 
-    def play(self, player: Player) -> None:
+    def play(self, builder: TrajectoryBuilder) -> None:
         """A short segment in which nothing moves, and the prompt at its start."""
-        player.prompt(self.message, self.weight_g)
-        player.stand("prompt", self.message, (), PROMPT_S)
+        builder.prompt(self.message, self.weight_g)
+        builder.stand("prompt", self.message, (), PROMPT_S)

@@ -12,9 +12,9 @@ from protocols.steps.base import (
     Actuators,
     BarEach,
     MotionStep,
-    Player,
     Positive,
     Seconds,
+    TrajectoryBuilder,
     each,
     fits,
     levels_text,
@@ -43,10 +43,10 @@ class Ramp(MotionStep):
         )
         return self
 
-    def play(self, player: Player) -> None:
+    def play(self, builder: TrajectoryBuilder) -> None:
         """One segment; none if the set-points stand there already and a rate is given."""
         targets = [pa(bar) for bar in each(self.to_bar, len(self.actuators))]
-        starts = player.level_pa(self.actuators)
+        starts = builder.level_pa(self.actuators)
         duration_s = self.duration_s
         if duration_s is None:
             assert self.rate_bar_per_s is not None
@@ -57,4 +57,4 @@ class Ramp(MotionStep):
         label = self.label or "to " + levels_text(self.to_bar)
         if duration_s > 0:
             waves = [shape(a, b, duration_s) for a, b in zip(starts, targets, strict=True)]
-            player.move("ramp", label, self.actuators, duration_s, waves)
+            builder.move("ramp", label, self.actuators, duration_s, waves)

@@ -14,11 +14,11 @@ from protocols.steps.base import (
     BarEach,
     MotionStep,
     NumberEach,
-    Player,
     Positive,
     PositiveEach,
     Seconds,
     SecondsOrNone,
+    TrajectoryBuilder,
     each,
     fits,
     one_of,
@@ -59,7 +59,7 @@ class Sine(MotionStep):
         faults(found)
         return self
 
-    def play(self, player: Player) -> None:
+    def play(self, builder: TrajectoryBuilder) -> None:
         """The fade into the sinusoids, if it takes time, and the sinusoids."""
         count = len(self.actuators)
         if self.omega_rad_s is not None:
@@ -79,8 +79,8 @@ class Sine(MotionStep):
         ]
         label = self.label or "sine"
         if self.lead_in_s > 0:
-            starts = player.level_pa(self.actuators)
+            starts = builder.level_pa(self.actuators)
             fades = [SinusoidLeadIn(start, sine, self.lead_in_s) for start, sine in zip(starts, sines, strict=True)]
-            player.move("lead-in", f"into {label}", self.actuators, self.lead_in_s, fades)
+            builder.move("lead-in", f"into {label}", self.actuators, self.lead_in_s, fades)
         duration_s = self.duration_s if self.duration_s is not None else (self.periods or 0) * 2 * math.pi / omegas[0]
-        player.move("sine", label, self.actuators, duration_s, sines)
+        builder.move("sine", label, self.actuators, duration_s, sines)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field, model_validator
 
 from protocols.decimals import levels_bar, pa, stair_count, uneven_stairs
-from protocols.steps.base import Actuators, Bar, BarAbove, MotionStep, Player, Seconds, SecondsOrNone, fits
+from protocols.steps.base import Actuators, Bar, BarAbove, MotionStep, Seconds, SecondsOrNone, TrajectoryBuilder, fits
 from protocols.validation import ValidationFault, faults
 from protocols.waveforms import LinearSegment
 
@@ -35,16 +35,16 @@ class Staircase(MotionStep):
         """The levels, in order."""
         return levels_bar(self.start_bar, self.stop_bar, self.step_bar)
 
-    def play(self, player: Player) -> None:
+    def play(self, builder: TrajectoryBuilder) -> None:
         """For each level the way to it, if it takes time, and the dwell."""
         for bar in self.levels_bar():
             target, label = pa(bar), f"{bar:g} bar"
             label = f"{self.label}, {label}" if self.label else label
-            starts = player.level_pa(self.actuators)
+            starts = builder.level_pa(self.actuators)
             if self.rise_s > 0 and any(start != target for start in starts):
                 waves = [LinearSegment(start, target, self.rise_s) for start in starts]
-                player.move("rise", label, self.actuators, self.rise_s, waves)
-            player.stand("dwell", label, self.actuators, self.dwell_s, [target] * len(starts))
+                builder.move("rise", label, self.actuators, self.rise_s, waves)
+            builder.stand("dwell", label, self.actuators, self.dwell_s, [target] * len(starts))
 
     @property
     def most_segments(self) -> tuple[int, tuple[str, ...]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from protocols.steps.base import Actuators, MotionStep, Player, Seconds, fits
+from protocols.steps.base import Actuators, MotionStep, Seconds, TrajectoryBuilder, fits
 from protocols.validation import faults
 
 
@@ -24,9 +24,9 @@ class Stream(MotionStep):
         faults(fits(self.actuators, {}))
         return self
 
-    def play(self, player: Player) -> None:
+    def play(self, builder: TrajectoryBuilder) -> None:
         """One segment; where no set-point has come the pressures stay."""
-        player.stream(
+        builder.stream(
             self.label or "set-points of another program",
             self.actuators,
             self.duration_s,

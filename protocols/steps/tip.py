@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
-from protocols.steps.base import MotionStep, Player, SecondsOrNone
+from protocols.steps.base import MotionStep, SecondsOrNone, TrajectoryBuilder
 from protocols.steps.tip_shapes import MM, Circle, FigureEight, HeldPoint, PathFile, Points, Star, TipShape
 from protocols.validation import ValidationFault, faults
 
@@ -59,12 +59,12 @@ class TipStep(MotionStep):
         name = next(name for name in SHAPES if getattr(self, name) is not None)
         return name, getattr(self, name)
 
-    def play(self, player: Player) -> None:
+    def play(self, builder: TrajectoryBuilder) -> None:
         """The lead-in, if it takes time, and the path."""
         name, shape = self.shape
-        player.follow(
+        builder.follow(
             self.label or name.replace("_", " "),
-            shape.path(player.data(self)),
+            shape.path(builder.data(self)),
             tuple(sorted(AXES.index(axis) for axis in self.coordinates)),
             self.lead_in_s,
             self.tolerance_mm * MM,

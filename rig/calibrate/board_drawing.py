@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config.board_sections import BoardSection
+from rig.config.board_sections import BoardPattern
 
 if TYPE_CHECKING:
-    from calibration.vision.board import BoardPrint
+    from calibration.vision.board import PrintedCells
 
 Floats = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class BoardPage:
     print_mm: tuple[float, float]
 
 
-def page_of(section: BoardSection) -> BoardPage:
+def page_of(section: BoardPattern) -> BoardPage:
     """The smallest page that holds the board with its white margin; one of its own size beyond A3."""
     board = section.board()
     unit_mm, margin = 1e3 * board.unit_m, board.printed.margin
@@ -53,7 +53,7 @@ def page_of(section: BoardSection) -> BoardPage:
     return BoardPage(page, size, (left, _BORDER_MM + _HEAD_MM + rim), (width, height))
 
 
-def texts(section: BoardSection, page: BoardPage, name: str) -> tuple[str, ...]:
+def texts(section: BoardPattern, page: BoardPage, name: str) -> tuple[str, ...]:
     """What stands above the board."""
     width, height = page.print_mm
     lengths = ", ".join(f"{of} {value:g} mm" for of, value in section.lengths_mm.items())
@@ -65,7 +65,7 @@ def texts(section: BoardSection, page: BoardPage, name: str) -> tuple[str, ...]:
     )
 
 
-def write(section: BoardSection, name: str, path: Path) -> BoardPage:
+def write(section: BoardPattern, name: str, path: Path) -> BoardPage:
     """Write the page of the board of rig `name` as PDF or SVG."""
     import matplotlib
     from matplotlib.figure import Figure
@@ -90,7 +90,7 @@ def write(section: BoardSection, name: str, path: Path) -> BoardPage:
     return page
 
 
-def dark_rectangles(printed: BoardPrint) -> Floats:
+def dark_rectangles(printed: PrintedCells) -> Floats:
     """Left, top, right and bottom (n, 4) in units of the dark cells, those beside each other in a row as one."""
     found = []
     for i, row in enumerate(printed.dark):
@@ -100,7 +100,7 @@ def dark_rectangles(printed: BoardPrint) -> Floats:
     return np.array(found, dtype=np.float64).reshape(-1, 4)
 
 
-def _print(axes: Any, printed: BoardPrint, page: BoardPage, unit_mm: float) -> None:
+def _print(axes: Any, printed: PrintedCells, page: BoardPage, unit_mm: float) -> None:
     from matplotlib.patches import PathPatch, Rectangle
     from matplotlib.path import Path as Outline
 

@@ -13,7 +13,7 @@ from rig.calibrate.bench_operator import BenchOperator
 from rig.calibrate.inputs import bad_input
 from rig.calibrate.output_file import OutputFile
 from rig.calibrate.view_collection import collect, pictures
-from rig.config.board_sections import BoardSection
+from rig.config.board_sections import BoardPattern
 from rig.config.calibration_files import views_beside
 from rig.config.schema import RigConfig
 from runs.overwriting import refuse_existing
@@ -119,7 +119,7 @@ def _written(
     request: CameraCalibrationRequest,
     rig: RigConfig | None,
     name: str,
-    board: BoardSection,
+    board: BoardPattern,
     file: Path,
     found: CameraCalibration,
 ) -> CalibratedCamera:

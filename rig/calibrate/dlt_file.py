@@ -10,7 +10,7 @@ from calibration.cross_validation import CrossValidation
 from rig.calibrate import file_sections, inputs
 from rig.calibrate.dlt_fit import DLTCalibrationResult
 from rig.config import calibration_schema
-from rig.config.board_sections import BoardSection
+from rig.config.board_sections import BoardPattern
 from rig.config.calibration_files import rounded
 from rig.config.optics import placement_of
 from rig.config.schema import RigConfig
@@ -57,7 +57,7 @@ def dlt_file(
     result: DLTCalibrationResult,
     rig: RigConfig | None,
     sources: tuple[calibration_schema.SourceFileSection, ...],
-    board: BoardSection | None,
+    board: BoardPattern | None,
     *,
     in_base: bool,
     note: str = "",
@@ -72,17 +72,17 @@ def dlt_file(
         kind="dlt",
         world="rod base" if in_base else "board",
         world_view=result.world_view,
-        board=None if board is None else board.printed,
+        board=None if board is None else board.pattern,
         cameras=tuple(cameras),
-        test_error=_test(result.trial, by_point=board is None),
+        test_error=_test(result.cross_validation, by_point=board is None),
         views=result.views,
         sources=sources,
         left_out=file_sections.left_out(result.left_out),
     )
 
 
-def _test(trial: CrossValidation, *, by_point: bool) -> calibration_schema.LeaveOneOut | None:
-    mm, px, edges = trial.errors_m * _MM, trial.errors_px, trial.edges_m * _MM
+def _test(found: CrossValidation, *, by_point: bool) -> calibration_schema.LeaveOneOut | None:
+    mm, px, edges = found.errors_m * _MM, found.errors_px, found.edges_m * _MM
     if not (len(mm) or len(px)):
         return None
     return calibration_schema.LeaveOneOut(

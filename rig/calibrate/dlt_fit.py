@@ -31,7 +31,7 @@ class DLTCalibrationResult:
     dlts: dict[str, DLT]
     places: dict[str, tuple[RigidTransform, Floats]]
     """Camera in the world, and the covariance (6, 6) of that: translation [m], rotation [rad]."""
-    trial: CrossValidation
+    cross_validation: CrossValidation
     sizes_px: dict[str, tuple[int, int]]
     views: tuple[calibration_schema.UsedView, ...] = ()
     left_out: tuple[ExcludedView, ...] = ()

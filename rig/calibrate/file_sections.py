@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calibration.camera import CameraCalibration, ExcludedView
 from calibration.vision.lens import Lens
 from rig.config import calibration_schema, sections
-from rig.config.board_sections import BoardSection
+from rig.config.board_sections import BoardPattern
 from rig.config.calibration_files import rounded
 from rig.config.schema import RigConfig
 from rig.experiment.provenance import git_state, versions
@@ -78,14 +78,14 @@ def left_out(skipped: tuple[ExcludedView, ...]) -> tuple[calibration_schema.Excl
 
 
 def camera_file(
-    found: CameraCalibration, identity: calibration_schema.CameraIdentity, board: BoardSection, note: str = ""
+    found: CameraCalibration, identity: calibration_schema.CameraIdentity, board: BoardPattern, note: str = ""
 ) -> calibration_schema.CameraFile:
     """The file of a camera's intrinsics."""
     return calibration_schema.CameraFile(
         **origin(note),
         kind="camera",
         camera=identity,
-        board=board.printed,
+        board=board.pattern,
         lens=lens_section(found.lens),
         covariance=matrix(found.covariance),
         rms_px=rounded(found.rms_px),

@@ -10,7 +10,7 @@ from protocols import BadInputError, Problem
 from protocols.problems import closest
 from rig.calibrate import file_sections
 from rig.config import calibration_schema
-from rig.config.board_sections import BoardSection, CheckerboardPrint
+from rig.config.board_sections import BoardPattern, CheckerboardPattern
 from rig.config.calibration_files import LoadedCalibration, read
 from rig.config.loader import load
 from rig.config.schema import RigConfig
@@ -31,12 +31,12 @@ def bad_input(option: str, value: str, expected: str, suggestion: str = "") -> B
     return BadInputError([Problem(option, 0, 0, "", value, expected, suggestion)])
 
 
-def shown_board(corners: str, square_mm: float, rig: RigConfig | None) -> BoardSection:
+def shown_board(corners: str, square_mm: float, rig: RigConfig | None) -> BoardPattern:
     """The board in the views: the checkerboard that the options state, else the rig's board."""
     if not corners and not square_mm and rig is not None and rig.board is not None:
         return rig.board
     stated = corners_of(corners)
-    return CheckerboardPrint(corners=stated, square_mm=checked_square(square_mm))
+    return CheckerboardPattern(corners=stated, square_mm=checked_square(square_mm))
 
 
 def corners_of(text: str) -> tuple[int, int]:

@@ -112,7 +112,7 @@ def tool_file(config: RigConfig, camera: str, found: Mounting, note: str = "") -
         **file_sections.origin(note),
         kind="tool",
         camera=file_sections.identity_of(config, camera),
-        board=board_section(config).printed,
+        board=board_section(config).pattern,
         placement=placement_of(found.board_in_tip),
         covariance=file_sections.matrix(found.covariance * np.outer(units, units)),
         views=tuple(

@@ -9,7 +9,7 @@ from rig.config.loader import load, named_rig
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import described, locked_devices, running_rigs
-from rig.hardware.vent import Vented
+from rig.hardware.vent import VentResult
 from rig.hardware.vent import vent as vent_rig
 from rig.simulator.plant_launcher import is_absent
 
@@ -50,7 +50,7 @@ def vent(option: str | None) -> None:
         raise CardError("; ".join(failures))
 
 
-def _vented(config: RigConfig, vented: Vented) -> str:
+def _vented(config: RigConfig, vented: VentResult) -> str:
     confirmation = f"; {vented.confirmation}" if vented.confirmation else ""
     if vented.unverified:
         gauge = confirmation or ": look at the gauge"

@@ -26,7 +26,7 @@ _LEAST_WHITE = 0.05
 _DEFAULT_KIND = "checkerboard"
 
 
-class BoardSection(Section):
+class BoardPattern(Section):
     """What is printed."""
 
     kind: str
@@ -47,7 +47,7 @@ class BoardSection(Section):
 
     @property
     @abstractmethod
-    def printed(self) -> BoardSection:
+    def pattern(self) -> BoardPattern:
         """The print alone, as calibration files state it."""
 
     @property
@@ -62,7 +62,7 @@ class BoardSection(Section):
         return f"{self.kind} of {self.corner_count} corners, {lengths}"
 
 
-class BoardConfig(BoardSection):
+class BoardConfig(BoardPattern):
     """The board on the end cap. `placement` is the board (origin at its centre, z out of the print) in the tip frame:
     origin at the rod's tip, axes as the rod base's when the rod is straight.
     """
@@ -70,7 +70,7 @@ class BoardConfig(BoardSection):
     placement: Placement
 
 
-class CheckerboardPrint(BoardSection):
+class CheckerboardPattern(BoardPattern):
     """Any checkerboard: inner corners across and down, and the edge of a square."""
 
     kind: Literal["checkerboard"] = "checkerboard"
@@ -94,7 +94,7 @@ class CheckerboardPrint(BoardSection):
         return {"square": self.square_mm}
 
     @property
-    def printed(self) -> CheckerboardPrint:
+    def pattern(self) -> CheckerboardPattern:
         """Itself."""
         return self
 
@@ -124,9 +124,9 @@ class CheckerboardConfig(BoardConfig):
         return {"square": self.square_mm}
 
     @property
-    def printed(self) -> CheckerboardPrint:
+    def pattern(self) -> CheckerboardPattern:
         """The print alone, as calibration files state it."""
-        return CheckerboardPrint(corners=(self.squares_x - 1, self.squares_y - 1), square_mm=self.square_mm)
+        return CheckerboardPattern(corners=(self.squares_x - 1, self.squares_y - 1), square_mm=self.square_mm)
 
     @model_validator(mode="after")
     def _odd_by_even(self) -> CheckerboardConfig:
@@ -135,7 +135,7 @@ class CheckerboardConfig(BoardConfig):
         return self
 
 
-class CharucoPrint(BoardSection):
+class CharucoPattern(BoardPattern):
     """A checkerboard with a marker in every white square; the square at the top left is dark."""
 
     kind: Literal["charuco"]
@@ -175,12 +175,12 @@ class CharucoPrint(BoardSection):
         return _numbered(self.dictionary, self.first_marker, self.squares_x * self.squares_y // 2)
 
     @property
-    def printed(self) -> CharucoPrint:
+    def pattern(self) -> CharucoPattern:
         """The print alone, as calibration files state it."""
-        return CharucoPrint.model_validate(self.model_dump(include=set(CharucoPrint.model_fields)))
+        return CharucoPattern.model_validate(self.model_dump(include=set(CharucoPattern.model_fields)))
 
     @model_validator(mode="after")
-    def _fits(self) -> CharucoPrint:
+    def _fits(self) -> CharucoPattern:
         largest = (1 - 2 * _LEAST_WHITE) * self.square_mm
         if self.marker_mm > largest:
             expected = f"at most {largest:g} mm: a square of {self.square_mm:g} mm needs white around its marker"
@@ -189,11 +189,11 @@ class CharucoPrint(BoardSection):
         return self
 
 
-class CharucoConfig(CharucoPrint, BoardConfig):
+class CharucoConfig(CharucoPattern, BoardConfig):
     """The ChArUco board on the end cap."""
 
 
-class TagPrint(BoardSection):
+class TagGridPattern(BoardPattern):
     """A grid of AprilTag or ArUco markers, `gap_mm` apart and as far from whatever is beside them."""
 
     kind: Literal["apriltag"]
@@ -228,12 +228,12 @@ class TagPrint(BoardSection):
         return _numbered(self.dictionary, self.first_marker, self.tags_x * self.tags_y)
 
     @property
-    def printed(self) -> TagPrint:
+    def pattern(self) -> TagGridPattern:
         """The print alone, as calibration files state it."""
-        return TagPrint.model_validate(self.model_dump(include=set(TagPrint.model_fields)))
+        return TagGridPattern.model_validate(self.model_dump(include=set(TagGridPattern.model_fields)))
 
     @model_validator(mode="after")
-    def _fits(self) -> TagPrint:
+    def _fits(self) -> TagGridPattern:
         least = _LEAST_WHITE * self.tag_mm
         if self.gap_mm < least:
             faults([ValidationFault(("gap_mm",), f"at least {least:g} mm: a tag of {self.tag_mm:g} mm needs white")])
@@ -241,12 +241,12 @@ class TagPrint(BoardSection):
         return self
 
 
-class TagConfig(TagPrint, BoardConfig):
+class TagGridConfig(TagGridPattern, BoardConfig):
     """The grid of tags on the end cap."""
 
 
-PRINT_KINDS: tuple[type[BoardSection], ...] = (CheckerboardPrint, CharucoPrint, TagPrint)
-BOARD_KINDS: tuple[type[BoardConfig], ...] = (CheckerboardConfig, CharucoConfig, TagConfig)
+PATTERN_KINDS: tuple[type[BoardPattern], ...] = (CheckerboardPattern, CharucoPattern, TagGridPattern)
+BOARD_KINDS: tuple[type[BoardConfig], ...] = (CheckerboardConfig, CharucoConfig, TagGridConfig)
 
 
 def with_default_kind(value: Any) -> Any:
@@ -270,10 +270,10 @@ def _enough_markers(needed: int, first: int, family: str) -> None:
 
 if TYPE_CHECKING:
     AnyBoard = BoardConfig
-    AnyPrint = BoardSection
+    AnyPattern = BoardPattern
 else:
 
-    def _by_kind(kinds: tuple[type[BoardSection], ...]) -> Any:
+    def _by_kind(kinds: tuple[type[BoardPattern], ...]) -> Any:
         """The registered kind that the key `kind` names."""
         return Annotated[
             Annotated[functools.reduce(operator.or_, kinds), Field(discriminator="kind")],
@@ -282,5 +282,5 @@ else:
 
     AnyBoard = _by_kind(BOARD_KINDS)
     """The board of the rig file."""
-    AnyPrint = _by_kind(PRINT_KINDS)
+    AnyPattern = _by_kind(PATTERN_KINDS)
     """The board of a calibration file."""

@@ -150,7 +150,7 @@ class BoardOverlay(CalibrationOverlay[ToolFile]):
             expected = f"no calibration of a tool: rig {config.name} has no board"
             yield self.calibration.problem(("board",), "a board", expected)
             return
-        board, wanted = self.found.board, config.board.printed
+        board, wanted = self.found.board, config.board.pattern
         if board.kind != wanted.kind:
             expected = f"a {wanted.kind}, as the board of rig {config.name}"
             yield self.calibration.problem(("board",), f"a {board.kind}", expected)

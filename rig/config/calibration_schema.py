@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from protocols.validation import ValidationFault, faults
-from rig.config.board_sections import AnyPrint
+from rig.config.board_sections import AnyPattern
 from rig.config.sections import LensConfig, Placement
 from rig.sections.base import Section
 from rig.sections.quantities import (
@@ -98,7 +98,7 @@ class CameraFile(CalibrationFile):
 
     kind: Literal["camera"]
     camera: CameraIdentity
-    board: AnyPrint
+    board: AnyPattern
     lens: LensConfig
     covariance: Annotated[Matrix, Field(description="of fx, fy, cx, cy [px], k1, k2, p1, p2, k3")]
     rms_px: NonNegative
@@ -171,7 +171,7 @@ class DLTFile(CalibrationFile):
     kind: Literal["dlt"]
     world: Literal["rod base", "board"] = Field(description="the frame of the control points")
     world_view: str = Field(default="", description="view whose board is the world's frame")
-    board: AnyPrint | None = None
+    board: AnyPattern | None = None
     cameras: Annotated[tuple[DLTCamera, ...], Field(min_length=1)]
     test_error: LeaveOneOut | None = None
     views: tuple[UsedView, ...] = ()
@@ -195,7 +195,7 @@ class ToolFile(CalibrationFile):
 
     kind: Literal["tool"]
     camera: CameraIdentity
-    board: AnyPrint
+    board: AnyPattern
     placement: Placement
     covariance: Annotated[Matrix, Field(description="of translation [mm] and rotation vector [deg]")]
     views: Annotated[tuple[ToolView, ...], Field(min_length=1)]

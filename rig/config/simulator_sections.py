@@ -39,7 +39,7 @@ class SimulatedSensor(Section):
 Share = Annotated[float, Field(ge=-1, le=2, allow_inf_nan=False, strict=True)]
 
 
-class SimulatedCover(Section):
+class SimulatedOcclusion(Section):
     """A matt strip on the board, in shares of its width and height from the top left corner of the print."""
 
     left: Share = 0.0
@@ -49,7 +49,7 @@ class SimulatedCover(Section):
     reflectance: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False, strict=True)] = 0.35
 
     @model_validator(mode="after")
-    def _has_area(self) -> SimulatedCover:
+    def _has_area(self) -> SimulatedOcclusion:
         if self.left >= self.right:
             faults([ValidationFault(("right",), f"more than left, {self.left:g}")])
         if self.top >= self.bottom:
@@ -63,7 +63,9 @@ class SimulatedScene(Section):
     blur_px: Annotated[float, Field(ge=0, le=50, allow_inf_nan=False, strict=True)]
     noise_grey: Annotated[float, Field(ge=0, le=255, allow_inf_nan=False, strict=True)]
     lighting: Annotated[float, Field(gt=0, le=1, strict=True)] = 0.9
-    cover: SimulatedCover | SkipJsonSchema[None] = Field(default=None, description="what hides a part of the board")
+    occlusion: SimulatedOcclusion | SkipJsonSchema[None] = Field(
+        default=None, description="what hides a part of the board"
+    )
     skew_ms: NonNegative = Field(default=0.0, description="virtual time: each camera exposes so long after the last")
 
 

@@ -87,7 +87,7 @@ def opening(subject: CardSubject) -> str:
     needs_outputs(subject)
     with closing(subject.open()) as card:
         card.write(subject.volts(0.5))
-        before = stands(card, subject.volts(0.5), subject)
+        before = settled_readback(card, subject.volts(0.5), subject)
     began = time.monotonic()
     with closing(subject.open(inputs=False)) as card:
         took_s = time.monotonic() - began
@@ -111,7 +111,7 @@ def read_back(subject: CardSubject) -> str:
             written = subject.volts(fraction)
             began = time.monotonic()
             card.write(written)
-            found = stands(card, written, subject)
+            found = settled_readback(card, written, subject)
             slowest_s = max(slowest_s, time.monotonic() - began)
             if np.all(np.isnan(found)):
                 raise NotApplicableError("the card has no read-back: an output that does not obey is not detected")
@@ -131,7 +131,7 @@ def bad_values(subject: CardSubject) -> str:
             found = card.readback()
             raise BrokenContractError(f"NaN was accepted; the outputs stand at {_v(found)}")
         card.write(np.array([c.high_v + 100.0 for c in subject.setup.outputs]))
-        found = stands(card, np.array([c.high_v for c in subject.setup.outputs]), subject)
+        found = settled_readback(card, np.array([c.high_v for c in subject.setup.outputs]), subject)
         if np.any(found > np.array([c.high_v for c in subject.setup.outputs]) + subject.tolerance_v):
             raise BrokenContractError(f"the outputs stand at {_v(found)}, beyond range_V")
     return "NaN refused, clipped to range_V"
@@ -290,7 +290,7 @@ def needs_outputs(subject: CardSubject) -> None:
         raise NotApplicableError("the rig uses no output of this card")
 
 
-def stands(card: Card, written: Volts, subject: CardSubject) -> Volts:
+def settled_readback(card: Card, written: Volts, subject: CardSubject) -> Volts:
     """The read-back, once it is what was written, or after SETTLED_S."""
     until = time.monotonic() + SETTLED_S
     while True:

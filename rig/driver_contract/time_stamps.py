@@ -13,7 +13,7 @@ LATEST_S = 2.0
 """A time that is older than this at its arrival is on another clock."""
 
 
-class Stamped(Protocol):
+class Timestamped(Protocol):
     """A picture or reading: its number at the device, and its time on CLOCK_MONOTONIC [ns]."""
 
     @property
@@ -23,7 +23,7 @@ class Stamped(Protocol):
     def t_ns(self) -> int: ...
 
 
-def rate_and_age(items: Sequence[tuple[Stamped, int]], kind: str, stated_hz: float, early_s: float = 0.0) -> str:
+def rate_and_age(items: Sequence[tuple[Timestamped, int]], kind: str, stated_hz: float, early_s: float = 0.0) -> str:
     """Check times and numbers of items, each with the time of its arrival [ns], and return rate and age as text.
 
     early_s: how far ahead of its arrival a time may be.

@@ -27,14 +27,14 @@ _STOP_IT = "it may move the valves again; shut the air off, and stop it as its u
 
 
 @dataclass(frozen=True)
-class Vented:
+class VentResult:
     """A vented rig: the cards without read-back, and how the pressures confirm it; empty for a simulated card."""
 
     unverified: tuple[str, ...]
     confirmation: str = ""
 
 
-def vent(config: RigConfig) -> Vented:
+def vent(config: RigConfig) -> VentResult:
     """Write the vented state to every card repeatedly, for longer than a control period; watch the chambers empty.
 
     A running experiment detects the external write and ends; a write of its current cycle is overwritten. A run that
@@ -60,7 +60,7 @@ def vent(config: RigConfig) -> Vented:
         failures.append(f"a process that this one cannot see, as in a container, holds the rig: {_STOP_IT}")
     if failures:
         raise CardError("; ".join(failures))
-    return Vented(unverified, _confirmation(config))
+    return VentResult(unverified, _confirmation(config))
 
 
 def _confirmation(config: RigConfig) -> str:

@@ -23,7 +23,7 @@ from urllib.parse import parse_qs
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rig.live.admission import CONNECTION, ClientClass
-from rig.realtime.control_socket import printable
+from rig.realtime.control_socket import display_name
 
 COOKIE = "softrig"
 LOGIN_BYTES = 2048
@@ -79,7 +79,7 @@ class AccessTokens:
         if len(self._sessions) >= MOST_SESSIONS:
             guest = next((key for key, session in self._sessions.items() if not session.operator), None)
             self._sessions.pop(guest or next(iter(self._sessions)))
-        name = self.owner if is_operator and self.owner else printable(who)
+        name = self.owner if is_operator and self.owner else display_name(who)
         self._sessions[cookie] = LoginSession(name or ("operator" if is_operator else "guest"), is_operator)
         return cookie
 

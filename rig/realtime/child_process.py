@@ -67,7 +67,7 @@ def receive(*, tip_controller: bool = False) -> tuple[ChildJob, SharedState]:
     return job, SharedState(job.fd, layout, tip_controller=tip_controller)
 
 
-def leave(status: int) -> NoReturn:
+def exit_process(status: int) -> NoReturn:
     """In the child: exit without interpreter shutdown, for which the supervisor would wait."""
     sys.stdout.flush()
     sys.stderr.flush()

@@ -15,7 +15,14 @@ from rig.hardware.bench import Bench, open_bench
 from rig.hardware.cards.base import CardError
 from rig.hardware.vent_verification import VentOutcome, VentVerification, real_time
 from rig.realtime import sampling_clocks
-from rig.realtime.child_process import ChildJob, await_turn, leave, receive, report_unconfirmed, supervisor_monitor
+from rig.realtime.child_process import (
+    ChildJob,
+    await_turn,
+    exit_process,
+    receive,
+    report_unconfirmed,
+    supervisor_monitor,
+)
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
     CONTROL_PRIORITY,
@@ -210,4 +217,4 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
 
 
 if __name__ == "__main__":
-    leave(main())
+    exit_process(main())

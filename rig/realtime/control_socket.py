@@ -165,12 +165,12 @@ def _uid(client: socket.socket) -> int:
 def _named(uid: int, who: object, via: object) -> str:
     """Sender for the record: `ada (live page)`; if the client states another name, `eve (live page of ada)`."""
     account = user_name(uid)
-    program = printable(via) or "control socket"
-    person = printable(who)
+    program = display_name(via) or "control socket"
+    person = display_name(who)
     return f"{account} ({program})" if person in ("", account) else f"{person} ({program} of {account})"
 
 
-def printable(name: object) -> str:
+def display_name(name: object) -> str:
     """A short name on one line, without control characters and bidirectional marks; empty if it is not a string."""
     shown = "".join(c for c in name if c.isprintable()) if isinstance(name, str) else ""
     return " ".join(shown.split())[:MAX_NAME]

@@ -17,7 +17,7 @@ from rig.observation.picture_recorder import PictureRecorder
 from rig.observation.prediction_clock import PredictionClock
 from rig.observation.tip_force import auxiliary_values
 from rig.observation.tracker_source import TrackerSource
-from rig.realtime.child_process import ChildJob, await_turn, leave, receive, supervisor_monitor
+from rig.realtime.child_process import ChildJob, await_turn, exit_process, receive, supervisor_monitor
 from rig.realtime.failsafe import FailsafeThread
 from rig.realtime.preview import PreviewPublisher
 from rig.realtime.shared_state import SharedState, Stage, Stop
@@ -136,4 +136,4 @@ def _record(job: ChildJob, observer: Observer, memory: SharedState, frame_set: F
 
 
 if __name__ == "__main__":
-    leave(main())
+    exit_process(main())

@@ -170,7 +170,7 @@ class HeartbeatMonitor:
         return self._silent_ns
 
 
-def stolen_ms() -> int:
+def steal_time_ms() -> int:
     """CPU time that the hypervisor took from this machine since boot, all cores [ms]; 0 if it is not reported."""
     try:
         fields = Path("/proc/stat").read_text().split("\n", 1)[0].split()

@@ -14,7 +14,7 @@ from rig.realtime import sampling_clocks
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.operator_session import OperatorSession
 from rig.realtime.process_group import PROCESSES, TAKEN_OVER, ProcessGroup
-from rig.realtime.scheduling import REAL_TIME, Scheduling, obtainable, stolen_ms
+from rig.realtime.scheduling import REAL_TIME, Scheduling, obtainable, steal_time_ms
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, StateLayout, Stop
 from rig.realtime.shutdown import Shutdown
 from rig.realtime.timing_limits import TimingProfile, remedies, stated, timing_limits
@@ -91,7 +91,7 @@ class Supervisor:
             StartError: a process did not start, or the operator stopped the start.
         """
         self._start(open_record)
-        stolen = stolen_ms()
+        stolen = steal_time_ms()
         try:
             status, message = self.supervise()
         finally:
@@ -99,7 +99,7 @@ class Supervisor:
         # The last frame is still being measured, and the live page may have shown it already: it belongs in the record.
         self.processes.await_exit("observer", LAST_FRAME_S)
         self.record.drain()
-        outcome = self._outcome(status, message, stolen_ms() - stolen)
+        outcome = self._outcome(status, message, steal_time_ms() - stolen)
         self.memory.publish_stage("supervisor", Stage.DONE, f"{outcome.status}: {outcome.message}".removesuffix(": "))
         return outcome
 

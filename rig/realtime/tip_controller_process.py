@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 
-from rig.realtime.child_process import ChildJob, leave, receive, supervisor_monitor
+from rig.realtime.child_process import ChildJob, exit_process, receive, supervisor_monitor
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, Stop
 from rig.tip_control.monitor import failure_message
 from rig.tip_control.plan_record import record_of
@@ -57,4 +57,4 @@ def _send_plans(job: ChildJob, memory: SharedState) -> None:
 
 
 if __name__ == "__main__":
-    leave(main())
+    exit_process(main())

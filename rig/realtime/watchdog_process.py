@@ -16,7 +16,7 @@ from collections.abc import Callable
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import WatchdogOutputs, failure_of
 from rig.hardware.vent_verification import LONGEST_VENTING_S, verify_venting
-from rig.realtime.child_process import await_turn, leave, receive, report_unconfirmed, supervisor_monitor
+from rig.realtime.child_process import await_turn, exit_process, receive, report_unconfirmed, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
     WATCHDOG_PRIORITY,
@@ -160,4 +160,4 @@ def _kill(pid: int) -> None:
 
 
 if __name__ == "__main__":
-    leave(main())
+    exit_process(main())

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rig.reproduce import elongation, motion, positions
 from rig.reproduce.comparison import PaperComparison, PaperFigure
-from rig.reproduce.experiments import PROTOCOLS, gathered
+from rig.reproduce.experiments import PROTOCOLS, recorded_or_simulated
 
 NEEDS = {
     "fig9": PROTOCOLS[:2],
@@ -42,7 +42,7 @@ def results(
     """
     wanted = set(items)
     names = tuple(name for name in PROTOCOLS if any(name in NEEDS[item] for item in wanted))
-    runs = gathered(folder, names, report=report)
+    runs = recorded_or_simulated(folder, names, report=report)
     rows: list[PaperComparison] = []
     drawn: list[PaperFigure] = []
     concluded: list[str] = []

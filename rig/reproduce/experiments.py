@@ -15,7 +15,7 @@ from runs.run import Run
 PROTOCOLS = ("extension-weights", "extension-pressure", "ramp-a", "ramp-b", "sine-1", "sine-2")
 
 
-def gathered(
+def recorded_or_simulated(
     folder: Path, protocols: tuple[str, ...] = PROTOCOLS, seed: int = 0, report: Callable[[str], None] = lambda _: None
 ) -> dict[str, Run]:
     """The newest finished archive of each protocol in a folder; missing ones are simulated on the mock rig.

@@ -62,7 +62,7 @@ def _(board: Checkerboard) -> Painter:
 
 
 @dataclass(frozen=True)
-class Cover:
+class Occlusion:
     """A matt strip on the board, between `left`, `top`, `right` and `bottom` in shares of the print's extent."""
 
     left: float
@@ -72,7 +72,7 @@ class Cover:
     reflectance: float = 0.35
 
 
-def print_painter(board: Board, cover: Cover | None = None) -> Painter:
+def print_painter(board: Board, occlusion: Occlusion | None = None) -> Painter:
     """The kernel for any print, a part of which may be covered."""
     printed = board.printed
     (width, height), margin = board.extent, printed.margin
@@ -81,13 +81,13 @@ def print_painter(board: Board, cover: Cover | None = None) -> Painter:
     table = np.full((len(down) + 1, len(across) + 1), _BACKDROP)
     table[1:-1, 1:-1] = WHITE
     table[2:-2, 2:-2] = np.where(printed.dark, DARK, WHITE)
-    if cover is not None:
-        across, table = _covered(across, table, cover.left * width, cover.right * width)
-        down, rows = _covered(down, table.T, cover.top * height, cover.bottom * height)
+    if occlusion is not None:
+        across, table = _covered(across, table, occlusion.left * width, occlusion.right * width)
+        down, rows = _covered(down, table.T, occlusion.top * height, occlusion.bottom * height)
         table = np.ascontiguousarray(rows.T)
         x, y = _middles(across), _middles(down)
-        inside_x = (x > cover.left * width) & (x < cover.right * width)
-        table[np.ix_((y > cover.top * height) & (y < cover.bottom * height), inside_x)] = cover.reflectance
+        inside_x = (x > occlusion.left * width) & (x < occlusion.right * width)
+        table[np.ix_((y > occlusion.top * height) & (y < occlusion.bottom * height), inside_x)] = occlusion.reflectance
 
     def paint(fine: Singles, view: ExposedView) -> None:
         draw_print(fine, view, across, down, table)

@@ -7,7 +7,7 @@ import math
 from rig.hardware.cards.base import CardError
 
 
-def sixteen_bits(volts: float, low: float, high: float) -> float:
+def quantised_output_v(volts: float, low: float, high: float) -> float:
     """The voltage of a 16-bit output of a range for a requested voltage.
 
     Raises:

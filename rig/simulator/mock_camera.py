@@ -15,10 +15,10 @@ from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
 from rig.hardware.cameras.base import CameraError, Frame
 from rig.hardware.cards.base import CardError
-from rig.simulator.cell_grid_rendering import Cover
+from rig.simulator.cell_grid_rendering import Occlusion
 from rig.simulator.faults import CameraFault, Faults
 from rig.simulator.registers import Registers
-from rig.simulator.scene import Optics, Scene
+from rig.simulator.scene import ImageDegradation, Scene
 from rig.simulator.tip_pose import PoseSource, TipPose
 
 DROPPED = 9
@@ -94,8 +94,8 @@ class MockCamera:
         truth = config.simulator.scene
         assert truth is not None
         self._config, self._camera = config, chosen
-        self._optics = Optics(truth.blur_px, truth.noise_grey, truth.lighting)
-        self._cover = truth.cover
+        self._degradation = ImageDegradation(truth.blur_px, truth.noise_grey, truth.lighting)
+        self._occlusion = truth.occlusion
         self._seed = seed + _OTHER_NOISE * (self._number - 1)
         simulator = config.simulator
         self._base = rigid(simulator.base)
@@ -110,8 +110,8 @@ class MockCamera:
     def scene(self) -> Scene:
         """What the camera sees; made at its first use, which takes about 0.1 s."""
         size = (self._camera.width_px, self._camera.height_px)
-        cover = None if self._cover is None else Cover(**self._cover.model_dump())
-        return Scene(board_of(self._config), lens_of(self._camera), size, self._optics, self._seed, cover)
+        occlusion = None if self._occlusion is None else Occlusion(**self._occlusion.model_dump())
+        return Scene(board_of(self._config), lens_of(self._camera), size, self._degradation, self._seed, occlusion)
 
     def start(self) -> None:
         """Begin the exposures of real time anew, with the scene made."""

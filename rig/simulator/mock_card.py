@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
 from rig.hardware.runtime_folder import open_private
-from rig.simulator.converter import sixteen_bits
+from rig.simulator.converter import quantised_output_v
 from rig.simulator.registers import Registers, path_of
 
 
@@ -75,7 +75,7 @@ class MockCard:
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the outputs with a resolution of 16 bits."""
         self._registers.faults.before_write(self._device)
-        values = [sixteen_bits(v, c.low_v, c.high_v) for v, c in zip(volts.tolist(), self._outputs, strict=True)]
+        values = [quantised_output_v(v, c.low_v, c.high_v) for v, c in zip(volts.tolist(), self._outputs, strict=True)]
         now = time.monotonic_ns()
         for channel, value in zip(self._outputs, values, strict=True):
             self._registers.write(channel.number, value, now)

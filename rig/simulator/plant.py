@@ -15,7 +15,7 @@ from rig.hardware.cards.base import CardError, Scans
 from rig.sections.quantities import PA_PER_BAR
 from rig.simulator import pneumatics
 from rig.simulator.auxiliary_inputs import SimulatedInputs
-from rig.simulator.converter import sixteen_bits
+from rig.simulator.converter import quantised_output_v
 from rig.simulator.faults import Faults
 from rig.simulator.faulty_devices import FaultySensors, FaultyValves
 from rig.simulator.pneumatics import STEP_NS
@@ -261,7 +261,7 @@ class PlantCard:
         """Set the outputs, as near as 16 bits come."""
         self.faults.before_write(self._device)
         for valve, (low, high), v in zip(self._valves, self._ranges, volts.tolist(), strict=True):
-            self._plant.set_output(valve, sixteen_bits(v, low, high))
+            self._plant.set_output(valve, quantised_output_v(v, low, high))
 
     def readback(self) -> NDArray[np.float64]:
         """The voltages that the outputs stand at."""

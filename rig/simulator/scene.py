@@ -14,7 +14,7 @@ from calibration.vision.lens import Lens
 from calibration.vision.projection import extent
 from calibration.vision.transforms import RigidTransform
 from rig.simulator.board_rendering import FINE, ExposedView, shrink
-from rig.simulator.cell_grid_rendering import Cover, painter, print_painter
+from rig.simulator.cell_grid_rendering import Occlusion, painter, print_painter
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -31,7 +31,7 @@ _RAYS_SPARE_PX = 40
 
 
 @dataclass(frozen=True)
-class Optics:
+class ImageDegradation:
     """What the picture suffers: `blur_px` (Gaussian, standard deviation), `noise_grey` (standard deviation of 256
     levels), `lighting` (share of full scale of a white surface where the light is best).
     """
@@ -45,24 +45,30 @@ class Scene:
     """One camera's view of the board; the same seed and frame index give the same picture, bit for bit."""
 
     def __init__(
-        self, board: Board, lens: Lens, size: tuple[int, int], optics: Optics, seed: int, cover: Cover | None = None
+        self,
+        board: Board,
+        lens: Lens,
+        size: tuple[int, int],
+        degradation: ImageDegradation,
+        seed: int,
+        occlusion: Occlusion | None = None,
     ) -> None:
         """`size` is (width, height) in pixels; `cover` hides a part of the board."""
-        self._board, self._optics, self._seed = board, optics, seed
+        self._board, self._degradation, self._seed = board, degradation, seed
         self._lens = lens
         width, height = size
         self._rays = _PixelRays(lens, size)
         rng = np.random.default_rng([seed, 0xB0A2D])
-        self._light = _light(size, optics.lighting)
+        self._light = _light(size, degradation.lighting)
         self._backdrop = _backdrop(size, self._light, rng)
         noise = rng.standard_normal((height + _NOISE_SPARE[1], width + _NOISE_SPARE[0]), dtype=np.float32)
-        self._noise = noise * np.float32(optics.noise_grey)
+        self._noise = noise * np.float32(degradation.noise_grey)
         self._noise_places = rng.integers(0, _NOISE_SPARE, (_NOISE_PLACES, 2))
         self._backdrops: dict[int, Image] = {}
         self._samples = _sample_offsets()
-        self._taps = _taps(optics.blur_px)
+        self._taps = _taps(degradation.blur_px)
         self._outline = _outline(board)
-        self._paint = painter(board) if cover is None else print_painter(board, cover)
+        self._paint = painter(board) if occlusion is None else print_painter(board, occlusion)
         # A point at (a, d) units lies at x = (a - nx/2) s, y = (ny/2 - d) s on the board.
         width_units, height_units = board.extent
         self._squares = np.array(
@@ -132,7 +138,7 @@ class Scene:
         lens = self._lens
         if extent(self._outline, rotations, translations, lens.matrix, lens.distortion, bounds) <= _NEAREST_M:
             return None
-        margin = 4 + int(np.ceil(4 * self._optics.blur_px))
+        margin = 4 + int(np.ceil(4 * self._degradation.blur_px))
         (left, top), (right, bottom) = bounds.tolist()
         x0, y0 = max(math.floor(left) - margin, 0), max(math.floor(top) - margin, 0)
         x1, y1 = min(math.ceil(right) + margin, width), min(math.ceil(bottom) + margin, height)

@@ -14,7 +14,7 @@ from rig.config.arm_model import true_arm
 from rig.config.optics import lens_of
 from rig.config.schema import RigConfig
 from rig.simulator.mock_camera import MockCamera
-from rig.simulator.scene import Optics, Scene
+from rig.simulator.scene import ImageDegradation, Scene
 from rig.simulator.tip_pose import TipPose
 
 Image = NDArray[np.uint8]
@@ -34,7 +34,7 @@ def shown_boards(config: RigConfig, camera: str, board: Board, seed: int) -> Ite
     assert config.simulator.scene is not None
     chosen, truth = config.as_built.cameras[camera], config.simulator.scene
     lens, size = lens_of(chosen), (chosen.width_px, chosen.height_px)
-    scene = Scene(board, lens, size, Optics(truth.blur_px, truth.noise_grey, truth.lighting), seed)
+    scene = Scene(board, lens, size, ImageDegradation(truth.blur_px, truth.noise_grey, truth.lighting), seed)
     rng = np.random.default_rng([seed, 0xCA11])
     extent = np.ptp(board.corners_m[:, :2], axis=0) + board.unit_m
     index = 0

@@ -15,7 +15,7 @@ from calibration.vision.board import Board
 from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.tag_grid import TagGrid
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.scene import Optics
+from rig.simulator.scene import ImageDegradation
 from tests.support.shared_data import shared_data
 from tests.support.vision_bench import FACING, LENS, scene
 
@@ -35,7 +35,7 @@ def test_real_views_give_the_published_focal_length() -> None:
 
 
 def _rendered(count: int, seed: int = 4) -> Iterator[View]:
-    view, rng = scene(Optics(0.6, 2.0), board=BOARD), np.random.default_rng(seed)
+    view, rng = scene(ImageDegradation(0.6, 2.0), board=BOARD), np.random.default_rng(seed)
     for k in range(count):
         turn = RigidTransform.from_vectors(np.deg2rad(rng.uniform(-32, 32, 3) * (1, 1, 0.5)), (0, 0, 0)).rotation
         place = rng.uniform((-0.06, -0.035, 0.38), (0.06, 0.035, 0.45))

@@ -109,11 +109,11 @@ def test_the_examples_of_the_page_are_complete_extensions(known: dict[str, Any])
 
     played: list[tuple[str, list[float]]] = []
 
-    class Player:
+    class TrajectoryBuilder:
         def stand(self, kind: str, label: str, actuators: object, duration_s: float, levels_pa: list[float]) -> None:
             played.append((kind, levels_pa))
 
-    known["Pulse"](actuators=(1, 2), level_bar=0.3, duration_s=1.0).play(Player())
+    known["Pulse"](actuators=(1, 2), level_bar=0.3, duration_s=1.0).play(TrajectoryBuilder())
     assert played == [("pulse", [30_000.0, 30_000.0]), ("pulse", [0.0, 0.0])]
     valve = known["InvertedValve"](type="inverted", actuators=(1,), card="daq", channel=0, span_bar=(0.0, 2.0))
     assert valve.safe_v() == 10.0

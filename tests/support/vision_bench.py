@@ -11,7 +11,7 @@ from calibration.vision.board import Board
 from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.lens import Lens
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.scene import Optics, Scene
+from rig.simulator.scene import ImageDegradation, Scene
 from rig.simulator.tip_pose import TipPose
 
 Floats = NDArray[np.float64]
@@ -20,7 +20,7 @@ BOARD = Checkerboard(7, 6, 0.008)
 LENS = Lens.of(900, 900, 320, 240, (-0.12, 0.08, 0.0004, -0.0003, 0.0))
 SIZE = (640, 480)
 FRAME_NS = 33_333_333
-OPTICS = Optics(0.6, 2.0)
+DEGRADATION = ImageDegradation(0.6, 2.0)
 FACING = np.diag([1.0, -1.0, -1.0])
 """A board that looks straight into the camera, upright."""
 
@@ -50,9 +50,9 @@ def facing(
     return RigidTransform(roll @ FACING @ tilt, np.array([x_m, y_m, distance_m]))
 
 
-def scene(optics: Optics = OPTICS, seed: int = 1, board: Board = BOARD) -> Scene:
+def scene(degradation: ImageDegradation = DEGRADATION, seed: int = 1, board: Board = BOARD) -> Scene:
     """The mock camera's scene."""
-    return Scene(board, LENS, SIZE, optics, seed)
+    return Scene(board, LENS, SIZE, degradation, seed)
 
 
 def still(pose: RigidTransform, index: int = 0, view: Scene | None = None) -> NDArray[np.uint8]:

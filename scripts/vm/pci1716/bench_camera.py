@@ -15,7 +15,7 @@ from rig.config.optics import camera_in_base, lens_of
 from rig.config.schema import RigConfig
 from rig.simulator.mock_camera import MockCamera
 from rig.simulator.plant import Plant
-from rig.simulator.scene import Optics, Scene
+from rig.simulator.scene import ImageDegradation, Scene
 from rig.simulator.simulated_operator import shown_boards
 from scripts.vm.pci1716.shared_picture import SIZE_BYTES, SharedPicture, Subject
 
@@ -94,7 +94,7 @@ def _standing(config: RigConfig, board: Checkerboard, seed: int) -> Iterator[Ima
         board,
         lens_of(camera),
         (camera.width_px, camera.height_px),
-        Optics(truth.blur_px, truth.noise_grey, truth.lighting),
+        ImageDegradation(truth.blur_px, truth.noise_grey, truth.lighting),
         seed + 1,
     )
     pose = camera_in_base(camera).inverse() @ BOARD_ON_THE_BASE

@@ -12,11 +12,11 @@ from calibration.vision.charuco import CharucoBoard
 from calibration.vision.tag_grid import TagGrid
 from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.cell_grid_rendering import Cover, print_painter
+from rig.simulator.cell_grid_rendering import Occlusion, print_painter
 from runs.records import DetectionStatus
 from tests.support.vision_bench import BOARD, facing, scene, still
 
-MOST = Cover(-0.3, -0.3, 0.95, 1.3)
+MOST = Occlusion(-0.3, -0.3, 0.95, 1.3)
 
 
 @pytest.mark.parametrize("board", [CharucoBoard(6, 5, 0.01, 0.0075), TagGrid(3, 2, 0.016, 0.004)])
@@ -47,8 +47,8 @@ def test_corners_have_the_boards_order_for_any_rotation(name: str, roll_deg: flo
 
 def test_with_a_third_covered_the_stated_intervals_hold_the_truth_and_are_wider() -> None:
     board, where = BOARDS["charuco 9x8"], list(poses(40, 2))
-    whole = measure(board, where, (None,), lambda cover: ours(board, cover, 1))
-    covered = measure(board, where, patches(2)[:5], lambda cover: ours(board, cover, 1))
+    whole = measure(board, where, (None,), lambda occlusion: ours(board, occlusion, 1))
+    covered = measure(board, where, patches(2)[:5], lambda occlusion: ours(board, occlusion, 1))
     assert covered.lost <= 1
     # Three standard deviations of 120 axes, of which three share a pose, below 95 %.
     assert covered.held()[0] > 0.85

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.other_renderer import BoardPose
 from benchmarks.vision import CHI2_95_3, SETTINGS, TIP_IN_BOARD, Setting, measure, motion, others, ours
-from rig.simulator.scene import Optics
+from rig.simulator.scene import ImageDegradation
 
 FRAMES = 120
 
@@ -38,7 +38,7 @@ def test_the_ellipsoid_holds_the_truth_in_pictures_of_the_other_renderer(name: s
 def test_motion_in_a_known_plane_is_measured_to_a_tenth_of_a_millimetre_with_an_honest_covariance() -> None:
     setting = _setting("one camera 1920x1080 at 0.8 m, planar motion")
     free = _setting("one camera 1920x1080 at 0.8 m, head-on")
-    found = measure(setting, 40, ours(setting, Optics(0.6, 2.0)))
+    found = measure(setting, 40, ours(setting, ImageDegradation(0.6, 2.0)))
     in_plane = np.hypot(found.errors_m[:, 0], found.errors_m[:, 1])
     assert np.quantile(in_plane, 0.95) < 1e-4
     assert np.mean(found.distances < CHI2_95_3) > 0.85

@@ -12,7 +12,7 @@ from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.corners import Corners
 from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.scene import Optics
+from rig.simulator.scene import ImageDegradation
 from runs.records import DetectionStatus
 from tests.support.vision_bench import BOARD, LENS, facing, scene, still
 
@@ -186,7 +186,7 @@ def test_a_colour_picture_is_measured_like_its_grey_one() -> None:
 
 def test_a_board_cut_by_the_pictures_edge_is_not_measured() -> None:
     tracker = BoardTracker(BOARD, LENS)
-    assert tracker.detect(still(facing(x_m=0.125), view=scene(Optics(0.6, 2.0)))).pose is None
+    assert tracker.detect(still(facing(x_m=0.125), view=scene(ImageDegradation(0.6, 2.0)))).pose is None
 
 
 def _two_boards() -> np.ndarray:

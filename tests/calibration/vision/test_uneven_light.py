@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from calibration.vision.corners import sharpen
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.scene import Optics
+from rig.simulator.scene import ImageDegradation
 from tests.support.vision_bench import BOARD, LENS, facing, scene, still
 
 Floats = NDArray[np.float64]
 
 PATTERN = (BOARD.squares_x - 1, BOARD.squares_y - 1)
 NOISE_GREY = 2.0
-VIEW = scene(Optics(0.6, 0.0))
+VIEW = scene(ImageDegradation(0.6, 0.0))
 
 
 def lit(pose: RigidTransform, corners_px: Floats, ratio: float, rng: np.random.Generator) -> NDArray[np.uint8]:

@@ -13,7 +13,7 @@ from typer.testing import CliRunner, Result
 
 from calibration.corner_search import seen_corners
 from rig.cli.app import app
-from rig.config.board_sections import BOARD_KINDS, BoardSection
+from rig.config.board_sections import BOARD_KINDS, BoardPattern
 from rig.config.loader import load
 
 MOCK = Path(__file__).parents[3] / "rig" / "rigs" / "mock.yaml"
@@ -79,7 +79,7 @@ def test_the_printed_page_shows_the_rigs_board_at_its_size(tmp_path: Path, kind:
     assert _page_size_mm(to) == pytest.approx((210, 297), abs=0.01)
     page = _scanned(to)
     section = load(file).board
-    assert isinstance(section, BoardSection)
+    assert isinstance(section, BoardPattern)
     board = section.board()
     found = seen_corners(board, page)
     assert found is not None

@@ -22,7 +22,7 @@ from rig.cli.app import app
 from rig.config.calibration_files import read
 from rig.config.loader import load
 from rig.config.optics import board_of, camera_in_base, lens_of
-from rig.simulator.scene import Optics, Scene
+from rig.simulator.scene import ImageDegradation, Scene
 from tests.support.vision_bench import FACING, LENS, SIZE, scene
 
 STEREO = Path(__file__).parents[3] / "rig" / "rigs" / "mock-stereo.yaml"
@@ -37,7 +37,7 @@ def rig(*arguments: str) -> Result:
 
 
 def _views(board: Board, count: int, reach_m: tuple[float, float], seed: int) -> Iterator[View]:
-    view, rng = scene(Optics(0.6, 2.0), board=board), np.random.default_rng(seed)
+    view, rng = scene(ImageDegradation(0.6, 2.0), board=board), np.random.default_rng(seed)
     for k in range(count):
         turn = RigidTransform.from_vectors(np.deg2rad(rng.uniform(-32, 32, 3) * (1, 1, 3)), (0, 0, 0)).rotation
         x, y = rng.uniform(-1, 1, 2) * reach_m
@@ -77,7 +77,7 @@ def _stereo_views(folder: Path, file: str, count: int = 6) -> None:
     for name, camera in config.cameras.items():
         (folder / name).mkdir()
         lens, place = lens_of(camera), camera_in_base(camera)
-        view, rng = Scene(board, lens, SIZE, Optics(0.6, 2.0), 1), np.random.default_rng(7)
+        view, rng = Scene(board, lens, SIZE, ImageDegradation(0.6, 2.0), 1), np.random.default_rng(7)
         upright = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
         for k in range(count):
             turn = RigidTransform.from_vectors(rng.uniform(-0.35, 0.35, 3), (0, 0, 0)).rotation
@@ -99,7 +99,7 @@ def test_cameras_are_placed_from_views_of_the_rigs_board(here: Path, board: str,
     assert facts["test_error"]["edge_mm"] == pytest.approx(edge_mm, rel=2e-3)
     assert facts["test_error"]["rms_mm"] < 0.1
     found = read(here / "d.yaml").found
-    assert found.board == load(file).board.printed
+    assert found.board == load(file).board.pattern
     corners = len(board_of(load(file)).corners_m)
     assert min(view.corners for view in found.views) < corners
     table = rig("calibrate", "dlt", "left=left", "right=right", "--rig", file, "--to", "e.yaml")

@@ -21,7 +21,7 @@ from rig.config.schema import RigConfig
 from rig.hardware import runtime_folder
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
-from rig.hardware.vent import Vented
+from rig.hardware.vent import VentResult
 from rig.realtime import scheduling
 from rig.simulator.registers import Registers
 
@@ -168,7 +168,7 @@ def test_vent_does_not_claim_what_a_card_without_read_back_cannot_show(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     (running, _), _ = two_cards
-    monkeypatch.setattr(rig.cli.vent, "vent_rig", lambda config: Vented(("daq",)))
+    monkeypatch.setattr(rig.cli.vent, "vent_rig", lambda config: VentResult(("daq",)))
     with cards_locked(running, "protocol ramp-a"):
         assert inside("vent") == 0
     said = capsys.readouterr().out

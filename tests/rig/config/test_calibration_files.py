@@ -17,7 +17,7 @@ from protocols import BadInputError, document
 from rig.calibrate import file_sections
 from rig.cli.app import app
 from rig.config import calibration_files, calibration_schema, loader
-from rig.config.board_sections import CheckerboardPrint
+from rig.config.board_sections import CheckerboardPattern
 from rig.config.calibration_files import parse, read, text_of, write
 from rig.config.optics import camera_in_base, lens_of, rigid
 from rig.config.sections import LensConfig, Placement
@@ -43,7 +43,7 @@ def camera_file(**changed: Any) -> calibration_schema.CameraFile:
         "camera": calibration_schema.CameraIdentity(
             name="front", driver="mock", device="mock0", width_px=640, height_px=480
         ),
-        "board": CheckerboardPrint(corners=(9, 6), square_mm=16.0),
+        "board": CheckerboardPattern(corners=(9, 6), square_mm=16.0),
         "lens": LensConfig(fx_px=621.5, fy_px=620.5, cx_px=319.5, cy_px=241.0, distortion=(-0.12, 0.08, 0.0, 0.0, 0.0)),
         "covariance": _matrix(9),
         "rms_px": 0.05,
@@ -61,7 +61,7 @@ def tool_file(**changed: Any) -> calibration_schema.ToolFile:
         "camera": calibration_schema.CameraIdentity(
             name="front", driver="mock", device="mock0", width_px=640, height_px=480
         ),
-        "board": CheckerboardPrint(corners=(6, 5), square_mm=8.0),
+        "board": CheckerboardPattern(corners=(6, 5), square_mm=8.0),
         "placement": Placement(translation_mm=(0.1, 0.2, 35.3), rotation_deg=(-60.2, 0.0, 0.1)),
         "covariance": _matrix(6),
         "views": (
@@ -255,13 +255,13 @@ def _identity(**changed: Any) -> calibration_schema.CameraIdentity:
         (camera_file(camera=_identity(driver="opencv")), "camera, driver", "opencv", "another camera's calibration"),
         (camera_file(camera=_identity(device="mock1")), "camera, device", "mock1", "mock0"),
         (
-            tool_file(board=CheckerboardPrint(corners=(6, 5), square_mm=9.0)),
+            tool_file(board=CheckerboardPattern(corners=(6, 5), square_mm=9.0)),
             "board, square_mm",
             "9",
             "8",
         ),
         (
-            tool_file(board=CheckerboardPrint(corners=(9, 6), square_mm=8.0)),
+            tool_file(board=CheckerboardPattern(corners=(9, 6), square_mm=8.0)),
             "board, corners",
             "9x6",
             "6x5",

@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.vision.transforms import RigidTransform
 from rig.simulator.board_rendering import DARK, WHITE
-from rig.simulator.scene import Optics
+from rig.simulator.scene import ImageDegradation
 from tests.support.vision_bench import BOARD, LENS, facing, scene, still
 
 
@@ -25,7 +25,7 @@ def _found_corners(image: np.ndarray, seeds: np.ndarray) -> np.ndarray:
 
 
 def test_corners_lie_where_the_lens_puts_them() -> None:
-    view = scene(Optics(0.6, 0.0))
+    view = scene(ImageDegradation(0.6, 0.0))
     rng = np.random.default_rng(5)
     errors = []
     for _ in range(40):
@@ -60,13 +60,13 @@ def test_a_prepared_scene_gives_the_same_picture() -> None:
 
 
 def test_noise_has_the_level_that_was_asked_for() -> None:
-    view = scene(Optics(0.6, 3.0))
+    view = scene(ImageDegradation(0.6, 3.0))
     pictures = np.array([still(facing(), index, view) for index in range(24)], dtype=np.float64)
     assert abs(np.mean(pictures.std(axis=0)) - 3.0) < 0.2
 
 
 def test_pictures_without_a_board_differ_from_the_one_before() -> None:
-    view = scene(Optics(0.6, 3.0))
+    view = scene(ImageDegradation(0.6, 3.0))
     pictures = [still(facing(x_m=1.0), index, view) for index in range(70)]
     assert not any(np.array_equal(before, after) for before, after in itertools.pairwise(pictures))
     # Dropped frames are a gap in the index.
@@ -74,8 +74,8 @@ def test_pictures_without_a_board_differ_from_the_one_before() -> None:
 
 
 def test_noise_of_the_board_and_of_the_backdrop_has_no_mean_and_is_uncorrelated_between_pictures() -> None:
-    view = scene(Optics(0.6, 3.0))
-    exact = still(facing(), view=scene(Optics(0.6, 0.0))).astype(float)
+    view = scene(ImageDegradation(0.6, 3.0))
+    exact = still(facing(), view=scene(ImageDegradation(0.6, 0.0))).astype(float)
     rest = np.array([still(facing(), index, view) - exact for index in range(24)])
     for part in (rest[:, 200:280, 280:360], rest[:, :80, :80]):
         assert abs(part.mean()) < 0.1
@@ -84,7 +84,7 @@ def test_noise_of_the_board_and_of_the_backdrop_has_no_mean_and_is_uncorrelated_
 
 
 def test_squares_keep_their_contrast_from_the_dark_to_the_bright_side() -> None:
-    view = scene(Optics(0.0, 0.0, lighting=0.9))
+    view = scene(ImageDegradation(0.0, 0.0, lighting=0.9))
     bright = []
     for x in (-0.09, 0.09):
         pose = facing(x)
@@ -99,7 +99,7 @@ def test_squares_keep_their_contrast_from_the_dark_to_the_bright_side() -> None:
 
 
 def test_motion_blurs_along_the_path_around_an_unmoved_middle() -> None:
-    view = scene(Optics(0.6, 0.0))
+    view = scene(ImageDegradation(0.6, 0.0))
     middle = facing(roll_deg=20)
     way = np.array([0.0009, 0.0, 0.0])
     opened = RigidTransform(middle.rotation, middle.translation_m - way / 2)
@@ -118,7 +118,7 @@ def test_motion_blurs_along_the_path_around_an_unmoved_middle() -> None:
 
 
 def test_a_board_partly_or_wholly_out_of_the_picture_is_drawn_as_far_as_it_is_seen() -> None:
-    view = scene(Optics(0.6, 0.0))
+    view = scene(ImageDegradation(0.6, 0.0))
     empty = still(facing(x_m=1.0), view=view)
     cut = still(facing(x_m=0.14), view=view)
     behind = still(facing(distance_m=-0.4), view=view)
