@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
-from protocols.validation import ValidationFault, faults
 from rig.arm_effects.registry import ArmEffectEntry
 from rig.config.input_sections import SimulatedInput
 from rig.config.sections import GeometryConfig, LensConfig, MaterialConfig, Placement, Sensor
@@ -36,36 +35,12 @@ class SimulatedSensor(Section):
     lag_ms: Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False, strict=True)]
 
 
-Share = Annotated[float, Field(ge=-1, le=2, allow_inf_nan=False, strict=True)]
-
-
-class SimulatedOcclusion(Section):
-    """A matt strip on the board, in shares of its width and height from the top left corner of the print."""
-
-    left: Share = 0.0
-    top: Share = 0.0
-    right: Share = 1.0
-    bottom: Share = 1.0
-    reflectance: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False, strict=True)] = 0.35
-
-    @model_validator(mode="after")
-    def _has_area(self) -> SimulatedOcclusion:
-        if self.left >= self.right:
-            faults([ValidationFault(("right",), f"more than left, {self.left:g}")])
-        if self.top >= self.bottom:
-            faults([ValidationFault(("bottom",), f"more than top, {self.top:g}")])
-        return self
-
-
 class SimulatedScene(Section):
     """True parameters of the image."""
 
     blur_px: Annotated[float, Field(ge=0, le=50, allow_inf_nan=False, strict=True)]
     noise_grey: Annotated[float, Field(ge=0, le=255, allow_inf_nan=False, strict=True)]
     lighting: Annotated[float, Field(gt=0, le=1, strict=True)] = 0.9
-    occlusion: SimulatedOcclusion | SkipJsonSchema[None] = Field(
-        default=None, description="what hides a part of the board"
-    )
     skew_ms: NonNegative = Field(default=0.0, description="virtual time: each camera exposes so long after the last")
 
 

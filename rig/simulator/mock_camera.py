@@ -15,7 +15,6 @@ from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
 from rig.hardware.cameras.base import CameraError, Frame
 from rig.hardware.cards.base import CardError
-from rig.simulator.cell_grid_rendering import Occlusion
 from rig.simulator.faults import CameraFault, Faults
 from rig.simulator.registers import Registers
 from rig.simulator.scene import ImageDegradation, Scene
@@ -95,7 +94,6 @@ class MockCamera:
         assert truth is not None
         self._config, self._camera = config, chosen
         self._degradation = ImageDegradation(truth.blur_px, truth.noise_grey, truth.lighting)
-        self._occlusion = truth.occlusion
         self._seed = seed + _OTHER_NOISE * (self._number - 1)
         simulator = config.simulator
         self._base = rigid(simulator.base)
@@ -110,8 +108,7 @@ class MockCamera:
     def scene(self) -> Scene:
         """What the camera sees; made at its first use, which takes about 0.1 s."""
         size = (self._camera.width_px, self._camera.height_px)
-        occlusion = None if self._occlusion is None else Occlusion(**self._occlusion.model_dump())
-        return Scene(board_of(self._config), lens_of(self._camera), size, self._degradation, self._seed, occlusion)
+        return Scene(board_of(self._config), lens_of(self._camera), size, self._degradation, self._seed)
 
     def start(self) -> None:
         """Begin the exposures of real time anew, with the scene made."""

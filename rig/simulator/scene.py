@@ -53,7 +53,7 @@ class Scene:
         seed: int,
         occlusion: Occlusion | None = None,
     ) -> None:
-        """`size` is (width, height) in pixels; `cover` hides a part of the board."""
+        """`size` is (width, height) in pixels; `occlusion` hides a part of the board."""
         self._board, self._degradation, self._seed = board, degradation, seed
         self._lens = lens
         width, height = size
