@@ -38,21 +38,18 @@ class Sine(MotionStep):
     omega_rad_s: PositiveEach | SkipJsonSchema[None] = Field(default=None, description="angular frequency")
     frequency_hz: PositiveEach | SkipJsonSchema[None] = Field(default=None, description="instead of omega_rad_s")
     period_s: PositiveEach | SkipJsonSchema[None] = Field(default=None, description="instead of omega_rad_s")
-    phase_deg: NumberEach | SkipJsonSchema[None] = Field(default=None, description="at the start; 0 if left out")
-    phase_rad: NumberEach | SkipJsonSchema[None] = Field(default=None, description="instead of phase_deg")
+    phase_deg: NumberEach = Field(default=0.0, description="at the start")
     duration_s: Seconds | SkipJsonSchema[None] = None
     periods: Positive | SkipJsonSchema[None] = Field(default=None, description="instead of duration_s")
     lead_in_s: SecondsOrNone = 0.0
 
     @model_validator(mode="after")
     def _check(self) -> Sine:
-        names = ("mean_bar", "amplitude_bar", "omega_rad_s", "frequency_hz", "period_s", "phase_deg", "phase_rad")
+        names = ("mean_bar", "amplitude_bar", "omega_rad_s", "frequency_hz", "period_s", "phase_deg")
         found = fits(self.actuators, {name: getattr(self, name) for name in names})
         speeds = (self.omega_rad_s, self.frequency_hz, self.period_s)
         found += one_of(("omega_rad_s", "frequency_hz", "period_s"), speeds)
         found += one_of(("duration_s", "periods"), (self.duration_s, self.periods))
-        if self.phase_deg is not None and self.phase_rad is not None:
-            found.append(ValidationFault(("phase_rad",), "phase_deg or phase_rad, not both"))
         differ = any(isinstance(speed, tuple) and len(set(speed)) > 1 for speed in speeds)
         if self.periods is not None and differ:
             found.append(ValidationFault(("periods",), "duration_s, because the frequencies differ"))
@@ -68,10 +65,7 @@ class Sine(MotionStep):
             omegas = tuple(2 * math.pi / period for period in each(self.period_s, count))
         else:
             omegas = tuple(2 * math.pi * hz for hz in each(self.frequency_hz or 0.0, count))
-        if self.phase_rad is not None:
-            phases = each(self.phase_rad, count)
-        else:
-            phases = tuple(math.radians(deg) for deg in each(self.phase_deg or 0.0, count))
+        phases = tuple(math.radians(deg) for deg in each(self.phase_deg, count))
         means, amplitudes = each(self.mean_bar, count), each(self.amplitude_bar, count)
         sines = [
             Sinusoid(pa(mean), pa(amplitude), omega, phase)
