@@ -66,8 +66,9 @@ class Simulator(Section):
         default=(),
         description="what the arm does beyond the rod model, in the order in which they act on the pressures",
     )
-    camera_error: Placement = Field(default=Placement(), description="true camera placement beyond the stated one")
-    camera_errors: dict[str, Placement] = Field(default={}, description="the same for the cameras that are named")
+    camera_errors: dict[str, Placement] = Field(
+        default={}, description="true placement of each camera beyond the stated one, by its name"
+    )
     built: AsBuiltSection | SkipJsonSchema[None] = Field(default=None, description="true parts; default: those stated")
     geometry: GeometryConfig | SkipJsonSchema[None] = Field(
         default=None, description="true geometry; default: the arm's"
@@ -79,4 +80,4 @@ class Simulator(Section):
 
     def error_of(self, camera: str) -> Placement:
         """Return the offset of a camera's true placement from the stated one."""
-        return self.camera_errors.get(camera, self.camera_error)
+        return self.camera_errors.get(camera, Placement())

@@ -235,7 +235,7 @@ def test_the_simulated_truth_includes_the_true_mounting(tmp_path: Path) -> None:
     assert [truth[f"tool_{axis}_m"] for axis in "xyz"] == pytest.approx([1e-3, 2e-3, 3e-3])
     assert [truth[f"base_{axis}_m"] for axis in "xyz"] == pytest.approx([4e-3, 5e-3, 6e-3])
     assert truth["sensor_1_gain"] == pytest.approx(10 / 8)
-    simulator["camera_error"] = {"translation_mm": [1, 0, 0]}
+    simulator["camera_errors"] = {"front": {"translation_mm": [1, 0, 0]}}
     shaken = truth_of(runs.open(archive(tmp_path, "shaken", rig_yaml=yaml.safe_dump(rig))))
     assert "base_x_m" not in shaken
     assert shaken["a1_per_n"] == truth["a1_per_n"]
