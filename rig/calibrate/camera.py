@@ -123,7 +123,9 @@ def _written(
     file: Path,
     found: CameraCalibration,
 ) -> CalibratedCamera:
-    content = file_sections.camera_file(found, inputs.identity(rig, name, found), board, request.output.note)
+    content = file_sections.camera_file(
+        found, inputs.identity(rig, name, (found.width_px, found.height_px)), board, request.output.note
+    )
     made = request.output.write(content, file)
     figure = residual_figure.write(found, f"camera {name}", made.with_suffix(_PICTURE))
     simulated = rig is not None and name in rig.cameras and rig.cameras[name].simulated

@@ -118,7 +118,7 @@ def _seen(
         name = source.camera
         views = list(views_in(source.views, every))
         size = sizes[name] = views[0].image.shape[1], views[0].image.shape[0]
-        inputs.identity_sized(rig, name, size)
+        inputs.identity(rig, name, size)
         lens = known_lens(name, rig, known, size, f"the views in {source.views}")
         if lens is None:
             made = calibrate_views(views, board)

@@ -65,7 +65,7 @@ def dlt_file(
     """Return the file of a result; `board` is None for control points, `in_base`: the world is the rod-base frame."""
     corners = 0 if board is None else board.corner_count
     cameras = [
-        _section(name, result, inputs.identity_sized(rig, name, result.sizes_px[name]), corners) for name in result.dlts
+        _section(name, result, inputs.identity(rig, name, result.sizes_px[name]), corners) for name in result.dlts
     ]
     return calibration_schema.DLTFile(
         **file_sections.origin(note),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from calibration.camera import CameraCalibration
 from protocols import BadInputError, Problem
 from protocols.problems import closest
 from rig.calibrate import file_sections
@@ -98,13 +97,8 @@ def rig_of(name: str | None) -> RigConfig | None:
     return None if name is None else load(name)
 
 
-def identity(rig: RigConfig | None, name: str, found: CameraCalibration) -> calibration_schema.CameraIdentity:
-    """Return the identity of the camera of the views; refuse pictures of another size than the rig's."""
-    return identity_sized(rig, name, (found.width_px, found.height_px))
-
-
-def identity_sized(rig: RigConfig | None, name: str, size: tuple[int, int]) -> calibration_schema.CameraIdentity:
-    """See `identity`; `size` is (width, height) of the pictures."""
+def identity(rig: RigConfig | None, name: str, size: tuple[int, int]) -> calibration_schema.CameraIdentity:
+    """Return the identity of a camera; refuse pictures of another size (width, height) than the rig's."""
     if rig is None or name not in rig.cameras:
         return file_sections.unknown_camera(name, *size)
     camera = rig.cameras[name]

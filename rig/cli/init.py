@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 import textwrap
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from rig.cli import completion
 from rig.cli.options import OutputFile, Replace
 
 EXPLAINED = {
@@ -64,20 +64,6 @@ _WIDTH = 110
 _SECTION = re.compile(r"([a-z_]+):")
 
 
-class Template(StrEnum):
-    """Bundled rigs."""
-
-    MOCK = "mock"
-    MOCK_3 = "mock-3"
-    MOCK_CHARUCO = "mock-charuco"
-    MOCK_IDEAL = "mock-ideal"
-    MOCK_NO_CAMERA = "mock-no-camera"
-    MOCK_STEREO = "mock-stereo"
-    MOCK_TRACKER = "mock-tracker"
-    PCI1716 = "pci1716"
-    PCI1716_2 = "pci1716-2"
-
-
 def commented(text: str) -> str:
     """Return a rig's YAML with a comment for every section, without its leading comments."""
     lines = text.splitlines()
@@ -94,7 +80,9 @@ def commented(text: str) -> str:
 
 
 def init(
-    like: Annotated[Template, typer.Option(help="Bundled rig to start from.")] = Template.MOCK,
+    like: Annotated[
+        str, typer.Option(metavar="NAME", help="Bundled rig to start from.", autocompletion=completion.rigs)
+    ] = "mock",
     to: OutputFile = Path("softrig.yaml"),
     replace: Replace = False,
 ) -> None:
