@@ -123,7 +123,7 @@ def export(
     out: OptionalFolder = None,
     replace: Replace = False,
 ) -> None:
-    """Write an archive in another format: csv, mat, nc, mcap, or yaml for the inputs of the run."""
+    """Write an archive in another format: csv, mat, mcap, or yaml for the inputs of the run."""
     from rig.cli.run_names import resolve
     from runs.export.exporters import export as write
 

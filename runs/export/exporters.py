@@ -1,4 +1,4 @@
-"""Export of an archive as CSV, MATLAB, netCDF or MCAP, and of its inputs as YAML."""
+"""Export of an archive as CSV, MATLAB or MCAP, and of its inputs as YAML."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import yaml
 
-from runs.archive import layout
 from runs.archive.checked import ArchiveError, opened
 from runs.archive.schema import BYTES
 from runs.overwriting import WouldOverwriteError, staged
@@ -37,7 +36,7 @@ class ExportWriteError(ExportError):
 def export(
     archive: Path | str, to: str = "csv", folder: Path | str | None = None, *, replace: bool = False
 ) -> tuple[Path, ...]:
-    """Write an archive in another format (`csv`, `mat`, `nc`, `mcap` or `yaml`) and return what was written.
+    """Write an archive in another format (`csv`, `mat`, `mcap` or `yaml`) and return what was written.
 
     By default beside the archive.
 
@@ -132,7 +131,7 @@ def _struct(source: Path) -> dict[str, Any]:
 
 
 def _identifier(name: str, taken: Mapping[str, Any]) -> str:
-    """Return a name for MATLAB and netCDF: letters, digits and underscores, a letter first, at most 63, none twice."""
+    """Return a name for MATLAB: letters, digits and underscores, a letter first, at most 63, none twice."""
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)
     plain = (plain if plain[:1].isalpha() else f"x{plain}")[:60]
     result, number = plain, 1
@@ -140,44 +139,6 @@ def _identifier(name: str, taken: Mapping[str, Any]) -> str:
         number += 1
         result = f"{plain}_{number}"
     return result
-
-
-def _nc(source: Path, stem: Path) -> tuple[Path, ...]:
-    """One netCDF classic file: `tip_measured_x_mm (tip_time_s)` and so on, what describes the run as attributes."""
-    from scipy.io import netcdf_file
-
-    path = stem.with_name(f"{stem.name}.nc")
-    header = Run(source).header
-    with netcdf_file(path, "w", version=2) as file:
-        # SciPy encodes text as ASCII, but bytes as they are.
-        texts = {"title": header.title, "run_id": header.run_id, "model": header.model_variant}
-        if header.protocol_parameters:
-            texts["protocol_parameters"] = ", ".join(map(str, header.protocol_parameters))
-        for name, text in (texts | header.inputs).items():
-            setattr(file, _identifier(name, vars(file)), text.encode())
-        file.simulated = int(header.simulated)
-        for group in TABLES:
-            columns = {name: c for name, c in table(source, group).items() if c.dtype.kind in "fiu"}
-            if not columns or len(columns["time_s"]) == 0:
-                continue
-            dimension = f"{group}_time_s"
-            file.createDimension(dimension, len(columns["time_s"]))
-            for name, column in columns.items():
-                data = _classic(column)
-                known = _identifier(f"{group}_{name}", file.variables)
-                variable = file.createVariable(known, data.dtype, (dimension,))
-                variable[:] = data
-                if (unit := name.rpartition("_")[2]) in (*layout.UNITS, "s"):
-                    variable.units = unit
-    return (path,)
-
-
-def _classic(column: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Return a column in a type of netCDF classic, which has no 64-bit integers."""
-    if column.dtype.kind == "f" or column.dtype.itemsize <= 4:
-        return column
-    small = column.astype(np.int32)
-    return small if (small == column).all() else column.astype(np.float64)
 
 
 def _mcap(source: Path, stem: Path) -> tuple[Path, ...]:
@@ -254,7 +215,6 @@ def _file_name(name: str) -> str:
 FORMATS: dict[str, Callable[[Path, Path], tuple[Path, ...]]] = {
     "csv": _csv,
     "mat": _mat,
-    "nc": _nc,
     "mcap": _mcap,
     "yaml": _yaml,
 }

@@ -26,7 +26,7 @@ from runs.summary import summarise
 assert summarise(run).frames_measured > 0
 from runs.export import exporters
 from pathlib import Path
-for kind in ("csv", "mat", "nc"):
+for kind in ("csv", "mat"):
     exporters.export(Path({archive!r}), kind, Path({archive!r}).with_name("out." + kind))
 print(Path(runs.__file__).parent)
 """

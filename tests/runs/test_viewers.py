@@ -80,13 +80,6 @@ def test_xarray_finds_the_dimensions(archive: Path, engine: str) -> None:
         assert 29 <= late.sizes["time"] <= 31
 
 
-def test_xarray_reads_the_netcdf_export(archive: Path, tmp_path: Path) -> None:
-    (path,) = export(archive, "nc", tmp_path)
-    with xarray.open_dataset(path, engine="scipy") as data:
-        assert data.pressure_measured_1_bar.dims == ("pressure_time_s",)
-        assert data.attrs["run_id"] == "run"
-
-
 def test_pandas_reads_the_csv_export(archive: Path, tmp_path: Path) -> None:
     written = {path.stem: path for path in export(archive, "csv", tmp_path)}
     tip = pandas.read_csv(written["run-tip"], index_col="time_s")

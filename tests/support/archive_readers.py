@@ -29,7 +29,6 @@ COMMANDS = (
     ("show", "--json"),
     ("export", "--format", "csv"),
     ("export", "--format", "mat"),
-    ("export", "--format", "nc"),
     ("export", "--format", "mcap"),
     ("export", "--format", "yaml"),
     ("report",),
