@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -83,17 +84,24 @@ def load(name_or_path: str | Path, settings: Mapping[str, float] | None = None) 
 
 
 def from_steps(title: str, steps: Sequence[Mapping[str, Any]], folder: Path = Path()) -> Protocol:
-    """The protocol of these steps, each a mapping as in the YAML; its CSV files are in `folder`.
+    """The protocol of these steps, each a mapping as in the YAML and a line of its text; its CSV files are in `folder`.
 
     NumPy numbers and arrays are allowed, such as points (k, 3) in mm.
 
     Raises:
         BadInputError: every problem, with its line in the text of the protocol.
     """
-    body = {"title": title, "steps": list(steps)}
-    text = yaml.dump(body, Dumper=_StepDumper, sort_keys=False, allow_unicode=True)
+    text = f"{_flow({'title': title})}\nsteps:\n" + "".join(f"  - {_flow(step)}\n" for step in steps)
     path = folder / "steps.yaml"
     return _loaded(yaml_document.parse(text, str(path)), path, {})
+
+
+def _flow(mapping: Mapping[str, Any]) -> str:
+    """A mapping on one line, without its braces."""
+    text = yaml.dump(
+        mapping, Dumper=_StepDumper, sort_keys=False, allow_unicode=True, default_flow_style=True, width=math.inf
+    )
+    return text.strip()[1:-1]
 
 
 class _StepDumper(yaml.SafeDumper):

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 import protocols
@@ -108,7 +107,7 @@ def design(
     known = [expected_poses(name, protocols.load(name).expand(config.actuators), config, errors) for name in LIBRARY]
     library = error_bars(known, unknowns_of(config, chosen, known))
     limit = bars_of(problem, unknowns, prior + _WITHOUT_END * information.sum(axis=0))
-    return Design(protocol, _text(title, steps, config, bars, criterion, seed), bars, library, limit)
+    return Design(protocol, _text(protocol, config, bars, criterion, seed), bars, library, limit)
 
 
 def _check_inputs(config: RigConfig, duration_s: float, criterion: str) -> None:
@@ -158,18 +157,11 @@ def _framed(config: RigConfig, chosen: Sequence[Block]) -> list[dict[str, Any]]:
     return [up, rest, *(step for block in chosen for step in block.steps), down, rest]
 
 
-def _text(
-    title: str, steps: Sequence[dict[str, Any]], config: RigConfig, bars: ErrorBars, criterion: str, seed: int
-) -> str:
-    """The protocol as YAML, with a comment that says what it is for."""
-    lines = [
+def _text(protocol: Protocol, config: RigConfig, bars: ErrorBars, criterion: str, seed: int) -> str:
+    """The protocol with a comment that says what it is for."""
+    comment = (
         f"# Written by rig design for the rig {config.name}: criterion {criterion}, seed {seed}.",
         "# Expected standard errors of `rig identify`, if the rig's stated values and uncertainties hold:",
         *(f"#   {name}: {std:.3g} {unit}" for name, std, unit in zip(bars.names, bars.std, bars.units, strict=True)),
-        f"title: {title}",
-        "steps:",
-    ]
-    body = [
-        f"  - {yaml.safe_dump(s, default_flow_style=True, sort_keys=False, width=1000).strip()[1:-1]}" for s in steps
-    ]
-    return "\n".join([*lines, *body, ""])
+    )
+    return "\n".join((*comment, protocol.text))

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import yaml
-
 import protocols
 from calibration.design.discrimination import RivalLaw, Separation, closest, separation, t_optimal
 from calibration.design.information import Unknowns
@@ -95,7 +93,7 @@ def design_comparison(
         raise BadInputError(list(problems))
     expected_run = expected_poses("design", trajectory, config, errors)
     found = (separation(first, second, expected_run), separation(second, first, expected_run))
-    return LawDesign(protocol, _text(title, listed, config, found, seed), (first, second), expected_run, found)
+    return LawDesign(protocol, _text(protocol, config, found, seed), (first, second), expected_run, found)
 
 
 def share_text(found: Separation) -> str:
@@ -113,19 +111,12 @@ def _rival(config: RigConfig, law: Candidate, planned: Poses) -> RivalLaw:
     return RivalLaw(law.name, Unknowns(law.start, free, beside, priors), own)
 
 
-def _text(
-    title: str, listed: Sequence[dict[str, object]], config: RigConfig, found: Sequence[Separation], seed: int
-) -> str:
-    """The protocol as YAML, with a comment that says what it is for."""
-    lines = [
+def _text(protocol: Protocol, config: RigConfig, found: Sequence[Separation], seed: int) -> str:
+    """The protocol with a comment that says what it is for."""
+    comment = (
         f"# Written by rig design --compare for the rig {config.name}: T-optimal, seed {seed}.",
         "# Decide with: rig identify compare RUN --between " + " ".join(f"'{one.truth}'" for one in found),
         "# Expected share of right decisions, if the rig's stated values and uncertainties hold:",
         *(f"#   {one.truth} is true: {share_text(one)}" for one in found),
-        f"title: {yaml.safe_dump(title, width=1000).splitlines()[0]}",
-        "steps:",
-    ]
-    body = [
-        f"  - {yaml.safe_dump(s, default_flow_style=True, sort_keys=False, width=1000).strip()[1:-1]}" for s in listed
-    ]
-    return "\n".join([*lines, *body, ""])
+    )
+    return "\n".join((*comment, protocol.text))

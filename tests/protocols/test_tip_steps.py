@@ -201,7 +201,7 @@ def test_a_protocol_made_in_python_is_the_same_as_its_text(tmp_path: Path) -> No
     (tmp_path / "saved.yaml").write_text(made.text)
     played, again = (p.expand(3, ProportionalArm()) for p in (made, protocols.load(tmp_path / "saved.yaml")))
     assert played.sample(np.linspace(0, 20, 50)).tolist() == again.sample(np.linspace(0, 20, 50)).tolist()
-    with pytest.raises(BadInputError, match=r"steps\.yaml:6:"):
+    with pytest.raises(BadInputError, match=r"steps\.yaml:3:"):
         protocols.from_steps("t", [{"tip": {"hold": {"at_mm": [0, 0], "duration_s": 1}}}])
 
 
