@@ -31,6 +31,7 @@ from rig.cli.completion import DATA
 from rig.cli.exit_status import BAD_INPUT, DONE, FAULT
 from rig.cli.expected_errors import PlainErrors, fail
 from rig.cli.help_formatter import HelpFormatter
+from rig.cli.json_output import print_json
 from rig.cli.options import (
     AsJson,
     Controller,
@@ -168,7 +169,7 @@ def run(
         result = experiment.run(request, decided, terminal, begin_report)
     run_output.last_screen(screen, result)
     if json:
-        typer.echo(run_output.result_json(result))
+        print_json(run_output.result_facts(result))
     raise typer.Exit(run_output.exit_status(result))
 
 
@@ -198,7 +199,7 @@ def check(protocol: ProtocolName, settings: Settings = None, rig: RigName = None
     request = experiment.request(protocol, chosen_rig(rig), settings=assignments.numbers("--set", settings))
     decided = experiment.plan(request)
     if json:
-        typer.echo(run_output.check_json(request, decided))
+        print_json(run_output.check_facts(request, decided))
     else:
         screen = console()
         screen.print(run_output.check_screen(request, decided))
@@ -232,7 +233,7 @@ def doctor(
     chosen = named_rig(rig)
     findings = examine(out, load(chosen.name) if chosen else None)
     if json:
-        typer.echo(run_output.findings_json(findings))
+        print_json(findings)
     else:
         console().print(run_output.findings_table(findings))
     raise typer.Exit(FAULT if any(f.verdict == "missing" for f in findings) else DONE)

@@ -19,7 +19,7 @@ from rig.cli.column_table import ColumnTable, facts_table
 from rig.cli.completion import DATA
 from rig.cli.console import console
 from rig.cli.exit_status import FAULT
-from rig.cli.json_output import to_json
+from rig.cli.json_output import print_json
 from rig.cli.run_names import resolve
 from runs import annotation_file
 from runs.catalogue import Entry
@@ -54,8 +54,8 @@ def show(name: Path, as_json: bool) -> None:
     summary = summarise(run)
     added = annotation_file.read(archive)
     if as_json:
-        whole = {"header": asdict(run.header), "summary": summary_facts(archive), "annotations": asdict(added)}
-        typer.echo(to_json(whole))
+        whole = {"header": run.header, "summary": summary_facts(archive), "annotations": added}
+        print_json(whole)
         return
     header = run.header
     screen = console()
@@ -223,7 +223,7 @@ def recover(folder: Path) -> None:
 def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
     """Print the entries of a catalogue."""
     if as_json:
-        typer.echo(to_json([asdict(entry) for entry in entries]))
+        print_json(entries)
         return
     if not entries:
         typer.echo(f"no such archives in {folder}")

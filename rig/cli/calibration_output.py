@@ -18,7 +18,7 @@ from rig.calibrate.dlt_fit import DLTCalibrationResult
 from rig.calibrate.pressure import PressureCalibration
 from rig.calibrate.tool import ToolCalibration
 from rig.cli.console import console
-from rig.cli.json_output import to_json
+from rig.cli.json_output import print_json
 from rig.config import calibration_schema
 from rig.config.optics import placement_of
 
@@ -42,7 +42,7 @@ def cameras(done: Sequence[CalibratedCamera], *, of_a_rig: bool, as_json: bool) 
     """Print the calibration of each camera; `of_a_rig`: a rig was named for them."""
     if as_json:
         facts = {one.name: _camera_facts(one) for one in done}
-        typer.echo(to_json(facts[done[0].name] if len(done) == 1 else {"cameras": facts}))
+        print_json(facts[done[0].name] if len(done) == 1 else {"cameras": facts})
         return
     for one in done:
         _print_camera(one.found, one.name)
@@ -117,7 +117,7 @@ def _pairs(result: DLTCalibrationResult) -> list[dict[str, Any]]:
 def dlt(done: DLTCalibration, *, as_json: bool) -> None:
     """Print coefficients, poses, residuals and cross-validation error of a DLT."""
     if as_json:
-        typer.echo(to_json(_dlt_facts(done)))
+        print_json(_dlt_facts(done))
         return
     found, screen = done.content, console()
     values = table("", *(c.camera.name for c in found.cameras), title="coefficients (world in mm, undistorted px)")
@@ -200,7 +200,7 @@ def tool(done: ToolCalibration, *, as_json: bool) -> None:
     """Print the board's pose in the tip frame beside the stated one."""
     found, screen = done.found, console()
     if as_json:
-        typer.echo(to_json(_tool_facts(done)))
+        print_json(_tool_facts(done))
         return
     std = np.sqrt(np.diag(found.covariance))
     now, before = placement_of(found.board_in_tip), placement_of(done.stated)
@@ -246,7 +246,7 @@ def pressure(done: PressureCalibration, *, as_json: bool) -> None:
     if as_json:
         facts = {"sensors": [s.model_dump(mode="json") for s in sensors],
                  "valves": [v.model_dump(mode="json") for v in valves]}  # fmt: skip
-        typer.echo(to_json({"file": str(done.file), **facts}))
+        print_json({"file": str(done.file), **facts})
         return
     if sensors:
         made = table("sensor", "bar per V", "+-", "offset [bar]", "+-", "rms [bar]", "the rig's file")

@@ -8,7 +8,7 @@ import typer
 
 from rig.cli.column_table import ColumnTable
 from rig.cli.console import console
-from rig.cli.json_output import to_json
+from rig.cli.json_output import print_json
 from rig.design.design import LIBRARY, Design
 from rig.design.law_comparison import RIGHT, LawDesign, share_text
 
@@ -30,7 +30,7 @@ def error_bars(found: Design, to: Path, as_json: bool) -> None:
             }
             for (name, unit, decided), (value, std, other, least) in zip(labels, numbers, strict=True)
         }
-        typer.echo(to_json({"protocol": str(to), "parameters": rows}))
+        print_json({"protocol": str(to), "parameters": rows})
         return
     table = ColumnTable("parameter", "value", "design +-", "library +-", "ratio", "limit +-", "unit", "identified")
     for (name, unit, decided), (value, std, other, least) in zip(labels, numbers, strict=True):
@@ -62,7 +62,7 @@ def separations(found: LawDesign, to: Path, as_json: bool) -> None:
             for one in found.separations
         ]
         facts = {"protocol": str(to), "sufficient": found.sufficient, "cases": rows}
-        typer.echo(to_json(facts))
+        print_json(facts)
         return
     table = ColumnTable("true law", "rival", "distance", "right decisions")
     for one in found.separations:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 
 from rich.table import Table
 from rich.text import Text
 
 from rig.cli.column_table import ColumnTable
-from rig.cli.json_output import to_json
 from rig.config.drivers import InstalledDriver
 from rig.driver_contract.check import CheckResult, CheckVerdict
 
@@ -34,11 +32,6 @@ def _about(row: InstalledDriver) -> str:
     return "; ".join(parts)
 
 
-def as_json(rows: Sequence[InstalledDriver]) -> str:
-    """Return the drivers as JSON."""
-    return to_json([asdict(row) for row in rows])
-
-
 def result_line(result: CheckResult) -> Text:
     """Return one result as it comes."""
     line = Text(f"{result.device}, {result.check}: ")
@@ -52,8 +45,3 @@ def results_table(results: Sequence[CheckResult]) -> Table:
         words = f"{result.found}\nexpected: {result.expected}" if result.failed else result.found
         found.add_row(Text(result.verdict, _STYLE[result.verdict]), result.device, result.check, words)
     return found
-
-
-def results_json(results: Sequence[CheckResult]) -> str:
-    """Return the results of `rig test-driver` as JSON."""
-    return to_json([asdict(result) for result in results])

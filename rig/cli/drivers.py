@@ -21,11 +21,12 @@ def drivers(json: AsJson = False) -> None:
     """List the drivers of cards, cameras and trackers and the valve types, with their packages."""
     from rig.cli import driver_output
     from rig.cli.console import console
+    from rig.cli.json_output import print_json
     from rig.hardware.installed_drivers import installed_drivers
 
     rows = tuple(installed_drivers())
     if json:
-        typer.echo(driver_output.as_json(rows))
+        print_json(rows)
     else:
         console().print(driver_output.table(rows))
 
@@ -46,6 +47,7 @@ def check_drivers(
     """Test the drivers of a rig against what softrig relies on; moves the outputs of its cards."""
     from rig.cli import driver_output
     from rig.cli.console import console
+    from rig.cli.json_output import print_json
     from rig.config import loader
     from rig.driver_contract.session import results
 
@@ -65,7 +67,7 @@ def check_drivers(
         found.append(result)
         screen.print(driver_output.result_line(result), soft_wrap=True)
     if json:
-        typer.echo(driver_output.results_json(found))
+        print_json(found)
     else:
         console().print(driver_output.results_table(found))
     raise typer.Exit(FAULT if any(result.failed for result in found) else DONE)

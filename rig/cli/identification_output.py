@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
-import typer
 from rich.table import Table
 from rich.text import Text
 
@@ -20,7 +19,7 @@ from calibration.identify.residual_dependence import Dependence
 from calibration.identify.results import Estimate, Fit, RunFit
 from rig.cli.column_table import ColumnTable
 from rig.cli.console import console
-from rig.cli.json_output import to_json
+from rig.cli.json_output import print_json
 from rig.identify.estimation import FitsByStart
 from rig.identify.from_archives import Identification
 from rig.identify.model_comparison import RunComparison
@@ -70,7 +69,7 @@ def _print_json(
         ],
         "predictions": [_prediction_facts(one) for one in predicted],
     }
-    typer.echo(to_json(facts))
+    print_json(facts)
 
 
 def _model_error_facts(fit: Fit, found: Findings) -> dict[str, object]:
@@ -282,7 +281,7 @@ def comparison(found: RunComparison, as_json: bool) -> None:
     if as_json:
         rows = [_row_facts(row) for row in compared.rows]
         facts = {"rows": rows, "best": compared.best.candidate.name, "sentence": compared.sentence}
-        typer.echo(to_json(facts))
+        print_json(facts)
         return
     screen = console()
     table = Table(box=None, padding=(0, 2, 0, 0))
@@ -338,7 +337,7 @@ def paper_estimates(found: PaperEstimates, as_json: bool) -> None:
             e.name: {"value": e.value, "std": e.std, "unit": e.unit, "r2": e.r2, "verdict": e.verdict or None}
             for e in found.estimates
         }
-        typer.echo(to_json({**facts, "published": found.published}))
+        print_json({**facts, "published": found.published})
         return
     screen = console()
     table = Table(box=None, padding=(0, 2, 0, 0))

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from typing import Any
 
-
-def to_json(facts: Any) -> str:
-    """Return indented JSON, with null for NaN and infinity."""
-    return json.dumps(_finite(facts), indent=2)
+import typer
 
 
-def _finite(value: Any) -> Any:
-    """Convert a value for JSON, with null for NaN and infinity."""
+def print_json(facts: Any) -> None:
+    """Print indented JSON; a dataclass becomes an object, NaN and infinity become null."""
+    typer.echo(json.dumps(_plain(facts), indent=2))
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return _plain(dataclasses.asdict(value))
     if isinstance(value, dict):
-        return {key: _finite(v) for key, v in value.items()}
+        return {key: _plain(v) for key, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
+        return [_plain(v) for v in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -51,7 +51,7 @@ def reproduce(
 ) -> None:
     """Compute a result of the paper beside the printed one, and explain the difference."""
     from rig.cli.console import console
-    from rig.cli.json_output import to_json
+    from rig.cli.json_output import print_json
     from rig.reproduce.all_results import NEEDS
 
     screen, progress = console(stderr=json), console(stderr=True)
@@ -70,7 +70,7 @@ def reproduce(
         page = write(out, shown.rows, shown.drawings, shown.remarks, replace=replace)
         screen.print(f"page and figures  {page}", soft_wrap=True)
     if json:
-        typer.echo(to_json(shown.facts))
+        print_json(shown.facts)
 
 
 @dataclass
@@ -94,7 +94,7 @@ def _modulus(shown: Reproduction) -> None:
     from calibration.identify.paper_identification import published_modulus
 
     modulus = published_modulus()
-    shown.facts["modulus"] = asdict(modulus)
+    shown.facts["modulus"] = modulus
     shown.remark(f"E of 5.2.2: {modulus.explanation}")
 
 
@@ -104,7 +104,7 @@ def _table3(shown: Reproduction) -> None:
 
     rules = table3()
     conclusion = verdict(rules)
-    shown.facts["table3"] = {"rows": [asdict(row) for row in rules], "verdict": conclusion}
+    shown.facts["table3"] = {"rows": rules, "verdict": conclusion}
     shown.screen.print(reproduction_output.table3(rules))
     shown.remark(f"Table 3, by the printed numbers alone: {conclusion}")
 
@@ -114,7 +114,7 @@ def _table4(shown: Reproduction) -> None:
     from rig.reproduce.table4 import drawing, run_times, table4
 
     methods = table4(report=shown.report)
-    shown.facts["table4"] = [asdict(method) for method in methods]
+    shown.facts["table4"] = methods
     shown.rows += run_times(methods)
     shown.drawings.append(drawing(methods))
     shown.screen.print("Table 4: run times per simulated second, stability, errors against a converged reference")
@@ -137,8 +137,8 @@ def _from_archives(shown: Reproduction, wanted: tuple[str, ...], archives: Path,
     found = results(wanted, archives, errors_of_methods, shown.report)
     shown.rows += found.rows
     shown.drawings += found.drawings
-    shown.facts["compared"] = [asdict(row) for row in found.rows]
-    shown.facts["verdicts"] = list(found.verdicts)
+    shown.facts["compared"] = found.rows
+    shown.facts["verdicts"] = found.verdicts
     shown.screen.print(reproduction_output.compared(found.rows))
     for sentence in found.verdicts:
         shown.remark(sentence)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +15,6 @@ from rich.text import Text
 
 from rig.cli.column_table import ColumnTable, facts_table
 from rig.cli.exit_status import DONE, FAULT, INTERRUPTED
-from rig.cli.json_output import to_json
 from rig.cli.printable import printable
 from rig.config.schema import RigConfig
 from rig.execution.plan import RunPlan
@@ -111,23 +109,21 @@ def peak_bar(plan: RunPlan) -> list[float]:
     return [pa / PA_PER_BAR for pa in peak_pa(plan.trajectory)]
 
 
-def check_json(request: RunRequest, plan: RunPlan) -> str:
-    """Return the check screen as JSON."""
-    return to_json(
-        {
-            "protocol": request.protocol.name,
-            "parameters": {p.name: p.value for p in request.protocol.parameters},
-            "rig": request.config.name,
-            "rig_source": str(request.rig_source),
-            "simulated": request.config.simulated,
-            "duration_s": plan.trajectory.duration_s,
-            "segments": len(plan.trajectory.segments),
-            "prompts": len(plan.trajectory.prompts),
-            "peak_bar": peak_bar(plan),
-            "limit_bar": request.config.limits.pressure_bar,
-            **_tip_paths_json(plan),
-        }
-    )
+def check_facts(request: RunRequest, plan: RunPlan) -> dict[str, object]:
+    """Return the check screen for JSON."""
+    return {
+        "protocol": request.protocol.name,
+        "parameters": {p.name: p.value for p in request.protocol.parameters},
+        "rig": request.config.name,
+        "rig_source": str(request.rig_source),
+        "simulated": request.config.simulated,
+        "duration_s": plan.trajectory.duration_s,
+        "segments": len(plan.trajectory.segments),
+        "prompts": len(plan.trajectory.prompts),
+        "peak_bar": peak_bar(plan),
+        "limit_bar": request.config.limits.pressure_bar,
+        **_tip_paths_json(plan),
+    }
 
 
 def _tip_paths_json(plan: RunPlan) -> dict[str, object]:
@@ -136,7 +132,7 @@ def _tip_paths_json(plan: RunPlan) -> dict[str, object]:
         return {}
     from rig.tip_planning.assessment import assess
 
-    return {"tip_paths": [asdict(path) for path in assess(plan.config, plan.trajectory, plan.variant)]}
+    return {"tip_paths": assess(plan.config, plan.trajectory, plan.variant)}
 
 
 def sketch(plan: RunPlan, width: int, height: int = 10) -> Text:
@@ -221,22 +217,20 @@ def last_screen(screen: Console, result: RunResult) -> None:
             os.dup2(nowhere.fileno(), screen.file.fileno())
 
 
-def result_json(result: RunResult) -> str:
-    """Return the result of a run as JSON."""
+def result_facts(result: RunResult) -> dict[str, object]:
+    """Return the result of a run for JSON."""
     from rig.cli.archive_output import summary_facts
 
-    return to_json(
-        {
-            "status": str(result.outcome.status),
-            "message": result.outcome.message,
-            "archive": str(result.archive) if result.archive else None,
-            "report": str(result.report) if result.report else None,
-            "parameters": str(result.parameters) if result.parameters else None,
-            "trouble": result.warnings,
-            "counters": result.outcome.counters,
-            "summary": summary_facts(result.archive) if result.archive else None,
-        }
-    )
+    return {
+        "status": str(result.outcome.status),
+        "message": result.outcome.message,
+        "archive": str(result.archive) if result.archive else None,
+        "report": str(result.report) if result.report else None,
+        "parameters": str(result.parameters) if result.parameters else None,
+        "trouble": result.warnings,
+        "counters": result.outcome.counters,
+        "summary": summary_facts(result.archive) if result.archive else None,
+    }
 
 
 def exit_status(result: RunResult) -> int:
@@ -251,8 +245,3 @@ def findings_table(findings: tuple[Finding, ...]) -> Table:
         remedy = "" if finding.verdict == "ok" else finding.remedy
         table.add_row(Text(finding.verdict, _VERDICT[finding.verdict]), finding.topic, finding.found, remedy)
     return table
-
-
-def findings_json(findings: tuple[Finding, ...]) -> str:
-    """Return the findings of `rig doctor` as JSON."""
-    return to_json([asdict(finding) for finding in findings])

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import typer
 from rich.console import Console
 
 from rig.cli.column_table import ColumnTable
-from rig.cli.json_output import to_json
+from rig.cli.json_output import print_json
 from rig.study.study import Study
 from runs.catalogue import Entry
 
@@ -24,7 +23,7 @@ def planned(screen: Console, study: Study, done: Mapping[int, Entry], *, as_json
             for r in study.runs
         ]
         about = {"study": study.name, "duration_s": study.duration_s(study.runs), "runs": runs}
-        typer.echo(to_json({**about, "remaining_s": study.duration_s(left)}))
+        print_json({**about, "remaining_s": study.duration_s(left)})
         return
     screen.print(f"study {study.name}: {study.plan.title}")
     table = ColumnTable("combination", *every[0], "duration [s]", "runs, in this order")
@@ -54,7 +53,7 @@ def written(
     if as_json:
         runs = {number: done[number].run_id for number in sorted(done)}
         files = {"page": str(page), "table": str(table)}
-        typer.echo(to_json({"study": study.name, "planned": len(study.runs), "runs": runs, **files}))
+        print_json({"study": study.name, "planned": len(study.runs), "runs": runs, **files})
         return
     screen.print(f"{len(done)} of {len(study.runs)} runs of study {study.name} are finished")
     screen.print(f"table   {table}", soft_wrap=True)

@@ -9,10 +9,10 @@ def workspace(
     rig: RigName = None, model: Variant = None, to: DrawingFile = None, replace: Replace = False, json: AsJson = False
 ) -> None:
     """Show what the tip of a rig can reach at rest; --to FILE.png, .pdf or .svg draws it."""
-    import typer
 
     from rig.cli import workspace_output
     from rig.cli.console import console
+    from rig.cli.json_output import print_json
     from rig.config.loader import chosen_rig, load
     from rig.config.model_variant import variant_named
 
@@ -26,7 +26,7 @@ def workspace(
     if to is not None:
         workspace_output.save(space, to)
     if json:
-        typer.echo(workspace_output.as_json(space, config))
+        print_json(workspace_output.facts(space, config))
         return
     console().print(workspace_output.table(space, config))
     if to is not None:

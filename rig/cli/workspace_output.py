@@ -9,7 +9,6 @@ from rich.console import Group
 
 from protocols.problems import BadInputError, Problem
 from rig.cli.column_table import ColumnTable
-from rig.cli.json_output import to_json
 from rig.config.schema import RigConfig
 from runs.overwriting import refuse_existing
 
@@ -58,20 +57,18 @@ def table(space: TipWorkspace, config: RigConfig) -> Group:
     return Group(facts, sections)
 
 
-def as_json(space: TipWorkspace, config: RigConfig) -> str:
-    """Return the same as JSON."""
-    return to_json(
-        {
-            "rig": config.name,
-            "height_mm": space.height_mm,
-            "radius_mm": space.radius_mm,
-            "sections": [
-                {
-                    "height_mm": section.height_mm,
-                    "circles_mm": section.circles_mm,
-                    "farthest_mm": section.farthest_mm,
-                }
-                for section in space.sections
-            ],
-        }
-    )
+def facts(space: TipWorkspace, config: RigConfig) -> dict[str, object]:
+    """Return the same for JSON."""
+    return {
+        "rig": config.name,
+        "height_mm": space.height_mm,
+        "radius_mm": space.radius_mm,
+        "sections": [
+            {
+                "height_mm": section.height_mm,
+                "circles_mm": section.circles_mm,
+                "farthest_mm": section.farthest_mm,
+            }
+            for section in space.sections
+        ],
+    }
