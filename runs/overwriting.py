@@ -38,6 +38,22 @@ def refuse_existing(
             raise WouldOverwriteError(f"{file} exists: name another file, or say {option} to write over it")
 
 
+def write_text(file: Path, text: str) -> None:
+    """Write a file as a whole: under another name first, so that no half of it takes its place.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
+    part = file.with_name(f".{file.name}.part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(file)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
+
+
 @contextmanager
 def staged(folder: Path, *, replace: bool = False, made: Made = lambda _: False) -> Iterator[Path]:
     """A temporary folder whose files move to `folder` at the end; none moves if one may not be replaced.

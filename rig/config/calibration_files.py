@@ -14,7 +14,7 @@ from protocols import BadInputError, Problem, document
 from protocols.document import Document
 from protocols.problems import closest
 from rig.config.calibration_schema import KINDS, AnyFile, CalibrationFile
-from runs.overwriting import refuse_existing
+from runs.overwriting import refuse_existing, write_text
 
 SUFFIX = ".yaml"
 _VIEWS = "-views"
@@ -107,10 +107,7 @@ def write(found: CalibrationFile, path: Path, *, replace: bool = False) -> Path:
     refuse_existing([path], replace=replace)
     text = text_of(found)
     parse(document.parse(text, str(path)))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    write_text(path, text)
     return path
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
-from importlib import resources
 from pathlib import Path
 
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from runs.overwriting import staged
 from runs.report.drawing import save, svg
+from runs.report.page import html_document
 
 _STYLE = (
     "table.paper td, table.paper th { vertical-align: top; } table.paper td:nth-child(6) { min-width: 18em; } "
@@ -44,7 +44,6 @@ def write(
 
 
 def _page(rows: Sequence[PaperComparison], drawings: Sequence[PaperFigure], remarks: Sequence[str]) -> str:
-    style = resources.files("runs.report").joinpath("report.css").read_text(encoding="utf-8")
     figures = "\n".join(
         f"<h2>{escape(d.title)}</h2>\n<figure>{svg(d.draw, d.size, d.name, *d.about)}"
         f"<figcaption>{escape(d.caption)}</figcaption></figure>"
@@ -58,13 +57,13 @@ def _page(rows: Sequence[PaperComparison], drawings: Sequence[PaperFigure], rema
         else ""
     )
     paragraphs = "".join(f"<p>{escape(remark)}</p>" for remark in remarks)
-    return (
-        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{_MARK}\n<title>The paper again</title>\n'
-        f"<style>\n{style}\n{_STYLE}</style>\n</head>\n<body>\n<section class=run>\n"
+    body = (
+        "<section class=run>\n"
         "<header class=run><h1>The paper again</h1><p class=sub>Pourghasemi Hanza and Ghafarirad, Mechanics of fiber "
         "reinforced soft manipulators based on inhomogeneous Cosserat rod theory, section by section</p></header>\n"
-        f"{note}\n<h2>Side by side</h2>\n{_table(rows)}\n{paragraphs}\n{figures}\n</section>\n</body>\n</html>\n"
+        f"{note}\n<h2>Side by side</h2>\n{_table(rows)}\n{paragraphs}\n{figures}\n</section>"
     )
+    return html_document("The paper again", f"{_MARK}\n<style>{_STYLE}</style>", body)
 
 
 def _table(rows: Sequence[PaperComparison]) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from runs import annotation_file
 from runs.archive import layout
-from runs.overwriting import refuse_existing
+from runs.overwriting import refuse_existing, write_text
 from runs.report import comparison, pictures
 from runs.report.drawing import svg
 from runs.report.figure_processes import drawn
@@ -41,15 +41,7 @@ def write(
     runs = [Run(path) for path in chosen]
     mark = _mark(runs)
     refuse_existing([target], replace=replace, made=lambda file: mark in _head(file))
-    target.parent.mkdir(parents=True, exist_ok=True)
-    part = target.with_name(target.name + ".part")
-    text = page(runs)
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(target)
-    except OSError:
-        part.unlink(missing_ok=True)
-        raise
+    write_text(target, page(runs))
     return target
 
 
@@ -91,7 +83,7 @@ def html_document(title: str, head: str, body: str) -> str:
     return (
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{head}\n<title>{title}</title>\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<style>\n{style}</style>\n</head>\n'
-        f"<body>\n{body}\n<footer>Made by softrig from the archive; nothing in this page is loaded from elsewhere."
+        f"<body>\n{body}\n<footer>Made by softrig; nothing in this page is loaded from elsewhere."
         "</footer>\n</body>\n</html>\n"
     )
 

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from runs.overwriting import refuse_existing
+from runs.overwriting import refuse_existing, write_text
 from runs.report.colours import MEASURED, MUTED, RUNS
 from runs.report.drawing import svg
 from runs.report.numbers import DASH, significant
@@ -78,10 +78,8 @@ def write(name: str, title: str, planned: int, archives: Sequence[Path], folder:
     head = text.splitlines()[0]
     refuse_existing([rows], made=lambda file: file.read_text(encoding="utf-8", errors="replace").startswith(head))
     body = "\n".join(_body(name, title, planned, table))
-    for path, content in ((rows, text), (page, html_document(escape(title), mark, body))):
-        part = path.with_name(path.name + ".part")
-        part.write_text(content, encoding="utf-8")
-        part.replace(path)
+    write_text(rows, text)
+    write_text(page, html_document(escape(title), mark, body))
     return page, rows
 
 
