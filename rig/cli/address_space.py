@@ -8,7 +8,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
-FAULT = 1
+from rig.cli.exit_status import FAULT
 
 
 class NumericalCommand(TyperCommand):

@@ -126,9 +126,7 @@ def run(
     _check_live(live, fast, listen, port)
     if free and not adapt:
         fail("--free needs --adapt", BAD_INPUT)
-    begin_report: report_process.BeginReport = report_process.begin_here
-    if fast and not no_report:  # in real time nothing is imported beside the control loop
-        begin_report = ctx.with_resource(report_process.waiting())
+    begin_report = ctx.with_resource(report_process.prepared(fast and not no_report))
 
     from rig.cli import assignments, recovery_offer, run_output
     from rig.cli.console import console

@@ -6,12 +6,17 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
 BeginReport = Callable[[Path], Callable[[], Path]]
 """Begins the report of an archive; returns a function that waits until it is written and returns its path."""
+
+
+def prepared(fast: bool) -> AbstractContextManager[BeginReport]:
+    """Return what begins the report of a run: in real time nothing is imported beside the control loop."""
+    return waiting() if fast else nullcontext(begin_here)
 
 
 @contextmanager

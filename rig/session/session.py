@@ -211,9 +211,7 @@ def _run(request: RunRequest, plan: RunPlan, answer: Answer | None) -> RunResult
     """Run a plan. Signals reach only the main thread of Python; a run in another thread leaves them alone."""
     in_main_thread = threading.current_thread() is threading.main_thread()
     with ExitStack() as stack:
-        begin_report: report_process.BeginReport = report_process.begin_here
-        if request.fast and request.report:  # in real time nothing is imported beside the control loop
-            begin_report = stack.enter_context(report_process.waiting())
+        begin_report = stack.enter_context(report_process.prepared(request.fast and request.report))
         stopping: AbstractContextManager[StopSignals | None] = (
             StopSignals(restore=True) if in_main_thread else nullcontext()
         )

@@ -24,14 +24,15 @@ steps:
 """
 
 
-def simulated(folder: Path, rig: str = "mock", static: bool = True) -> Run:
+def simulated(folder: Path, mode: str, rig: str) -> Run:
     (folder / "weight.yaml").write_text(WEIGHED)
-    request = experiment.request(str(folder / "weight.yaml"), rig, folder=folder)
-    return runs.open(simulate(request, experiment.plan(request), static))
+    (folder / "rig.yaml").write_text(f"{rig}\nmodel: {{mode: {mode}}}\n")
+    request = experiment.request(str(folder / "weight.yaml"), str(folder / "rig.yaml"), folder=folder)
+    return runs.open(simulate(request, experiment.plan(request)))
 
 
 def test_a_prompts_weight_stretches_the_arm(tmp_path: Path) -> None:
-    tip = simulated(tmp_path).tip
+    tip = simulated(tmp_path, "static", text("mock")).tip
     assert tip.weight_g[0] == 0
     assert tip.weight_g[-1] == 800
     config = load("mock")
@@ -40,13 +41,12 @@ def test_a_prompts_weight_stretches_the_arm(tmp_path: Path) -> None:
     assert tip.model_mm[-1, 2] > tip.model_mm[0, 2] + 2
 
 
-@pytest.mark.parametrize("static", [True, False])
-def test_rows_without_equilibrium_are_flagged_and_the_others_kept(tmp_path: Path, static: bool) -> None:
+@pytest.mark.parametrize("mode", ["static", "dynamic"])
+def test_rows_without_equilibrium_are_flagged_and_the_others_kept(tmp_path: Path, mode: str) -> None:
     weak = (
         text("mock").replace("cap_mass_g: 50\n", "cap_mass_g: 0\n").replace("a2_per_N2: 0.00031962", "a2_per_N2: 100")
     )
-    (tmp_path / "weak.yaml").write_text(weak)
-    run = simulated(tmp_path, str(tmp_path / "weak.yaml"), static)
+    run = simulated(tmp_path, mode, weak)
     tip, carries_nothing = run.tip, run.tip.weight_g == 0
     assert not tip.model_ok[-1]
     assert tip.model_ok[carries_nothing].all()
