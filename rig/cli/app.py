@@ -128,7 +128,7 @@ def run(
         fail("--free needs --adapt", BAD_INPUT)
     begin_report = ctx.with_resource(report_process.prepared(fast and not no_report))
 
-    from rig.cli import assignments, recovery_offer, run_output
+    from rig.cli import assignments, recovery_notice, run_output
     from rig.cli.console import console
     from rig.cli.run_names import resolve
     from rig.cli.terminal import Terminal
@@ -155,7 +155,7 @@ def run(
     )
     decided = experiment.plan(request)
     screen = console(stderr=json)
-    recovery_offer.offer(out, ask=not yes)
+    recovery_notice.notify(out)
     screen.print(run_output.check_screen(request, decided))
     if not yes and not run_output.confirm(screen):
         fail("not armed", BAD_INPUT)

@@ -37,11 +37,11 @@ def runs(
     json: AsJson = False,
 ) -> None:
     """List the archives of a folder, newest first."""
-    from rig.cli import archive_output, recovery_offer
+    from rig.cli import archive_output, recovery_notice
     from runs.catalogue import catalogue, search, specimen_cycles
 
     archive_output.check_search(folder, since, until)
-    recovery_offer.offer(folder)
+    recovery_notice.notify(folder)
     entries = catalogue(folder)
     found = search(entries, text, since=since, until=until, tag=tag, specimen=specimen, study=study)
     archive_output.runs(found, folder, json)

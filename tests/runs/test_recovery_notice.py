@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pty
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +11,7 @@ import pytest
 
 import tests.support.synthetic_runs as made_up
 from rig.cli.app import main
-from rig.cli.recovery_offer import offer
+from rig.cli.recovery_notice import notify
 from runs.records import RunFooter, Status
 from tests.runs.test_recovery import orphan
 
@@ -47,20 +46,6 @@ def test_every_command_that_reads_the_folder_reports_a_run_that_was_cut_off_on_t
 
 def test_a_running_experiment_is_not_an_orphan(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     writer = made_up.write_journal(tmp_path / "going.mcap", footer=False)
-    offer(tmp_path)
+    notify(tmp_path)
     writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
     assert capfd.readouterr().err == ""
-
-
-def test_at_a_terminal_one_key_starts_the_recovery(tmp_path: Path) -> None:
-    orphan(tmp_path / "cut.mcap")
-    ours, theirs = pty.openpty()
-    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
-    command = [sys.executable, "-m", "rig", "runs", str(tmp_path)]
-    with subprocess.Popen(command, stdin=theirs, stdout=subprocess.PIPE, stderr=theirs, env=env) as process:
-        os.write(ours, b"y\n")
-        said, _ = process.communicate(timeout=PATIENCE_S)
-    os.close(ours)
-    os.close(theirs)
-    assert (tmp_path / "cut.h5").exists()
-    assert b"recovered" in said
