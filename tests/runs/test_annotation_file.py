@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,8 @@ from runs.journal.journal import JournalWriter
 from runs.pressure_cycles import pressure_cycles
 from runs.records import RunFooter, Status
 from runs.report.page import page
+
+ROOT = Path(__file__).parents[2]
 
 
 def make(folder: Path, run_id: str, specimen: str = "", bar: tuple[float, ...] = (), **fields: str) -> Path:
@@ -107,18 +110,29 @@ def test_a_damaged_line_is_reported_with_its_number_and_the_run_stays_listed(tmp
     assert "notes.jsonl:2" in entry.problem
 
 
-def _add(archive: Path, who: int) -> None:
+# A process without threads may fork, and what it has imported need not be imported in each writer again.
+WRITERS = """
+import multiprocessing
+import pathlib
+import sys
+from runs import annotation_file
+
+def add(who):
     for number in range(50):
-        annotation_file.add_note(archive, f"{who} {number}")
+        annotation_file.add_note(pathlib.Path(sys.argv[1]), f"{who} {number}")
+
+fork = multiprocessing.get_context("fork")
+writers = [fork.Process(target=add, args=(who,)) for who in range(3)]
+for writer in writers:
+    writer.start()
+for writer in writers:
+    writer.join()
+"""
 
 
 def test_notes_of_several_processes_are_all_kept(tmp_path: Path) -> None:
     archive = make(tmp_path, "one")
-    writers = [get_context("spawn").Process(target=_add, args=(archive, who)) for who in range(3)]
-    for writer in writers:
-        writer.start()
-    for writer in writers:
-        writer.join()
+    subprocess.run([sys.executable, "-c", WRITERS, str(archive)], cwd=ROOT, check=True)
     notes = [note.text for note in annotation_file.read(archive).notes]
     assert sorted(notes) == sorted(f"{who} {number}" for who in range(3) for number in range(50))
 
