@@ -48,7 +48,8 @@ def statics(
     The arms must share the numbers of actuators and branches, and their laws. nodes: steps along each
     arm, by default as many as the most slender one needs. Raises ValueError for what does not fit.
     """
-    rows = np.array(pressure_pa, dtype=np.float64)
+    # Rows in another order in memory would compile the kernels again.
+    rows = np.array(pressure_pa, dtype=np.float64, order="C")
     given = [arms] if isinstance(arms, Arm) else list(arms)
     _check(given, rows, 2)
     steps = max(steps_along(arm, nodes) for arm in given)

@@ -10,6 +10,7 @@ import pytest
 from model import Arm, batch
 from model.batch import motions
 from model.dynamics import Dynamics
+from model.kernels.axis import equilibria
 from model.statics import statics
 
 BAR = 1e5
@@ -93,3 +94,12 @@ def test_a_batch_of_motions_equals_its_members(arm: Arm) -> None:
 def test_a_batch_that_does_not_fit_together_is_refused(arms: object, pressure: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         batch.statics(arms, pressure)  # type: ignore[arg-type]
+
+
+def test_rows_in_any_order_in_memory_need_no_kernel_of_their_own() -> None:
+    rows = np.array([[0.1e5, 0.2e5, 0.3e5], [0.4e5, 0.0, 0.2e5]])
+    expected = batch.statics(Arm.paper(), rows)
+    compiled = list(equilibria.signatures)
+    found = batch.statics(Arm.paper(), np.asfortranarray(rows))
+    assert equilibria.signatures == compiled
+    np.testing.assert_array_equal(found.tip_m, expected.tip_m)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -59,14 +59,14 @@ def imports(trees: Mapping[str, ast.Module]) -> Iterator[tuple[str, str]]:
             yield from ((name, target) for target in targets if target in trees and target != name)
 
 
-def folder_graphs(trees: Mapping[str, ast.Module]) -> dict[str, dict[str, set[str]]]:
+def folder_graphs(pairs: Iterable[tuple[str, str]]) -> dict[str, dict[str, set[str]]]:
     """For each folder the graph between its entries, modules and packages; "" is the folder of the rooms.
 
     An import counts in the folder where the two paths part. A package's own `__init__` is one of its entries.
     """
     graphs: dict[str, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
-    for importing, imported in imports(trees):
-        one, other = importing.split("."), imported.split(".")
+    for importing, target in pairs:
+        one, other = importing.split("."), target.split(".")
         shared = sum(1 for _ in _equal_start(one, other))
         folder = ".".join(one[:shared])
         start, end = ((*path, "__init__")[shared] for path in (one, other))
@@ -106,29 +106,35 @@ def trees() -> dict[str, ast.Module]:
     return modules()
 
 
-def test_rooms_import_only_the_rooms_below(trees: dict[str, ast.Module]) -> None:
-    graph = folder_graphs(trees)[""]
+@pytest.fixture(scope="module")
+def imported(trees: dict[str, ast.Module]) -> list[tuple[str, str]]:
+    """The imports of the rooms."""
+    return list(imports(trees))
+
+
+def test_rooms_import_only_the_rooms_below(imported: list[tuple[str, str]]) -> None:
+    graph = folder_graphs(imported)[""]
     assert {room: below - BELOW[room] for room, below in graph.items() if below - BELOW[room]} == {}
 
 
-def test_no_folder_has_a_cycle_of_imports_between_its_packages_and_modules(trees: dict[str, ast.Module]) -> None:
-    cycles = {folder: cycle(graph) for folder, graph in folder_graphs(trees).items()}
+def test_no_folder_has_a_cycle_of_imports_between_its_packages_and_modules(imported: list[tuple[str, str]]) -> None:
+    cycles = {folder: cycle(graph) for folder, graph in folder_graphs(imported).items()}
     assert {folder: found for folder, found in cycles.items() if found} == {}
 
 
 def test_the_architecture_page_lists_each_package_of_rig_above_those_that_it_imports(
-    trees: dict[str, ast.Module],
+    imported: list[tuple[str, str]],
 ) -> None:
     listed = re.findall(r"^\| `(\w+)` \|", PAGE.read_text().split("## The packages of `rig`")[1], re.MULTILINE)
-    graph = folder_graphs(trees)["rig"]
+    graph = folder_graphs(imported)["rig"]
     assert sorted(listed) == sorted(path.parent.name for path in (ROOT / "rig").glob("*/__init__.py"))
     upward = [(one, other) for one in listed for other in graph[one] if listed.index(other) <= listed.index(one)]
     assert upward == []
 
 
 @pytest.mark.parametrize("registry", KINDS)
-def test_only_its_registry_knows_a_kind_by_name(trees: dict[str, ast.Module], registry: str) -> None:
-    knowing = {(one, other) for one, other in imports(trees) if other in KINDS[registry]}
+def test_only_its_registry_knows_a_kind_by_name(imported: list[tuple[str, str]], registry: str) -> None:
+    knowing = {(one, other) for one, other in imported if other in KINDS[registry]}
     assert {one for one, _ in knowing} - set(KINDS[registry]) == {registry}
     assert {other for _, other in knowing} == set(KINDS[registry])
 
@@ -148,7 +154,7 @@ def test_a_class_name_stands_for_one_class(trees: dict[str, ast.Module]) -> None
 )
 def test_a_cycle_between_packages_is_found_wherever_its_imports_stand(text: str) -> None:
     sources = {"rig.a.one": text, "rig.b": "", "rig.b.two": "", "rig.b.three": "from rig.a.one import y"}
-    graphs = folder_graphs({name: ast.parse(source) for name, source in sources.items()})
+    graphs = folder_graphs(imports({name: ast.parse(source) for name, source in sources.items()}))
     assert sorted(set(cycle(graphs["rig"]))) == ["a", "b"]
 
 

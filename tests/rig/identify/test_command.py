@@ -84,7 +84,18 @@ def test_the_report_holds_everything_and_loads_nothing(
 ) -> None:
     page, found = tmp_path / "page.html", tmp_path / "arm.yaml"
     options = ["--free", "law,rpe_per_bar,damping_s", "--profile", "--leave-out", bench["two"]]
-    rig(bench["weights"], bench["one"], bench["two"], *options, "--report", str(page), "--to", str(found), "--starts", "2")
+    rig(
+        bench["weights"],
+        bench["one"],
+        bench["two"],
+        *options,
+        "--report",
+        str(page),
+        "--to",
+        str(found),
+        "--starts",
+        "2",
+    )
     html, said = page.read_text(), capsys.readouterr()
     for heading in (
         "Parameters",
