@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 import model
 
@@ -50,6 +53,17 @@ def moments(room, count):
 moments = kernel(moments, fastmath=True)
 """
 
+BOTH_KERNELS = """
+import json
+import sys
+import numpy as np
+from model import caller, sums
+
+value, found = caller.twice(), sums.twice(np.random.default_rng(0).normal(size=800))
+hits = sum(sum(kernel.stats.cache_hits.values()) for kernel in (caller.twice, sums.twice))
+print(json.dumps({"value": value, "sums": repr(found), "found": hits, "scipy": "scipy.linalg" in sys.modules}))
+"""
+
 
 def python(code: str, folder: Path, cache: Path) -> str:
     environment = {**os.environ, "SOFTRIG_CACHE": str(cache), "PYTHONPATH": str(folder)}
@@ -86,29 +100,32 @@ def test_a_changed_callee_in_another_file_is_never_served_stale(tmp_path: Path) 
         assert python("from model.caller import twice; print(twice())", tmp_path, tmp_path / "cache") == str(2 * value)
 
 
-def test_compiled_kernels_are_found_again_without_a_compiler(tmp_path: Path) -> None:
-    package = model_with_a_caller(tmp_path)
+@pytest.fixture(scope="module")
+def compiled_and_loaded(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, object]]:
+    """What two processes, one after the other, say of the same kernels: the first compiles them, the second loads."""
+    folder = tmp_path_factory.mktemp("kernels")
+    package = model_with_a_caller(folder)
     (package / "small.py").write_text(SMALL_KERNELS.format(value=3))
-    code = "from model.caller import twice; print(twice(), sum(twice.stats.cache_hits.values()))"
-    assert python(code, tmp_path, tmp_path / "cache") == "6 0"
-    assert python(code, tmp_path, tmp_path / "cache") == "6 1"
+    (package / "sums.py").write_text(REASSOCIATED_SUMS)
+    return [json.loads(python(BOTH_KERNELS, folder, folder / "cache")) for _ in range(2)]
 
 
-def test_compiled_kernels_are_loaded_without_the_libraries_of_the_compiler(tmp_path: Path) -> None:
-    (model_with_a_caller(tmp_path) / "sums.py").write_text(REASSOCIATED_SUMS)
-    code = (
-        "import sys, numpy; from model.sums import twice; twice(numpy.ones(800)); print('scipy.linalg' in sys.modules)"
-    )
-    assert python(code, tmp_path, tmp_path / "cache") == "True"
-    assert python(code, tmp_path, tmp_path / "cache") == "False"
+def test_compiled_kernels_are_found_again_without_a_compiler(compiled_and_loaded: list[dict[str, object]]) -> None:
+    assert [(said["value"], said["found"]) for said in compiled_and_loaded] == [(6, 0), (6, 2)]
 
 
-def test_a_compiled_kernel_gives_the_bits_of_the_same_kernel_loaded_from_disk(tmp_path: Path) -> None:
+def test_compiled_kernels_are_loaded_without_the_libraries_of_the_compiler(
+    compiled_and_loaded: list[dict[str, object]],
+) -> None:
+    assert [said["scipy"] for said in compiled_and_loaded] == [True, False]
+
+
+def test_a_compiled_kernel_gives_the_bits_of_the_same_kernel_loaded_from_disk(
+    compiled_and_loaded: list[dict[str, object]],
+) -> None:
     # The copy of a callee in its caller is optimised once more than the callee itself: it sums in another order.
-    (model_with_a_caller(tmp_path) / "sums.py").write_text(REASSOCIATED_SUMS)
-    code = "import numpy as np; from model.sums import twice; print(twice(np.random.default_rng(0).normal(size=800)))"
-    compiled = python(code, tmp_path, tmp_path / "cache")
-    assert python(code, tmp_path, tmp_path / "cache") == compiled
+    compiled, loaded = (said["sums"] for said in compiled_and_loaded)
+    assert loaded == compiled
 
 
 def test_the_cache_does_not_affect_other_users_of_numba(tmp_path: Path) -> None:

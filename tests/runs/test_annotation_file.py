@@ -24,6 +24,7 @@ from runs.journal.journal import JournalWriter
 from runs.pressure_cycles import pressure_cycles
 from runs.records import RunFooter, Status
 from runs.report.page import page
+from tests.support.report_text import without_figures
 
 ROOT = Path(__file__).parents[2]
 
@@ -47,7 +48,10 @@ def rig(*words: object) -> object:
     return ended.value.code
 
 
-def test_notes_and_tags_are_shown_and_the_archive_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_notes_and_tags_are_shown_and_the_archive_stays(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_figures(monkeypatch)
     archive, other = make(tmp_path, "one"), make(tmp_path, "two")
     before, checksum = archive.read_bytes(), content_sha256(archive)
     assert catalogue(tmp_path)[0].tags == ()

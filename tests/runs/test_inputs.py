@@ -28,6 +28,7 @@ from runs.report.page import page
 from runs.run import Run
 from tests.rig.config.test_calibration_files import camera_file
 from tests.rig.virtual.test_run import Silent
+from tests.support.report_text import without_figures
 
 CSV = "time_s,actuator_1_bar\n0,0\n0.2,0.1\n0.4,0.1\n"
 
@@ -65,7 +66,8 @@ def test_a_run_can_be_repeated_when_its_files_are_gone(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.tip.measured_mm, first.tip.measured_mm)
 
 
-def test_the_parameters_of_a_protocol_stay_with_the_run(tmp_path: Path) -> None:
+def test_the_parameters_of_a_protocol_stay_with_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    without_figures(monkeypatch)
     protocol = tmp_path / "wave.yaml"
     protocol.write_text(
         "title: Wave\nparameters:\n  peak_bar: {default: 0.1}\n  period_s: {default: 0.5}\nsteps:\n"
@@ -138,7 +140,10 @@ def test_overlays_of_the_rig_come_out_beside_it_and_give_the_same_rig(tmp_path: 
     assert loader.load(written["mock-rig.yaml"]) == found.config
 
 
-def test_metadata_of_rig_and_command_reach_the_archive_and_stay_with_its_replay(tmp_path: Path) -> None:
+def test_metadata_of_rig_and_command_reach_the_archive_and_stay_with_its_replay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_figures(monkeypatch)
     rig = tmp_path / "bench.yaml"
     rig.write_text(
         loader.text("mock") + "metadata:\n  required: [specimen]\n"

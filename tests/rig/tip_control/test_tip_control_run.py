@@ -15,6 +15,7 @@ from rig.config import loader
 from runs.records import Status
 from runs.report.page import page
 from runs.run import Run
+from tests.support.report_text import without_figures
 
 PROTOCOL = """\
 title: part of a circle
@@ -122,7 +123,10 @@ def test_a_run_that_learns_follows_better_and_says_from_which_run_it_learned(con
     assert np.linalg.norm(disturbance[moving], axis=1).max() > 1.0
 
 
-def test_a_report_of_runs_compares_how_the_tip_followed(controlled: dict[str, Run]) -> None:
+def test_a_report_of_runs_compares_how_the_tip_followed(
+    controlled: dict[str, Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_figures(monkeypatch)
     text = page([controlled["horizon"], controlled["horizon that learns"]])
     (table,) = re.findall(r"<h2>Tip to reference</h2>(.*?)</table>", text, re.DOTALL)
     heads, first, second = re.findall(r"<tr>(.*?)</tr>", table, re.DOTALL)

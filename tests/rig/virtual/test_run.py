@@ -53,9 +53,9 @@ def protocol_file(folder: Path, steps: str) -> str:
 
 @pytest.fixture(scope="module")
 def ramp_a(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """The paper's staircase on actuator 1, each level held for half as long; shared by all tests of this module."""
+    """The paper's staircase on actuator 1, each level held for a third as long; shared by all tests of this module."""
     folder = tmp_path_factory.mktemp("ramp-a")
-    (folder / "ramp-a.yaml").write_text(protocols.load("ramp-a").text.replace("dwell_s: 4", "dwell_s: 2"))
+    (folder / "ramp-a.yaml").write_text(protocols.load("ramp-a").text.replace("dwell_s: 4", "dwell_s: 1.3"))
     return run_fast(folder, str(folder / "ramp-a.yaml"))
 
 
