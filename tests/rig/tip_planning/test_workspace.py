@@ -24,8 +24,12 @@ from runs.report import drawing
 RIG = load("mock-3")
 
 
-def test_sections_agree_with_the_nearest_reachable_points() -> None:
-    space = workspace(RIG)
+@pytest.fixture(scope="module")
+def space() -> TipWorkspace:
+    return workspace(RIG)
+
+
+def test_sections_agree_with_the_nearest_reachable_points(space: TipWorkspace) -> None:
     section = space.sections[2]
     arm, drive = model_arm(RIG), drive_of(RIG)
     rng = np.random.default_rng(5)
@@ -38,8 +42,8 @@ def test_sections_agree_with_the_nearest_reachable_points() -> None:
         assert distance < 1e-3 if section.reached[i, k] else distance > 1e-5
 
 
-def test_the_outline_of_a_section_encloses_what_the_cells_of_the_pressures_reach() -> None:
-    for section in workspace(RIG).sections:
+def test_the_outline_of_a_section_encloses_what_the_cells_of_the_pressures_reach(space: TipWorkspace) -> None:
+    for section in space.sections:
         ends = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in section.outline_mm])
         (x0, y0), (x1, y1) = ends[:, 0].T, ends[:, 1].T
         angles = section.angles_rad

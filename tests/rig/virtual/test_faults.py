@@ -16,7 +16,7 @@ from scripts.faults.fault import Fault, FaultRegistry
 from scripts.faults.fault_trial import EARLIEST_S
 
 LATEST_S = 1.2
-MOVING_S = 3.4
+MOVING_S = 2.6
 """Shorter than in the campaign, because the faults come earlier."""
 FAULTS = [replace(fault, moving_s=MOVING_S) for fault in CATALOGUE.values() if fault.virtual]
 
