@@ -147,10 +147,14 @@ def test_a_run_and_its_replay_are_one_experiment(tmp_path: Path, capsys: pytest.
     assert "are of one run" in told
 
 
-def with_parameters(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[Path, Path, Path]:
+@pytest.fixture(scope="module")
+def with_parameters(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
     """A run of the mock's rig, parameters of it that move and turn what they found, and a run that was given these."""
+    folder = tmp_path_factory.mktemp("parameters")
     plain, file = archive(folder, "plain", started_utc_ns=1), folder / "first.yaml"
-    identify(capsys, plain, "--free", "a1_per_n", "--to", file, status=0)
+    with pytest.raises(SystemExit) as left:
+        main(["identify", str(plain), "--free", "a1_per_n", "--to", str(file)])
+    assert left.value.code == 0
     found = yaml.safe_load(file.read_text())
     found["mounting"] |= {"base_translation_mm": [3.0, 0.0, 1.0], "base_rotation_deg": [0.0, 0.0, 90.0]}
     found["mounting"]["tool_offset_mm"], found["sensing"]["gain"] = [0.0, 1.0, 0.0], [1.02, 1.0, 1.0]
@@ -161,17 +165,17 @@ def with_parameters(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[P
 
 
 def test_runs_with_different_baseline_parameters_are_not_mixed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    with_parameters: tuple[Path, Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plain, _, moved = with_parameters(tmp_path, capsys)
+    plain, _, moved = with_parameters
     told = identify(capsys, plain, moved, "--free", "law", status=2)
     assert "different parameters applied to their rigs" in told
 
 
 def test_results_of_runs_with_a_parameter_overlay_apply_to_the_rig_without_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    with_parameters: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _, first, moved = with_parameters(tmp_path, capsys)
+    _, first, moved = with_parameters
     file, rig = tmp_path / "second.yaml", tmp_path / "rig.yaml"
     told = identify(capsys, moved, "--free", "a1_per_n,base_x_m", "--to", file, "--rig-file", rig, status=0)
     assert "relative to them" in told
