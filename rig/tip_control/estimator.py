@@ -20,7 +20,7 @@ from rig.tip_control.interface import PayloadEstimate
 Array = NDArray[np.float64]
 
 HARMONICS = 4
-GAIN_STD, GAIN_WALK = 0.03, 5e-4
+GAIN_STD, GAIN_WALK = 0.05, 5e-4
 """Prior standard deviation of a valve's strength, and its random walk per square root of a second."""
 SOFTNESS_STD = 0.04
 """A soft arm yields to all valves and to a payload alike."""
@@ -39,7 +39,7 @@ USUAL_NIS = 8.0
 CHANGE_NIS = 22.0
 """Such a sum means that something was hung on the tip; with a consistent filter once in an hour."""
 SUSPICION_NIS = 1.0
-"""With a larger sum a frame moves payload and offset only, so that nothing else takes a part of the change."""
+"""The estimates before the sum has passed this are kept, and a change of the payload is estimated from them on."""
 LEARNING_FRAMES = 90
 """Frames after the start in which a large NIS means nothing: the estimates are still far off."""
 JUMP_KG = 0.15
@@ -49,15 +49,26 @@ SETTLING_FRAMES = 12
 """Frames after a change in which only payload and offset are estimated."""
 RELAPSE_FRAMES = 90
 """A second change within so many frames: it is not a payload, but an arm beyond the priors."""
+ANSWER_STD = 0.08
+"""Share by which an arm with hysteresis and creep answers a change of its load otherwise than the estimates say."""
 BEYOND_PRIORS = 3.0
 """The prior standard deviations are multiplied by this for an arm beyond them, and everything is learned again."""
+
+
+class PayloadBefore(NamedTuple):
+    """The payload [kg] before a change, its variance, and its covariance (n,) with the estimates (a cloned state)."""
+
+    payload_kg: float
+    variance: float
+    covariance: Array
 
 
 class EstimatorState(NamedTuple):
     """Estimates `z` (n,) with covariance (n, n), and the number of frames.
 
     `excess`: sum of the NIS beyond USUAL_NIS. `frames`: since everything is learned. `settling`: frames until the arm
-    has settled after a change. `relapse`: frames in which a second change is not taken for a payload.
+    has settled after a change. `relapse`: frames in which a second change is not taken for a payload. `calm`: z and
+    covariance before `excess` began to rise. `before`: the payload before the last change, None without any.
     z: gains (V,), softness, lag, payload, offset (3,), then a_k and b_k (3,) of each harmonic.
     """
 
@@ -67,6 +78,8 @@ class EstimatorState(NamedTuple):
     frames: int = 0
     settling: int = 0
     relapse: int = 0
+    calm: tuple[Array, Array] | None = None
+    before: PayloadBefore | None = None
 
 
 class TipEstimator:
@@ -98,9 +111,15 @@ class TipEstimator:
 
     def estimate(self, state: EstimatorState, nis: float) -> PayloadEstimate:
         """What is recorded."""
-        return PayloadEstimate(
-            self.payload_kg(state), float(np.sqrt(state.covariance[self._payload, self._payload])), nis
-        )
+        payload, variance = self.payload_kg(state), float(state.covariance[self._payload, self._payload])
+        change, change_std = np.nan, np.nan
+        if (before := state.before) is not None:
+            change = payload - before.payload_kg
+            unlike = (ANSWER_STD * change) ** 2
+            shared = before.covariance[self._payload]
+            change_std = float(np.sqrt(max(0.0, variance + before.variance - 2 * shared) + unlike))
+            variance = variance + unlike
+        return PayloadEstimate(payload, float(np.sqrt(variance)), nis, change, change_std)
 
     def disturbance(self, state: EstimatorState, times_s: Array, period_s: float | None) -> Array:
         """The disturbance (K, 3) [m] at times (K,)."""
@@ -153,34 +172,47 @@ class TipEstimator:
         predicted, slope = prediction
         waves = np.full(6 * HARMONICS, HARMONIC_WALK_M if period_s else 0.0)
         walk = self._each(GAIN_WALK, 0.0, LAG_WALK_S, PAYLOAD_WALK_KG, OFFSET_WALK_M, waves)
-        covariance = state.covariance + np.diag(walk**2) * passed_s
+        # What has just changed is the payload: the second after it must tell its mass from the drift of the others.
+        covariance = state.covariance + (0.0 if state.relapse else 1.0) * np.diag(walk**2) * passed_s
         noise = covariance_m2 + MODEL_STD_M**2 * np.eye(3)
         gap = measured_m - predicted
         innovation = slope @ covariance @ slope.T + noise
         nis = float(gap @ np.linalg.solve(innovation, gap))
         excess, settling, relapse = 0.0, max(0, state.settling - 1), max(0, state.relapse - 1)
-        frames = state.frames + 1
+        z, frames, before = state.z, state.frames + 1, state.before
         if state.frames > LEARNING_FRAMES and not settling:
             excess = max(0.0, state.excess + min(nis, OUTLIER_NIS) - USUAL_NIS)
             if nis > OUTLIER_NIS and state.excess <= SUSPICION_NIS:
-                return EstimatorState(state.z, covariance, excess, frames, relapse=relapse), nis
+                return state._replace(covariance=covariance, excess=excess, frames=frames, relapse=relapse), nis
             if excess > CHANGE_NIS and relapse:
+                z, before = z.copy(), None
                 covariance += np.diag((BEYOND_PRIORS * self._prior_std()) ** 2)
+                if state.before is not None:
+                    covariance[self._payload, self._payload] += (z[self._payload] - state.before.payload_kg) ** 2
+                    z[self._payload] = state.before.payload_kg
                 excess, frames, relapse = 0.0, 0, 0
             elif excess > CHANGE_NIS:
+                z, covariance = state.calm or (z, covariance)
+                covariance = covariance.copy()
+                column = covariance[:, self._payload].copy()
+                before = PayloadBefore(float(z[self._payload]), float(column[self._payload]), column)
                 covariance[self._payload, self._payload] += JUMP_KG**2
                 excess, settling, relapse = 0.0, SETTLING_FRAMES, RELAPSE_FRAMES
+            gap = gap - slope @ (z - state.z)
         if settling:
             since_s = (SETTLING_FRAMES - settling) * passed_s
             noise = noise + (SWING_M * np.exp(-since_s / SWING_S)) ** 2 * np.eye(3)
         moves = np.ones(self._size)
-        if settling or excess > SUSPICION_NIS:
+        if settling:
             moves = self._each(0.0, 0.0, 0.0, 1.0, 1.0, np.zeros(6 * HARMONICS))
         innovation = slope @ covariance @ slope.T + noise
         gain = moves[:, None] * np.linalg.solve(innovation, slope @ covariance).T
         keep = np.eye(self._size) - gain @ slope
-        after = keep @ covariance @ keep.T + gain @ noise @ gain.T  # Joseph form
-        return EstimatorState(state.z + gain @ gap, after, excess, frames, settling, relapse), nis
+        after = z + gain @ gap, keep @ covariance @ keep.T + gain @ noise @ gain.T  # Joseph form
+        calm = after if excess <= SUSPICION_NIS else state.calm
+        if before is not None:
+            before = before._replace(covariance=keep @ before.covariance)
+        return EstimatorState(*after, excess, frames, settling, relapse, calm, before), nis
 
     def _prior_std(self) -> Array:
         waves = np.repeat(HARMONIC_STD_M / np.arange(1, HARMONICS + 1), 6)

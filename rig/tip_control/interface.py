@@ -84,11 +84,16 @@ class ControllerMeasurement(NamedTuple):
 
 
 class PayloadEstimate(NamedTuple):
-    """What an estimator knows: payload [kg], its standard deviation, and the normalised innovation squared (NIS)."""
+    """What an estimator knows: payload [kg], its standard deviation, and the normalised innovation squared (NIS).
+
+    `change_kg`: the last change of the payload during the run, with its standard deviation; NaN before the first.
+    """
 
     payload_kg: float = float("nan")
     payload_std_kg: float = float("nan")
     nis: float = float("nan")
+    change_kg: float = float("nan")
+    change_std_kg: float = float("nan")
 
 
 class SetPointPlan(NamedTuple):

@@ -1,0 +1,242 @@
+"""References drawn at random: is every path that `rig check` accepts followed, within every limit, on an unlike arm?
+
+    python -m benchmarks.tip_references --results FILE.jsonl [--count 10000] [--minutes 60] [--seed 1] [--only K]
+
+Each path (circle, eight, star, points, held point, CSV; any plane, size and speed) is given to the planner and the
+preflight check of `rig check` on mock-3. An accepted path is run in virtual time: control loop, interlocks, horizon
+controller, valves and chambers; a simulated tracker measures the tip at 30 Hz with 0.1 mm noise per coordinate in place
+of pictures. The arm is drawn at random (benchmarks.random_tip_paths).
+
+Counted are runs that an interlock or anything else ended, cycles whose set-point or its rate is out of the limits of
+the rig, and paths that are not followed: after the lead-in the RMS of the 3-D distance between reference and true tip
+is above NEAR_RMS_MM, or its largest value above NEAR_MM.
+
+Every path has a line in the results; with a file of results only the missing paths are run, and the table is printed
+from the whole file. Path K is the same for the same seed, whatever was run before it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import protocols
+from benchmarks.random_tip_paths import SHAPES, drawn_rig, stated_rig, tip_step
+from protocols import BadInputError, SetPointTrajectory
+from rig.config.schema import RigConfig
+from rig.execution.plan import NullOperator, RunPlan
+from rig.experiment.preflight import check
+from rig.sections.quantities import PA_PER_BAR
+from rig.simulator.mock_camera import Exposure
+from rig.tip_planning.inverse import RigTipInverse
+from rig.virtual import executor
+from rig.virtual.frame_pipeline import FrameResult, FrameSamples, FrameStages
+from runs.records import Event, Level, Picture, Status
+
+Array = NDArray[np.float64]
+Row = dict[str, Any]
+
+NEAR_RMS_MM, NEAR_MM = 2.0, 5.0
+"""A path is followed if RMS and largest value of the true tip's distance are below these, after the lead-in."""
+ROUNDING = 1e-9
+
+
+class KeptRecord:
+    """A recorder that keeps cycles, frames and events in memory."""
+
+    stalled_s = 0.0
+
+    def __init__(self) -> None:
+        self.cycles: list[NDArray[np.void]] = []
+        self.frames: list[NDArray[np.void]] = []
+        self.events: list[Event] = []
+        self.unsolved = 0
+
+    def samples(self, rows: NDArray[np.void]) -> None:
+        """Keep control cycles."""
+        self.cycles.append(rows.copy())
+
+    def observations(self, rows: NDArray[np.void]) -> None:
+        """Keep frames."""
+        self.frames.append(rows.copy())
+
+    def plans(self, rows: NDArray[np.void]) -> None:
+        """Count the plans without a solution."""
+        self.unsolved += int(np.count_nonzero(rows["status"]))
+
+    def event(self, event: Event) -> None:
+        """Keep an event."""
+        self.events.append(event)
+
+    def adaptations(self, rows: NDArray[np.void]) -> None:
+        """Nothing is estimated online."""
+
+    def streamed(self, rows: NDArray[np.void]) -> None:
+        """No other program sends set-points."""
+
+    def picture(self, picture: Picture) -> None:
+        """There is no camera."""
+
+
+class SameProcess:
+    """A frame pipeline that measures at once in this process: there are no pictures to render beside control."""
+
+    def __init__(self, stages: FrameStages, cameras: int, shape: tuple[int, int]) -> None:
+        self._stages = stages
+        self._results: deque[FrameResult] = deque()
+
+    def __enter__(self) -> SameProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    @property
+    def in_flight(self) -> int:
+        """Frame sets whose results have not been returned."""
+        return len(self._results)
+
+    def submit(self, index: int, due_ns: int, exposures: Sequence[Exposure | None], samples: FrameSamples) -> None:
+        """Measure a frame set."""
+        self._results.append(self._stages.measure(self._stages.render(index, due_ns, exposures), samples))
+
+    def result(self) -> FrameResult:
+        """The result of the oldest frame set."""
+        return self._results.popleft()
+
+
+def steps_of(tip: Row) -> list[Row]:
+    """The protocol's steps: rest, the tip path, and back to no pressure."""
+    ramp = {"actuators": [1, 2, 3], "to_bar": 0, "duration_s": 2, "shape": "smooth"}
+    return [{"hold": {"duration_s": 0.5}}, {"tip": tip}, {"ramp": ramp}, {"hold": {"duration_s": 0.5}}]
+
+
+def judged(k: int, seed: int, config: RigConfig, inverse: RigTipInverse) -> Row:
+    """Draw path k, check it, and run it if it is accepted."""
+    rng = np.random.default_rng([seed, k])
+    with tempfile.TemporaryDirectory() as folder:
+        tip = tip_step(rng, Path(folder))
+        kind = next(name for name in tip if name in SHAPES)
+        row: Row = {"k": k, "seed": seed, "kind": kind}
+        try:
+            protocol = protocols.from_steps("random", steps_of(tip), Path(folder))
+            trajectory = protocol.expand(3, inverse)
+        except BadInputError as error:
+            return row | {"refused": error.problems[0].expected}
+        if problems := check(config, trajectory, protocol):
+            return row | {"refused": problems[0].expected}
+    drawn = drawn_rig(np.random.default_rng([seed, k, 1]))
+    return row | followed(drawn, trajectory, seed=k)
+
+
+def followed(config: RigConfig, trajectory: SetPointTrajectory, seed: int) -> Row:
+    """Run a trajectory on a simulated rig in virtual time; how it ended, and how far the tip was from its path."""
+    record = KeptRecord()
+    plan = RunPlan(config, Path("drawn.yaml"), trajectory, config.model.variant, seed, (), "horizon")
+    outcome = executor.run(plan, lambda t_ns: record, NullOperator())
+    cycles, frames = np.concatenate(record.cycles), np.concatenate(record.frames)
+    (motion,) = trajectory.tip.motions
+    setpoint, axes = cycles["setpoint_pa"], list(motion.coordinates)
+    rate = np.abs(np.diff(setpoint, axis=0)) * config.control.rate_hz
+    limit, fastest = config.limits.pressure_bar * PA_PER_BAR, config.limits.rate_bar_per_s * PA_PER_BAR
+    beyond = (setpoint < -ROUNDING) | (setpoint > limit * (1 + ROUNDING))
+    at = frames["protocol_s"]
+    on_path = frames[(at > motion.path_s) & (at < motion.stop_s)]
+    apart = on_path["truth_m"] - motion.positions_m(on_path["protocol_s"])
+    off = 1e3 * np.linalg.norm(apart[:, axes], axis=1)
+    times = cycles["protocol_s"]
+    on = (times[:-1] > motion.path_s) & (times[:-1] < motion.stop_s)
+    bound = (setpoint[:-1] <= 1) | (setpoint[:-1] >= limit - 1) | (rate > 0.999 * fastest)
+    warnings = [event.message for event in record.events if event.level is not Level.INFO]
+    return {
+        "duration_s": round(trajectory.duration_s, 2),
+        "ended": "" if outcome.status is Status.FINISHED else outcome.message,
+        "warnings": warnings,
+        "beyond_limit": int(beyond.sum()),
+        "beyond_rate": int(np.count_nonzero(rate > fastest * (1 + 1e-6))),
+        "at_limit": round(float(bound[on].any(axis=1).mean()), 3) if on.any() else 0.0,
+        "unsolved": record.unsolved,
+        "measured": len(off),
+        "rms_mm": round(float(np.sqrt(np.mean(off**2))), 4) if len(off) else float("nan"),
+        "largest_mm": round(float(off.max()), 4) if len(off) else float("nan"),
+    }
+
+
+def is_followed(row: Row) -> bool:
+    """Whether the tip of an accepted path has followed it."""
+    return bool(row["rms_mm"] <= NEAR_RMS_MM and row["largest_mm"] <= NEAR_MM)
+
+
+def is_beyond(row: Row) -> bool:
+    """Whether a set-point or its rate has left the limits of the rig."""
+    return bool(row["beyond_limit"] or row["beyond_rate"])
+
+
+def table(rows: Sequence[Row]) -> str:
+    """The counts for each kind of path, and the paths that need a look."""
+    lines = ["| path | drawn | accepted | ended early | out of limits | followed | RMS p50 / p99 / worst [mm] |"]
+    lines.append("|---|---|---|---|---|---|---|")
+    for kind in (*SHAPES, "all"):
+        drawn = [row for row in rows if kind in (row["kind"], "all")]
+        run = [row for row in drawn if "refused" not in row]
+        if not run:
+            continue
+        rms = np.array([row["rms_mm"] for row in run])
+        spread = " / ".join(f"{value:.2f}" for value in (np.median(rms), np.percentile(rms, 99), rms.max()))
+        ended = sum(bool(row["ended"]) for row in run)
+        beyond = sum(is_beyond(row) for row in run)
+        near = sum(is_followed(row) for row in run)
+        lines.append(
+            f"| {kind.replace('_', ' ')} | {len(drawn)} | {len(run)} | {ended} | {beyond} | {near} | {spread} |"
+        )
+    lines += [
+        f"path {row['k']} ({row['kind']}): RMS {row['rms_mm']} mm, largest {row['largest_mm']} mm, "
+        f"{row['at_limit']:.0%} of the time at a limit{'; ' + row['ended'] if row['ended'] else ''}"
+        for row in rows
+        if "refused" not in row and (row["ended"] or is_beyond(row) or not is_followed(row))
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run the missing paths, and print the table of all."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--results", type=Path, required=True, help="a line of JSON for each path; kept and continued")
+    parser.add_argument("--count", type=int, default=10_000)
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", type=int, nargs="+", help="run these paths and print their lines")
+    args = parser.parse_args()
+    executor.FramePipeline = SameProcess  # type: ignore[misc,assignment]
+    config = RigConfig.model_validate(stated_rig())
+    inverse = RigTipInverse(config)
+    if args.only:
+        for k in args.only:
+            print(json.dumps(judged(k, args.seed, config, inverse)), flush=True)
+        return
+    lines = args.results.read_text(encoding="utf-8").splitlines() if args.results.exists() else []
+    # A line that was cut off when the program was stopped is run again.
+    rows = [json.loads(line) for line in lines if line.endswith("}")]
+    rows = [row for row in rows if row["seed"] == args.seed]
+    known, end_s = {row["k"] for row in rows}, time.monotonic() + 60 * args.minutes
+    with args.results.open("a", encoding="utf-8") as file:
+        for k in (k for k in range(args.count) if k not in known):
+            if time.monotonic() > end_s:
+                break
+            rows.append(judged(k, args.seed, config, inverse))
+            file.write(json.dumps(rows[-1]) + "\n")
+            file.flush()
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()
