@@ -42,6 +42,8 @@ SUSPICION_NIS = 1.0
 """The estimates before the sum has passed this are kept, and a change of the payload is estimated from them on."""
 LEARNING_FRAMES = 90
 """Frames after the start in which a large NIS means nothing: the estimates are still far off."""
+LEARNING_AGAIN_FRAMES = 45
+"""The same after everything is learned again."""
 JUMP_KG = 0.15
 SWING_M, SWING_S = 2e-3, 0.1
 """The arm swings after a change: standard deviation at its start, and the time in which it decays."""
@@ -49,6 +51,8 @@ SETTLING_FRAMES = 12
 """Frames after a change in which only payload and offset are estimated."""
 RELAPSE_FRAMES = 90
 """A second change within so many frames: it is not a payload, but an arm beyond the priors."""
+EXPLAINED_SHARE, REST_NIS = 0.89, 4.6
+"""A payload explains this share of the NIS, or leaves less than this: 90 % of the chi-squared of two degrees."""
 ANSWER_STD = 0.08
 """Share by which an arm with hysteresis and creep answers a change of its load otherwise than the estimates say."""
 BEYOND_PRIORS = 3.0
@@ -184,15 +188,16 @@ class TipEstimator:
             excess = max(0.0, state.excess + min(nis, OUTLIER_NIS) - USUAL_NIS)
             if nis > OUTLIER_NIS and state.excess <= SUSPICION_NIS:
                 return state._replace(covariance=covariance, excess=excess, frames=frames, relapse=relapse), nis
-            if excess > CHANGE_NIS and relapse:
+            hung = excess > CHANGE_NIS and not relapse and self._payload_explains(state, gap, slope, noise)
+            if excess > CHANGE_NIS and not hung:
                 z, before = z.copy(), None
                 covariance += np.diag((BEYOND_PRIORS * self._prior_std()) ** 2)
                 if state.before is not None:
                     covariance[self._payload, self._payload] += (z[self._payload] - state.before.payload_kg) ** 2
                     z[self._payload] = state.before.payload_kg
-                excess, frames, relapse = 0.0, 0, 0
-            elif excess > CHANGE_NIS:
-                z, covariance = state.calm or (z, covariance)
+                excess, frames, relapse = 0.0, LEARNING_FRAMES - LEARNING_AGAIN_FRAMES, 0
+            elif hung:
+                z, covariance = self._calm(state)
                 covariance = covariance.copy()
                 column = covariance[:, self._payload].copy()
                 before = PayloadBefore(float(z[self._payload]), float(column[self._payload]), column)
@@ -213,6 +218,17 @@ class TipEstimator:
         if before is not None:
             before = before._replace(covariance=keep @ before.covariance)
         return EstimatorState(*after, excess, frames, settling, relapse, calm, before), nis
+
+    def _payload_explains(self, state: EstimatorState, gap: Array, slope: Array, noise: Array) -> bool:
+        """Whether what a frame shows beyond the estimates that were kept points where a payload pulls the tip."""
+        z, covariance = self._calm(state)
+        gap, pull = gap - slope @ (z - state.z), slope[:, self._payload]
+        weight = np.linalg.inv(slope @ covariance @ slope.T + noise)
+        whole, explained = gap @ weight @ gap, (pull @ weight @ gap) ** 2 / (pull @ weight @ pull)
+        return bool(explained > EXPLAINED_SHARE * whole or whole - explained < REST_NIS)
+
+    def _calm(self, state: EstimatorState) -> tuple[Array, Array]:
+        return state.calm or (state.z, state.covariance)
 
     def _prior_std(self) -> Array:
         waves = np.repeat(HARMONIC_STD_M / np.arange(1, HARMONICS + 1), 6)
