@@ -53,6 +53,8 @@ RELAPSE_FRAMES = 90
 """A second change within so many frames: it is not a payload, but an arm beyond the priors."""
 EXPLAINED_SHARE, REST_NIS = 0.89, 4.6
 """A payload explains this share of the NIS, or leaves less than this: 90 % of the chi-squared of two degrees."""
+SUDDEN_FRAMES, SUDDEN_SHARE = 2, 0.75
+"""The share for a sum that has risen within so few frames: the arm still swings towards where the payload pulls it."""
 ANSWER_STD = 0.08
 """Share by which an arm with hysteresis and creep answers a change of its load otherwise than the estimates say."""
 BEYOND_PRIORS = 3.0
@@ -71,8 +73,9 @@ class EstimatorState(NamedTuple):
     """Estimates `z` (n,) with covariance (n, n), and the number of frames.
 
     `excess`: sum of the NIS beyond USUAL_NIS. `frames`: since everything is learned. `settling`: frames until the arm
-    has settled after a change. `relapse`: frames in which a second change is not taken for a payload. `calm`: z and
-    covariance before `excess` began to rise. `before`: the payload before the last change, None without any.
+    has settled after a change. `relapse`: frames in which a second change is not taken for a payload.
+    `suspected`: frames since `excess` began to rise, `calm`: z and covariance before that.
+    `before`: the payload before the last change, None without any.
     z: gains (V,), softness, lag, payload, offset (3,), then a_k and b_k (3,) of each harmonic.
     """
 
@@ -82,6 +85,7 @@ class EstimatorState(NamedTuple):
     frames: int = 0
     settling: int = 0
     relapse: int = 0
+    suspected: int = 0
     calm: tuple[Array, Array] | None = None
     before: PayloadBefore | None = None
 
@@ -187,7 +191,9 @@ class TipEstimator:
         if state.frames > LEARNING_FRAMES and not settling:
             excess = max(0.0, state.excess + min(nis, OUTLIER_NIS) - USUAL_NIS)
             if nis > OUTLIER_NIS and state.excess <= SUSPICION_NIS:
-                return state._replace(covariance=covariance, excess=excess, frames=frames, relapse=relapse), nis
+                return state._replace(
+                    covariance=covariance, excess=excess, frames=frames, relapse=relapse, suspected=1
+                ), nis
             hung = excess > CHANGE_NIS and not relapse and self._payload_explains(state, gap, slope, noise)
             if excess > CHANGE_NIS and not hung:
                 z, before = z.copy(), None
@@ -214,10 +220,10 @@ class TipEstimator:
         gain = moves[:, None] * np.linalg.solve(innovation, slope @ covariance).T
         keep = np.eye(self._size) - gain @ slope
         after = z + gain @ gap, keep @ covariance @ keep.T + gain @ noise @ gain.T  # Joseph form
-        calm = after if excess <= SUSPICION_NIS else state.calm
+        suspected, calm = (state.suspected + 1, state.calm) if excess > SUSPICION_NIS else (0, after)
         if before is not None:
             before = before._replace(covariance=keep @ before.covariance)
-        return EstimatorState(*after, excess, frames, settling, relapse, calm, before), nis
+        return EstimatorState(*after, excess, frames, settling, relapse, suspected, calm, before), nis
 
     def _payload_explains(self, state: EstimatorState, gap: Array, slope: Array, noise: Array) -> bool:
         """Whether what a frame shows beyond the estimates that were kept points where a payload pulls the tip."""
@@ -225,7 +231,8 @@ class TipEstimator:
         gap, pull = gap - slope @ (z - state.z), slope[:, self._payload]
         weight = np.linalg.inv(slope @ covariance @ slope.T + noise)
         whole, explained = gap @ weight @ gap, (pull @ weight @ gap) ** 2 / (pull @ weight @ pull)
-        return bool(explained > EXPLAINED_SHARE * whole or whole - explained < REST_NIS)
+        share = SUDDEN_SHARE if state.suspected <= SUDDEN_FRAMES else EXPLAINED_SHARE
+        return bool(explained > share * whole or whole - explained < REST_NIS)
 
     def _calm(self, state: EstimatorState) -> tuple[Array, Array]:
         return state.calm or (state.z, state.covariance)
