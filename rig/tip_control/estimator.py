@@ -180,7 +180,7 @@ class TipEstimator:
         predicted, slope = prediction
         waves = np.full(6 * HARMONICS, HARMONIC_WALK_M if period_s else 0.0)
         walk = self._each(GAIN_WALK, 0.0, LAG_WALK_S, PAYLOAD_WALK_KG, OFFSET_WALK_M, waves)
-        # What has just changed is the payload: the second after it must tell its mass from the drift of the others.
+        # What has just changed is the payload: the frames after it show its mass, not a drift of the others.
         covariance = state.covariance + (0.0 if state.relapse else 1.0) * np.diag(walk**2) * passed_s
         noise = covariance_m2 + MODEL_STD_M**2 * np.eye(3)
         gap = measured_m - predicted
