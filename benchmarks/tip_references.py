@@ -207,6 +207,17 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
+def known_rows(results: Path, seed: int) -> list[Row]:
+    """The rows of a seed in a file of results; a line that was cut off when the program was stopped is removed."""
+    if not results.exists():
+        return []
+    lines = results.read_text(encoding="utf-8").splitlines(keepends=True)
+    whole = [line for line in lines if line.endswith("}\n")]
+    if len(whole) < len(lines):
+        results.write_text("".join(whole), encoding="utf-8")
+    return [row for row in map(json.loads, whole) if row["seed"] == seed]
+
+
 def main() -> None:
     """Run the missing paths, and print the table of all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -223,10 +234,7 @@ def main() -> None:
         for k in args.only:
             print(json.dumps(judged(k, args.seed, config, inverse)), flush=True)
         return
-    lines = args.results.read_text(encoding="utf-8").splitlines() if args.results.exists() else []
-    # A line that was cut off when the program was stopped is run again.
-    rows = [json.loads(line) for line in lines if line.endswith("}")]
-    rows = [row for row in rows if row["seed"] == args.seed]
+    rows = known_rows(args.results, args.seed)
     known, end_s = {row["k"] for row in rows}, time.monotonic() + 60 * args.minutes
     with args.results.open("a", encoding="utf-8") as file:
         for k in (k for k in range(args.count) if k not in known):

@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import protocols
+from benchmarks import tip_references
+from benchmarks.random_tip_paths import stated_rig
 from benchmarks.tip_closed_loop import CYCLE_S, Task, Truth, simulate
 from protocols import BadInputError, SetPointTrajectory
 from rig.config.loader import load
+from rig.config.schema import RigConfig
 from rig.tip_control import session
 from rig.tip_control.horizon import HorizonControl
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_planning.inverse import RigTipInverse
+from rig.virtual import executor
 from tests.support.budget import examples
 
 Array = NDArray[np.float64]
@@ -125,3 +132,22 @@ def test_an_accepted_path_is_followed_within_the_limits_and_a_refused_one_has_a_
     off_mm = 1e3 * np.linalg.norm(run.tip_m - run.reference_m, axis=1)
     assert off_mm.max() < NEAR_MM
     assert off_mm[-round(0.2 / CYCLE_S) :].mean() < 0.5 * NEAR_MM
+
+
+def test_a_path_of_the_benchmark_is_run_with_interlocks_and_kept_where_the_program_is_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(executor, "FramePipeline", tip_references.SameProcess)
+    config = RigConfig.model_validate(stated_rig())
+    first, second = (tip_references.judged(2, 1, config, RigTipInverse(config)) for _ in range(2))
+    assert first == second
+    assert first["ended"] == ""
+    assert not tip_references.is_beyond(first)
+    assert tip_references.is_followed(first)
+    results = tmp_path / "rows.jsonl"
+    line = json.dumps(first)
+    results.write_text(f"{line}\n{line[:40]}", encoding="utf-8")
+    assert tip_references.known_rows(results, 1) == [first]
+    assert tip_references.known_rows(results, 2) == []
+    assert results.read_text(encoding="utf-8") == f"{line}\n"
+    assert "| points | 1 | 1 | 0 | 0 | 1 |" in tip_references.table([first])
