@@ -223,7 +223,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--results", type=Path, required=True, help="a line of JSON for each path; kept and continued")
     parser.add_argument("--count", type=int, default=10_000)
-    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--minutes", type=float, default=60.0, help="processor time of this process")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=int, nargs="+", help="run these paths and print their lines")
     args = parser.parse_args()
@@ -235,10 +235,10 @@ def main() -> None:
             print(json.dumps(judged(k, args.seed, config, inverse)), flush=True)
         return
     rows = known_rows(args.results, args.seed)
-    known, end_s = {row["k"] for row in rows}, time.monotonic() + 60 * args.minutes
+    known, end_s = {row["k"] for row in rows}, time.process_time() + 60 * args.minutes
     with args.results.open("a", encoding="utf-8") as file:
         for k in (k for k in range(args.count) if k not in known):
-            if time.monotonic() > end_s:
+            if time.process_time() > end_s:
                 break
             rows.append(judged(k, args.seed, config, inverse))
             file.write(json.dumps(rows[-1]) + "\n")

@@ -100,7 +100,6 @@ class TipControlSession:
         if plan.predicted_m is not None and np.shape(plan.predicted_m)[1:] == (3,) and len(plan.predicted_m):
             row["predicted_m"] = plan.predicted_m[0] + learned[1]
         row["payload_kg"], row["payload_std_kg"], row["nis"] = plan.estimate[:3]
-        row["payload_change_kg"], row["payload_change_std_kg"] = plan.estimate[3:]
         return stamped, row
 
     def rehearse(self) -> None:

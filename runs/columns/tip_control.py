@@ -129,16 +129,4 @@ class TipControl(Table):
     payload_std_g = Column(
         "payload_std_kg", unit="g", about="one standard deviation of payload_g", convert=lambda kg: kg * 1e3
     )
-    payload_change_g = Column(
-        "payload_change_kg",
-        unit="g",
-        about="estimated last change of the payload during the run; NaN before the first",
-        convert=lambda kg: kg * 1e3,
-    )
-    payload_change_std_g = Column(
-        "payload_change_std_kg",
-        unit="g",
-        about="one standard deviation of payload_change_g",
-        convert=lambda kg: kg * 1e3,
-    )
     nis = Column("nis", about="normalised innovation squared of the frame; 3 on average if the estimator is consistent")
