@@ -1,9 +1,11 @@
 """Whether the error bars that `rig design` expects are those that fits of simulated arms state and realise.
 
 Run: python -m benchmarks.design [--of motion|rest] [--rig mock] [--trials 20] [--seed 0] [--workers 2] [--store DIR]
+[--learn-from RUN]
 
 Each number of each arm is drawn from the rig's standard uncertainties. `motion` is the 60 s protocol of the design,
-`rest` the plateaus of four library protocols. A fit has the free parameters, nuisance parameters and priors of
+`rest` the plateaus of four library protocols. Errors of measurement are those that `rig design` assumes, or those of a
+run. A fit has the free parameters, nuisance parameters and priors of
 `rig identify`.
 """
 
@@ -28,8 +30,9 @@ from calibration.parallel_map import parallel_map
 from rig.config.loader import load
 from rig.config.schema import RigConfig
 from rig.design.design import design, free_parameters, unknowns_of
-from rig.design.expected_poses import expected_poses
+from rig.design.expected_poses import errors_of_run, expected_poses
 from rig.identify.estimation import rig_uncertainties
+from runs.run import Run
 
 Array = NDArray[np.float64]
 
@@ -80,22 +83,26 @@ def run_trial(trial: BarsTrial) -> Array:
 def planned_runs(kind: str, config: RigConfig, free: tuple[str, ...], errors: MeasurementErrors) -> list[Poses]:
     """The designed protocol, or four static ones of the library."""
     if kind == "motion":
-        found = [("design", design(config, free).protocol)]
+        found = [("design", design(config, free, errors=errors).protocol)]
     else:
         found = [(name, protocols.load(name)) for name in STATIC]
     return [expected_poses(name, one.expand(config.actuators), config, errors) for name, one in found]
 
 
 def told(expected: ErrorBars, found: Array) -> None:
-    """Print, by parameter, the median of stated bars over the expected one, and the rms of errors over it."""
+    """Print, by parameter, the median of stated bars over the expected one, and the rms of errors over it.
+
+    Stated bars without the model error are over expected ones without it.
+    """
     error, std, bare = found.swapaxes(0, 1)
+    alone = expected.alone.tolist()
     print("parameter        expected   stated/expected  without model error  rms error/expected  arms")
     for k, (name, bar) in enumerate(zip(expected.names, expected.std.tolist(), strict=True)):
         known = np.isfinite(std[:, k])
         if not known.any():
             print(f"{name:14s} {bar:10.3g}   not identified in any arm")
             continue
-        ratios = [float(np.median(values[known, k])) / bar for values in (std, bare)]
+        ratios = [float(np.median(values[known, k])) / to for values, to in ((std, bar), (bare, alone[k]))]
         rms = float(np.sqrt(np.mean(error[known, k] ** 2))) / bar
         print(f"{name:14s} {bar:10.3g}   {ratios[0]:15.2f}  {ratios[1]:19.2f}  {rms:18.2f}  {known.sum():4d}")
     z = error / expected.std
@@ -112,10 +119,12 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--workers", type=int, default=2)
     options.add_argument("--store", type=Path, help="keep finished trials there, to resume")
+    options.add_argument("--learn-from", type=Path, help="archive with the errors of measurement")
     given = options.parse_args()
     config, began = load(given.rig), time.perf_counter()
     offset_pa = max(sensor.accuracy_bar for sensor in config.sensors) * 1e5 / 2
-    errors = replace(MeasurementErrors(), offset_pa=offset_pa)
+    measured = MeasurementErrors() if given.learn_from is None else errors_of_run(Run(given.learn_from))
+    errors = replace(measured, offset_pa=offset_pa)
     free = free_parameters(config)
     if given.of == "rest":
         free = tuple(name for name in free if name not in ("damping_s", "shear_ratio"))

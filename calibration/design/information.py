@@ -1,19 +1,21 @@
-"""Fisher information of planned experiments, with the noise model, priors and unknowns of the identification."""
+"""Information of planned experiments, with the noise model, priors, unknowns and model error of the identification."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
+from calibration.design.model_error import added_covariance, columns_and_amplitude
 from calibration.identify.information import covariance
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.parameters import Parameter, Prior
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
-from calibration.identify.tip_predictor import Predictor
+from calibration.identify.simulated_experiments import exact
 from calibration.identify.undetermined import UNDETERMINED_SPANS
 
 Array = NDArray[np.float64]
@@ -30,19 +32,23 @@ class Unknowns:
 
     def problem(self, planned: Sequence[Poses], substeps: int = 0) -> LeastSquaresProblem:
         """The least-squares problem of planned experiments whose tips are exactly where the model predicts them."""
-        data = [replace(poses, tip_m=Predictor(poses)(self.start)) for poses in planned]
+        data = [exact(poses, self.start) for poses in planned]
         return LeastSquaresProblem(data, self.start, (*self.free, *self.nuisance), self.priors, substeps=substeps)
 
 
 @dataclass(frozen=True)
 class ErrorBars:
-    """Expected standard errors: names (n,) of the shared free parameters, units, values, spans, covariance (n, n)."""
+    """Expected standard errors: names (n,) of the shared free parameters, units, values, spans, covariance (n, n).
+
+    alone (n,): standard errors by measurement and priors, without the model error that `covariance` contains.
+    """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     values: Array
     spans: Array
     covariance: Array
+    alone: Array
 
     @property
     def std(self) -> Array:
@@ -53,7 +59,7 @@ class ErrorBars:
     @property
     def decided(self) -> NDArray[np.bool_]:
         """Which parameters (n,) an identification would state, rather than report as not identifiable."""
-        out: NDArray[np.bool_] = self.std <= UNDETERMINED_SPANS * self.spans
+        out: NDArray[np.bool_] = self.alone <= UNDETERMINED_SPANS * self.spans
         return out
 
     @property
@@ -70,29 +76,38 @@ def of_interest(problem: LeastSquaresProblem, unknowns: Unknowns) -> list[int]:
 
 
 def block_information(problem: LeastSquaresProblem, frames: Sequence[slice]) -> tuple[Array, Array]:
-    """Information (B, n, n) of ranges of frames of the problem's only run, in spans, and that of the priors (n, n)."""
-    (rows,), prior = problem.whitened_slopes(np.zeros(len(problem.unknowns)), masked=False)
-    return np.array([np.einsum("kin,kim->nm", rows[one], rows[one]) for one in frames]), prior.T @ prior
+    """Information (B, n + m, n + m) of ranges of frames of the problem's only run, and of the priors (n + m, n + m).
 
-
-def error_bars(planned: Sequence[Poses], unknowns: Unknowns) -> ErrorBars:
-    """Expected standard errors (Cramer-Rao bound) of an identification from all the planned experiments together."""
-    problem = unknowns.problem(planned)
-    rows, prior = problem.whitened_slopes(np.zeros(len(problem.unknowns)))
-    data = np.sum([np.einsum("kin,kim->nm", own, own) for own in rows], axis=0)
-    return bars_of(problem, unknowns, prior.T @ prior + data)
-
-
-def bars_of(problem: LeastSquaresProblem, unknowns: Unknowns, information: Array) -> ErrorBars:
-    """Standard errors of the parameters of interest by the information (n, n) of data and priors, in spans."""
+    On n unknowns, in spans, and on m coefficients of the model error.
+    """
     z = np.zeros(len(problem.unknowns))
+    (rows,), prior = problem.whitened_slopes(z, masked=False)
+    (weights,), _ = problem.weights(z, 0.0)
+    (columns,), amplitude = columns_and_amplitude(problem)
+    every = np.concatenate([rows, np.einsum("kij,kjm->kim", weights.whitener, columns)], axis=2)
+    information = np.array([np.einsum("kin,kim->nm", every[one], every[one], optimize=True) for one in frames])
+    return information, block_diag(prior.T @ prior, np.diag(amplitude**-2))
+
+
+def error_bars(planned: Sequence[Poses], unknowns: Unknowns, substeps: int = 0) -> ErrorBars:
+    """Expected standard errors of an identification from all the planned experiments of an arm that obeys the model.
+
+    Those of measurement and priors (Cramer-Rao bound), and what the model error adds. substeps: as of a
+    `LeastSquaresProblem`.
+    """
+    problem = unknowns.problem(planned, substeps)
+    z = np.zeros(len(problem.unknowns))
+    rows, prior = problem.whitened_slopes(z)
+    data = np.sum([np.einsum("kin,kim->nm", own, own, optimize=True) for own in rows], axis=0)
     chosen = of_interest(problem, unknowns)
     rates = problem.rates(z)
-    scaled = covariance(information) * np.outer(rates, rates)
+    alone = covariance(prior.T @ prior + data) * np.outer(rates, rates)
+    added = added_covariance(problem) * np.outer(rates, rates)
     return ErrorBars(
         tuple(problem.unknowns[i].parameter.name for i in chosen),
         tuple(problem.unknowns[i].parameter.unit for i in chosen),
         problem.values(z)[chosen],
         np.array([problem.unknowns[i].span for i in chosen]),
-        scaled[np.ix_(chosen, chosen)],
+        (alone + added)[np.ix_(chosen, chosen)],
+        np.sqrt(np.diagonal(alone))[chosen],
     )

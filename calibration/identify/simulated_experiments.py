@@ -34,14 +34,20 @@ _SAMPLES = 7
 class MeasurementErrors:
     """What goes wrong in measuring: standard deviations, per axis of the tip and per sensor.
 
-    pressure_pa: of a plateau's mean, or of the mean of the samples within one frame of a motion. rotation_rad: of the
-    orientation about each axis; None if it is not measured.
+    pressure_pa: of the mean of the samples within one frame of a motion. rest_pressure_pa: of a plateau's mean; None if
+    it is the same. rotation_rad: of the orientation about each axis; None if it is not measured.
     """
 
     tip_m: tuple[float, float, float] = (2e-4, 4e-4, 2e-4)
     pressure_pa: float = 50.0
     offset_pa: float = 200.0
     rotation_rad: float | None = None
+    rest_pressure_pa: float | None = None
+
+    @property
+    def plateau_pa(self) -> float:
+        """Of the mean pressure of a plateau."""
+        return self.pressure_pa if self.rest_pressure_pa is None else self.rest_pressure_pa
 
 
 def plan(
@@ -59,7 +65,7 @@ def plan(
         source=f"simulated {run_id}",
         period_s=period_s,
         pressure_pa=pressure_pa,
-        pressure_std_pa=np.full(pressure_pa.shape, errors.pressure_pa),
+        pressure_std_pa=np.full(pressure_pa.shape, errors.pressure_pa if period_s else errors.plateau_pa),
         weight_kg=np.zeros(k) if weight_kg is None else weight_kg,
         wrench=np.zeros((k, 6)),
         tip_m=np.full((k, 3), np.nan),
@@ -121,10 +127,10 @@ def perform(
     else:
         predictor = Predictor(planned if felt_pa is None else replace(planned, pressure_pa=felt_pa))
         rows = slice(None)
-        measured_pa = read(planned.pressure_pa, errors.pressure_pa)
+        measured_pa = read(planned.pressure_pa, errors.plateau_pa)
     course = planned.course
     if course is not None:
-        through_pa = read(course.pressure_pa, errors.pressure_pa)
+        through_pa = read(course.pressure_pa, errors.plateau_pa)
         through_pa[course.at] = measured_pa
         course = replace(course, pressure_pa=through_pa)
     tips = predictor(plant)[rows]
@@ -142,11 +148,30 @@ def perform(
 
 
 def perform_as_planned(planned: Poses, truth: Setup, rng: np.random.Generator, errors: MeasurementErrors) -> Poses:
-    """As `perform`, but the errors of the tips are drawn from the covariances of the plan, those of the pressures from
-    `errors`."""
-    exact = perform(planned, truth, rng, replace(errors, tip_m=(0.0, 0.0, 0.0)))
-    root = np.linalg.cholesky(planned.covariance_m2)
-    return replace(exact, tip_m=exact.tip_m + np.einsum("kij,kj->ki", root, rng.standard_normal(exact.tip_m.shape)))
+    """As `perform`, but the errors of tips and orientations are drawn from the covariances of the plan, those of the
+    pressures from `errors`."""
+    without = replace(errors, tip_m=(0.0, 0.0, 0.0), rotation_rad=None if planned.orientation is None else 0.0)
+    exact = perform(planned, truth, rng, without)
+    done = replace(exact, tip_m=exact.tip_m + _drawn(planned.covariance_m2, rng))
+    if exact.orientation is None:
+        return done
+    turned = Rotation.from_rotvec(_drawn(exact.orientation.covariance_rad2, rng)).as_matrix()
+    return replace(done, orientation=replace(exact.orientation, rotation=turned @ exact.orientation.rotation))
+
+
+def exact(planned: Poses, truth: Setup) -> Poses:
+    """A planned experiment whose tips and orientations are exactly where the model predicts them."""
+    predictor = Predictor(planned)
+    done = replace(planned, tip_m=predictor(truth))
+    if planned.orientation is None:
+        return done
+    return replace(done, orientation=replace(planned.orientation, rotation=predictor.rotations(truth)))
+
+
+def _drawn(covariance: Array, rng: np.random.Generator) -> Array:
+    """Normal errors (K, 3) of covariances (K, 3, 3)."""
+    out: Array = np.einsum("kij,kj->ki", np.linalg.cholesky(covariance), rng.standard_normal(covariance.shape[:2]))
+    return out
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from rig.cli import completion
 from rig.cli.options import AsJson, Free, OutputFile, Replace, RigName, Seed
 
 Duration = Annotated[float, typer.Option("--duration-s", metavar="S", help="Longest duration of the protocol.")]
@@ -16,7 +17,6 @@ Criterion = Annotated[
         "--criterion", metavar="NAME", help="d: smallest confidence volume; minimax: smallest largest error bar."
     ),
 ]
-
 
 Compare = Annotated[
     tuple[str, str] | None,
@@ -28,12 +28,24 @@ Compare = Annotated[
 ]
 
 
+LearnFrom = Annotated[
+    Path | None,
+    typer.Option(
+        "--learn-from",
+        metavar="RUN",
+        help="Run of the rig whose errors of tips, orientations and pressures the design assumes.",
+        autocompletion=completion.runs,
+    ),
+]
+
+
 def design(
     free: Free = "",
     rig: RigName = None,
     duration_s: Duration = 60.0,
     criterion: Criterion = "d",
     compare: Compare = None,
+    learn_from: LearnFrom = None,
     seed: Seed = 0,
     to: OutputFile = Path("design.yaml"),
     replace: Replace = False,
@@ -45,27 +57,32 @@ def design(
     protocol that separates two laws, for `rig identify compare RUN --between LAW_A LAW_B`.
     """
     from rig.cli import design_output as output
+    from rig.cli.run_names import resolve
     from rig.config.loader import chosen_rig, read
+    from rig.design.expected_poses import errors_of_run
     from runs.overwriting import refuse_existing
+    from runs.run import Run
 
     if compare is not None and (free or criterion != "d"):
         given = "--free" if free else "--criterion"
         raise typer.BadParameter("--compare has its own free parameters and criterion", param_hint=given)
     refuse_existing([to], replace=replace)
     config = read(chosen_rig(rig).name).config
+    errors = None if learn_from is None else errors_of_run(Run(resolve(learn_from)))
+    source = "" if learn_from is None else str(learn_from)
     if compare is None:
         from rig.design.design import design as find
 
         names = [name.strip() for name in free.split(",") if name.strip()]
-        found = find(config, names, duration_s, criterion, seed)
+        found = find(config, names, duration_s, criterion, seed, errors)
         _write(to, found.text)
-        output.error_bars(found, to, json)
+        output.error_bars(found, to, source, as_json=json)
     else:
         from rig.design.law_comparison import design_comparison
 
-        separated = design_comparison(config, compare, duration_s, seed)
+        separated = design_comparison(config, compare, duration_s, seed, errors)
         _write(to, separated.text)
-        output.separations(separated, to, json)
+        output.separations(separated, to, source, as_json=json)
 
 
 def _write(to: Path, text: str) -> None:

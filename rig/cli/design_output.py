@@ -2,54 +2,69 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import typer
 
+from calibration.identify.simulated_experiments import MeasurementErrors
 from rig.cli.column_table import ColumnTable
 from rig.cli.console import console
 from rig.cli.json_output import print_json
 from rig.design.design import LIBRARY, Design
+from rig.design.expected_poses import errors_text
 from rig.design.law_comparison import RIGHT, LawDesign, share_text
 
 
-def error_bars(found: Design, to: Path, as_json: bool) -> None:
-    """Print the expected standard errors of a design beside those of the library."""
+def error_bars(found: Design, to: Path, source: str, *, as_json: bool) -> None:
+    """Print the expected standard errors of a design beside those of the library; source: run of the assumed errors."""
     bars, library, limit = found.bars, found.library.std.tolist(), found.limit.std.tolist()
-    numbers = list(zip(bars.values.tolist(), bars.std.tolist(), library, limit, strict=True))
+    numbers = list(zip(bars.values.tolist(), bars.std.tolist(), bars.alone.tolist(), library, limit, strict=True))
     labels = list(zip(bars.names, bars.units, bars.decided.tolist(), strict=True))
     if as_json:
         rows = {
             name: {
                 "value": value,
                 "std": std,
+                "std_without_model_error": alone,
                 "std_library": other,
                 "std_limit": least,
                 "unit": unit,
                 "identified": decided,
             }
-            for (name, unit, decided), (value, std, other, least) in zip(labels, numbers, strict=True)
+            for (name, unit, decided), (value, std, alone, other, least) in zip(labels, numbers, strict=True)
         }
-        print_json({"protocol": str(to), "parameters": rows})
+        print_json({"protocol": str(to), "errors": _errors(found.errors, source), "parameters": rows})
         return
     table = ColumnTable("parameter", "value", "design +-", "library +-", "ratio", "limit +-", "unit", "identified")
-    for (name, unit, decided), (value, std, other, least) in zip(labels, numbers, strict=True):
+    for (name, unit, decided), (value, std, _, other, least) in zip(labels, numbers, strict=True):
         shown = (f"{value:.4g}", f"{std:.3g}", f"{other:.3g}", f"{std / other:.2f}", f"{least:.2g}")
         table.add_row(name, *shown, unit, "yes" if decided else "no")
     screen = console()
     screen.print(table)
     screen.print(
         f"expected standard errors; library: {', '.join(LIBRARY)} together; limit: any number of such blocks\n"
-        "from positions of the tip, without its orientations; plateaus count as held for long: nothing relaxes\n"
-        "of an arm that obeys the model: `rig identify` adds the errors of the model that the run shows, and holds a "
-        "parameter that they leave open, also one with yes above",
+        f"{_assumed(found.errors, source)}\n"
+        "plateaus count as held for long: nothing relaxes\n"
+        "of an arm that obeys the model, with the errors of the model that its run cannot exclude; an arm that shows "
+        "such errors gets wider bars, and `rig identify` holds a parameter that they leave open, also one with yes "
+        "above",
         soft_wrap=True,
     )
     typer.echo(to)
 
 
-def separations(found: LawDesign, to: Path, as_json: bool) -> None:
-    """Print the expected share of right decisions, with either law true."""
+def _assumed(errors: MeasurementErrors, source: str) -> str:
+    origin = f"in {source}" if source else "assumed; those of a run: --learn-from RUN"
+    return f"standard deviations: {errors_text(errors)} ({origin})"
+
+
+def _errors(errors: MeasurementErrors, source: str) -> dict[str, object]:
+    return {"source": source or None, **asdict(errors), "rest_pressure_pa": errors.plateau_pa}
+
+
+def separations(found: LawDesign, to: Path, source: str, *, as_json: bool) -> None:
+    """Print the expected share of right decisions, with either law true; source: run of the assumed errors."""
     if as_json:
         rows = [
             {
@@ -61,7 +76,12 @@ def separations(found: LawDesign, to: Path, as_json: bool) -> None:
             }
             for one in found.separations
         ]
-        facts = {"protocol": str(to), "sufficient": found.sufficient, "cases": rows}
+        facts = {
+            "protocol": str(to),
+            "errors": _errors(found.errors, source),
+            "sufficient": found.sufficient,
+            "cases": rows,
+        }
         print_json(facts)
         return
     table = ColumnTable("true law", "rival", "distance", "right decisions")
@@ -70,6 +90,7 @@ def separations(found: LawDesign, to: Path, as_json: bool) -> None:
         table.add_row(one.truth, one.rival, distance, share_text(one))
     screen = console()
     screen.print(table)
+    screen.print(_assumed(found.errors, source), soft_wrap=True)
     screen.print(
         f"distance: of the predictions, in standard errors, after a fit of the rival; {len(found.planned)} plateaus",
         soft_wrap=True,

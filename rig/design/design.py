@@ -15,7 +15,6 @@ from calibration.design.exchange import CRITERIA, choose
 from calibration.design.information import (
     ErrorBars,
     Unknowns,
-    bars_of,
     block_information,
     error_bars,
     of_interest,
@@ -24,13 +23,13 @@ from calibration.identify.nuisance import nuisance_parameters
 from calibration.identify.parameters import DAMPING_S, named
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
-from calibration.identify.simulated_experiments import MeasurementErrors
+from calibration.identify.simulated_experiments import MeasurementErrors, exact
 from protocols import BadInputError, Problem, Protocol
 from protocols.problems import closest
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
 from rig.design.blocks import BLOCK_S, Block, blocks, rest_bar
-from rig.design.expected_poses import expected_poses
+from rig.design.expected_poses import errors_text, expected_poses
 from rig.experiment.preflight import check
 from rig.identify.estimation import rig_uncertainties, sensor_priors
 from rig.observation.online_estimation import default_parameters
@@ -44,7 +43,7 @@ ENDS_S = 2.0
 # Time steps per frame while blocks are compared; the final error bars have the steps of an identification.
 _SEARCH_SUBSTEPS = 4
 
-# Repeats of every block after which only priors limit the error bars.
+# Repeats of every block after which only priors and the model error limit the error bars.
 _WITHOUT_END = 1e6
 
 
@@ -53,7 +52,7 @@ class Design:
     """A designed protocol, its text, the expected error bars, and those of the runs of `LIBRARY` together.
 
     limit: the error bars that no number of such blocks makes smaller. They come from what the rig file states of the
-    other parameters.
+    other parameters, and from errors of the model that act as a parameter does. errors: those that are assumed.
     """
 
     protocol: Protocol
@@ -61,6 +60,7 @@ class Design:
     bars: ErrorBars
     library: ErrorBars
     limit: ErrorBars
+    errors: MeasurementErrors
 
 
 def design(
@@ -74,8 +74,9 @@ def design(
     """The protocol of at most `duration_s` whose expected error bars of the free parameters are smallest.
 
     Without `free`: the default parameters of `rig identify` for motions, and the shear ratio. criterion: a name of
-    `CRITERIA`. Blocks start and end at the same level, so that their information adds; the expected error bars are
-    those of the whole protocol.
+    `CRITERIA`, for an arm with errors of the model as an identification assumes before it has data. Blocks start and
+    end at the same level, so that their information adds; the expected error bars are those of the whole protocol, on
+    an arm that obeys the model. errors: of measurement, as `errors_of_run` reads them.
 
     Raises:
         UnknownParameter: a name in `free`.
@@ -106,8 +107,18 @@ def design(
     bars = error_bars([expected_poses("design", trajectory, config, errors)], unknowns)
     known = [expected_poses(name, protocols.load(name).expand(config.actuators), config, errors) for name in LIBRARY]
     library = error_bars(known, unknowns_of(config, chosen, known))
-    limit = bars_of(problem, unknowns, prior + _WITHOUT_END * information.sum(axis=0))
-    return Design(protocol, _text(protocol, config, bars, criterion, seed), bars, library, limit)
+    limit = error_bars([_repeated(motion)], unknowns, _SEARCH_SUBSTEPS)
+    text = _text(protocol, config, (bars, errors), criterion, seed)
+    return Design(protocol, text, bars, library, limit, errors)
+
+
+def _repeated(planned: Poses) -> Poses:
+    """An experiment that is the mean of very many repeats."""
+    return replace(
+        planned,
+        covariance_m2=planned.covariance_m2 / _WITHOUT_END,
+        pressure_std_pa=planned.pressure_std_pa / np.sqrt(_WITHOUT_END),
+    )
 
 
 def _check_inputs(config: RigConfig, duration_s: float, criterion: str) -> None:
@@ -129,7 +140,7 @@ def unknowns_of(config: RigConfig, free: Sequence[str], planned: Sequence[Poses]
     """What `rig identify` would estimate from planned experiments of a rig."""
     start = _damped(Setup(model_arm(config)))
     parameters = named(free, config.actuators)
-    beside = nuisance_parameters(start, planned, parameters)
+    beside = nuisance_parameters(start, [exact(one, start) for one in planned], parameters)
     stated = rig_uncertainties(config, start)
     priors = sensor_priors(stated) | {p.name: stated[p.name] for p in beside}
     return Unknowns(start, parameters, beside, priors)
@@ -157,10 +168,14 @@ def _framed(config: RigConfig, chosen: Sequence[Block]) -> list[dict[str, Any]]:
     return [up, rest, *(step for block in chosen for step in block.steps), down, rest]
 
 
-def _text(protocol: Protocol, config: RigConfig, bars: ErrorBars, criterion: str, seed: int) -> str:
+def _text(
+    protocol: Protocol, config: RigConfig, expected: tuple[ErrorBars, MeasurementErrors], criterion: str, seed: int
+) -> str:
     """The protocol with a comment that says what it is for."""
+    bars, errors = expected
     comment = (
         f"# Written by rig design for the rig {config.name}: criterion {criterion}, seed {seed}.",
+        f"# Standard deviations: {errors_text(errors)}.",
         "# Expected standard errors of `rig identify`, if the rig's stated values and uncertainties hold:",
         *(f"#   {name}: {std:.3g} {unit}" for name, std, unit in zip(bars.names, bars.std, bars.units, strict=True)),
     )

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from calibration.identify.data import SETTLE_S
+from calibration.identify.data import SETTLE_S, at_rest, in_motion
+from calibration.identify.errors import NoDataError
 from calibration.identify.poses import Poses
 from calibration.identify.simulated_experiments import MeasurementErrors, plan
 from protocols import BadInputError, Problem, SetPointTrajectory
 from rig.config.schema import RigConfig
 from runs.interpolation import interpolated
+from runs.run import Run
 
 Array = NDArray[np.float64]
 
@@ -41,11 +43,57 @@ def expected_poses(name: str, trajectory: SetPointTrajectory, config: RigConfig,
         pressure = np.array([s.level_pa for s in plateaus])
         weight = np.array([trajectory.weight_kg(s.stop_s) for s in plateaus])
         still = plan(name, pressure, weight, errors=errors)
-        share = _COMMON + (1 - _COMMON) / np.maximum(counts, 1)
-        return replace(still, covariance_m2=still.covariance_m2 * share[:, None, None], frames=counts)
+        share = (_COMMON + (1 - _COMMON) / np.maximum(counts, 1))[:, None, None]
+        if (turned := still.orientation) is not None:
+            still = replace(still, orientation=replace(turned, covariance_rad2=turned.covariance_rad2 * share))
+        return replace(still, covariance_m2=still.covariance_m2 * share, frames=counts)
     times = np.arange(frames) / rate_hz
     weight = np.array([trajectory.weight_kg(t) for t in times.tolist()])
     return plan(name, _followed(trajectory, times, config.control.bandwidth_hz), weight, 1 / rate_hz, errors)
+
+
+def errors_of_run(run: Run) -> MeasurementErrors:
+    """The errors of tips, orientations and pressures in a run, as an identification reads them; medians over it.
+
+    Raises:
+        NoDataError: the run has no tips with uncertainties, or no pressures.
+    """
+    motion = in_motion(run)
+    seen, tilted = motion.has_tip, motion.has_orientation
+    x, y, z = _median_std(motion.covariance_m2[seen]).tolist()
+    frame_pa = float(np.median(motion.pressure_std_pa))
+    rotation_rad = None
+    if motion.orientation is not None and tilted.any():
+        rotation_rad = float(_median_std(motion.orientation.covariance_rad2[tilted]).mean())
+    return MeasurementErrors(
+        (x, y, z), frame_pa, rotation_rad=rotation_rad, rest_pressure_pa=_plateau_pa(run, frame_pa)
+    )
+
+
+def errors_text(errors: MeasurementErrors) -> str:
+    """The assumed standard deviations as a text."""
+    x, y, z = (1e3 * one for one in errors.tip_m)
+    turned = "no orientations"
+    if errors.rotation_rad is not None:
+        turned = f"orientations {np.rad2deg(errors.rotation_rad):.2g} deg"
+    return (
+        f"tips {x:.2g}, {y:.2g}, {z:.2g} mm (x, y, z of the rod base), {turned}, "
+        f"pressures {errors.pressure_pa:.2g} Pa in a frame and {errors.plateau_pa:.2g} Pa on a plateau"
+    )
+
+
+def _median_std(covariance: Array) -> Array:
+    """Median standard deviation (3,) of covariances (K, 3, 3)."""
+    out: Array = np.sqrt(np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0))
+    return out
+
+
+def _plateau_pa(run: Run, frame_pa: float) -> float:
+    """Standard deviation of a plateau's mean pressure; of a mean over a second if the run has no plateau."""
+    try:
+        return float(np.median(at_rest(run).pressure_std_pa))
+    except NoDataError:
+        return frame_pa / float(np.sqrt(run.header.camera_hz))
 
 
 def _followed(trajectory: SetPointTrajectory, times_s: Array, bandwidth_hz: float) -> Array:

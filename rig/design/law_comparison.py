@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import protocols
 from calibration.design.discrimination import RivalLaw, Separation, closest, separation, t_optimal
@@ -18,7 +18,7 @@ from calibration.identify.tip_predictor import Predictor
 from protocols import BadInputError, Problem, Protocol
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
-from rig.design.expected_poses import expected_poses
+from rig.design.expected_poses import errors_text, expected_poses
 from rig.design.levels import ends_s, in_order, level_s, levels, steps
 from rig.experiment.preflight import check
 from rig.identify.estimation import rig_uncertainties, sensor_priors
@@ -36,6 +36,7 @@ class LawDesign:
     """A protocol that separates two laws, its text, and the expected separation with either law true.
 
     laws: with the arm that the design assumes of each. planned: what an identification would read from the run.
+    errors: those that are assumed.
     """
 
     protocol: Protocol
@@ -43,6 +44,7 @@ class LawDesign:
     laws: tuple[RivalLaw, RivalLaw]
     planned: Poses
     separations: tuple[Separation, Separation]
+    errors: MeasurementErrors
 
     @property
     def sufficient(self) -> bool:
@@ -73,7 +75,8 @@ def design_comparison(
     if count < _FEWEST or duration_s > longest:
         expected = f"{shortest:.4g} to {longest:g} s (limits, duration_s of the rig)"
         raise BadInputError([Problem("--duration-s", 0, 0, "", f"{duration_s:g} s", expected)])
-    errors = errors or MeasurementErrors()
+    # A comparison of laws is by the tips alone, as their distance here.
+    errors = replace(errors or MeasurementErrors(), rotation_rad=None)
     grid = levels(config)
     every = protocols.from_steps("every level", steps(config, grid)).expand(config.actuators)
     planned = expected_poses("levels", every, config, errors)
@@ -93,7 +96,8 @@ def design_comparison(
         raise BadInputError(list(problems))
     expected_run = expected_poses("design", trajectory, config, errors)
     found = (separation(first, second, expected_run), separation(second, first, expected_run))
-    return LawDesign(protocol, _text(protocol, config, found, seed), (first, second), expected_run, found)
+    text = _text(protocol, config, (found, errors), seed)
+    return LawDesign(protocol, text, (first, second), expected_run, found, errors)
 
 
 def share_text(found: Separation) -> str:
@@ -111,11 +115,15 @@ def _rival(config: RigConfig, law: Candidate, planned: Poses) -> RivalLaw:
     return RivalLaw(law.name, Unknowns(law.start, free, beside, priors), own)
 
 
-def _text(protocol: Protocol, config: RigConfig, found: Sequence[Separation], seed: int) -> str:
+def _text(
+    protocol: Protocol, config: RigConfig, expected: tuple[Sequence[Separation], MeasurementErrors], seed: int
+) -> str:
     """The protocol with a comment that says what it is for."""
+    found, errors = expected
     comment = (
         f"# Written by rig design --compare for the rig {config.name}: T-optimal, seed {seed}.",
         "# Decide with: rig identify compare RUN --between " + " ".join(f"'{one.truth}'" for one in found),
+        f"# Standard deviations: {errors_text(errors)}.",
         "# Expected share of right decisions, if the rig's stated values and uncertainties hold:",
         *(f"#   {one.truth} is true: {share_text(one)}" for one in found),
     )

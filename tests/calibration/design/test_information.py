@@ -7,9 +7,11 @@ import pytest
 
 from calibration.design.information import Unknowns, error_bars
 from calibration.identify import Prior, Setup, identify, named
+from calibration.identify.nuisance import nuisance_parameters
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
+from rig.identify.estimation import rig_uncertainties
 
 FREE = ("rpe_per_bar", "a1_per_n", "base_x_m", "sensor_1_offset_pa")
 PRIORS = {"sensor_1_offset_pa": Prior(0.0, 200.0)}
@@ -39,11 +41,30 @@ def test_expected_error_bars_are_those_that_the_identification_states(unknowns: 
     fit = identify([perform(planned, unknowns.start, np.random.default_rng(1), ERRORS)], unknowns.start, FREE, PRIORS)
     stated = [fit[name].std for name in expected.names]
     assert expected.names == FREE[:3]
-    np.testing.assert_allclose(expected.std, stated, rtol=0.15)
+    np.testing.assert_allclose(expected.alone, stated, rtol=0.15)
+
+
+def test_expected_error_bars_contain_the_model_error_that_an_identification_adds(unknowns: Unknowns) -> None:
+    """Few plateaus do not exclude it: the bars would be a sixth too small."""
+    data = plan("levels", PRESSURES, errors=ERRORS)
+    stated = rig_uncertainties(load("mock"), unknowns.start)
+    beside = nuisance_parameters(unknowns.start, [data], unknowns.free)
+    priors = PRIORS | {one.name: stated[one.name] for one in beside}
+    whole = Unknowns(unknowns.start, unknowns.free, beside, priors)
+    expected = error_bars([data], whole)
+    fits = [
+        identify(
+            [perform(data, whole.start, np.random.default_rng(k), ERRORS)], whole.start, FREE, PRIORS, stated=stated
+        )
+        for k in range(9)
+    ]
+    found = np.median([[fit[name].std or np.nan for name in expected.names] for fit in fits], axis=0)
+    np.testing.assert_allclose(found, expected.std, rtol=0.15)
+    assert (expected.std / expected.alone).max() > 1.15
 
 
 def test_twice_the_data_make_the_error_bars_smaller_by_root_two(unknowns: Unknowns) -> None:
     free_of_offsets = Unknowns(unknowns.start, unknowns.free[:3], (), {})
     once = error_bars([plan("levels", PRESSURES, errors=ERRORS)], free_of_offsets)
     twice = error_bars([plan(name, PRESSURES, errors=ERRORS) for name in ("first", "second")], free_of_offsets)
-    np.testing.assert_allclose(twice.std, once.std / np.sqrt(2), rtol=1e-6)
+    np.testing.assert_allclose(twice.alone, once.alone / np.sqrt(2), rtol=1e-6)

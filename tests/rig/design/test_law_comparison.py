@@ -85,7 +85,7 @@ def test_a_design_promises_nothing_where_one_law_contains_the_other(
     designed: LawDesign, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert not designed.sufficient
-    separations(designed, Path("laws.yaml"), False)
+    separations(designed, Path("laws.yaml"), "", as_json=False)
     said = " ".join(capsys.readouterr().out.split())
     assert "homogeneous+rpe inhomogeneous+rpe, pointwise 0 at most" in said
     assert "no pressures tell them apart if homogeneous+rpe is true" in said
