@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from calibration.design.model_error import added_covariance, columns_and_amplitude
+from calibration.design.model_error import added_variances, columns_and_amplitude
 from calibration.identify.information import covariance
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.parameters import Parameter, Prior
@@ -20,15 +20,22 @@ from calibration.identify.undetermined import UNDETERMINED_SPANS
 
 Array = NDArray[np.float64]
 
+# Draws of the measurement errors that the expected error bars are medians over. Their seed is fixed.
+_DRAWS = 25
+
 
 @dataclass(frozen=True)
 class Unknowns:
-    """What an identification would estimate: free and nuisance parameters, their priors by name, initial setup."""
+    """What an identification would estimate: free and nuisance parameters, their priors by name, initial setup.
+
+    arms: setups that the experiment may meet, as likely as each other; the initial one if there are none.
+    """
 
     start: Setup
     free: tuple[Parameter, ...]
     nuisance: tuple[Parameter, ...]
     priors: Mapping[str, Prior]
+    arms: tuple[Setup, ...] = ()
 
     def problem(self, planned: Sequence[Poses], substeps: int = 0) -> LeastSquaresProblem:
         """The least-squares problem of planned experiments whose tips are exactly where the model predicts them."""
@@ -38,34 +45,22 @@ class Unknowns:
 
 @dataclass(frozen=True)
 class ErrorBars:
-    """Expected standard errors: names (n,) of the shared free parameters, units, values, spans, covariance (n, n).
+    """Expected standard errors `std` (n,), with names, units, values and spans, of the shared free parameters.
 
-    alone (n,): standard errors by measurement and priors, without the model error that `covariance` contains.
+    alone (n,): the part by measurement and priors, without the model error.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     values: Array
     spans: Array
-    covariance: Array
+    std: Array
     alone: Array
-
-    @property
-    def std(self) -> Array:
-        """Standard errors (n,), in the units of the parameters."""
-        out: Array = np.sqrt(np.diagonal(self.covariance))
-        return out
 
     @property
     def decided(self) -> NDArray[np.bool_]:
         """Which parameters (n,) an identification would state, rather than report as not identifiable."""
         out: NDArray[np.bool_] = self.alone <= UNDETERMINED_SPANS * self.spans
-        return out
-
-    @property
-    def correlation(self) -> Array:
-        """Correlation coefficients (n, n)."""
-        out: Array = self.covariance / np.outer(self.std, self.std)
         return out
 
 
@@ -89,25 +84,31 @@ def block_information(problem: LeastSquaresProblem, frames: Sequence[slice]) -> 
     return information, block_diag(prior.T @ prior, np.diag(amplitude**-2))
 
 
-def error_bars(planned: Sequence[Poses], unknowns: Unknowns, substeps: int = 0) -> ErrorBars:
-    """Expected standard errors of an identification from all the planned experiments of an arm that obeys the model.
+def error_bars(planned: Sequence[Poses], unknowns: Unknowns) -> ErrorBars:
+    """Expected standard errors of an identification from all the planned experiments together.
 
-    Those of measurement and priors (Cramer-Rao bound), and what the model error adds. substeps: as of a
-    `LeastSquaresProblem`.
+    Those of measurement and priors (Cramer-Rao bound), and what the model error adds on an arm that obeys the model.
+    Medians over the arms of the unknowns, and over draws of the measurement errors.
     """
-    problem = unknowns.problem(planned, substeps)
-    z = np.zeros(len(problem.unknowns))
-    rows, prior = problem.whitened_slopes(z)
-    data = np.sum([np.einsum("kin,kim->nm", own, own, optimize=True) for own in rows], axis=0)
-    chosen = of_interest(problem, unknowns)
-    rates = problem.rates(z)
-    alone = covariance(prior.T @ prior + data) * np.outer(rates, rates)
-    added = added_covariance(problem) * np.outer(rates, rates)
+    rng, arms = np.random.default_rng(0), unknowns.arms or (unknowns.start,)
+    alone = list[Array]()
+    whole = list[Array]()
+    for arm in arms:
+        problem = replace(unknowns, start=arm).problem(planned)
+        z = np.zeros(len(problem.unknowns))
+        rows, prior = problem.whitened_slopes(z)
+        data = np.sum([np.einsum("kin,kim->nm", own, own, optimize=True) for own in rows], axis=0)
+        own = np.diagonal(covariance(prior.T @ prior + data))
+        rates = np.abs(problem.rates(z))
+        alone.append(rates * np.sqrt(own))
+        whole.extend(rates * np.sqrt(own + added_variances(problem, -(-_DRAWS // len(arms)), rng)))
+    problem = unknowns.problem([])
+    chosen = [i for i, one in enumerate(problem.unknowns) if one.parameter in unknowns.free]
     return ErrorBars(
         tuple(problem.unknowns[i].parameter.name for i in chosen),
         tuple(problem.unknowns[i].parameter.unit for i in chosen),
-        problem.values(z)[chosen],
+        problem.values(np.zeros(len(problem.unknowns)))[chosen],
         np.array([problem.unknowns[i].span for i in chosen]),
-        (alone + added)[np.ix_(chosen, chosen)],
-        np.sqrt(np.diagonal(alone))[chosen],
+        np.median(whole, axis=0)[chosen],
+        np.median(alone, axis=0)[chosen],
     )

@@ -43,7 +43,7 @@ def error_bars(found: Design, to: Path, source: str, *, as_json: bool) -> None:
     screen = console()
     screen.print(table)
     screen.print(
-        f"expected standard errors; library: {', '.join(LIBRARY)} together; limit: any number of such blocks\n"
+        f"expected standard errors; library: {', '.join(LIBRARY)} together; limit: any number of its repeats\n"
         f"{_assumed(found.errors, source)}\n"
         "plateaus count as held for long: nothing relaxes\n"
         "of an arm that obeys the model, with the errors of the model that its run cannot exclude; an arm that shows "

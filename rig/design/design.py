@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,10 +20,10 @@ from calibration.design.information import (
     of_interest,
 )
 from calibration.identify.nuisance import nuisance_parameters
-from calibration.identify.parameters import DAMPING_S, named
+from calibration.identify.parameters import DAMPING_S, Prior, named
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
-from calibration.identify.simulated_experiments import MeasurementErrors, exact
+from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, exact
 from protocols import BadInputError, Problem, Protocol
 from protocols.problems import closest
 from rig.config.arm_model import model_arm
@@ -43,7 +43,9 @@ ENDS_S = 2.0
 # Time steps per frame while blocks are compared; the final error bars have the steps of an identification.
 _SEARCH_SUBSTEPS = 4
 
-# Repeats of every block after which only priors and the model error limit the error bars.
+# Drawn arms whose error bars the expected ones are medians of.
+_ARMS = 5
+# Repeats after which only priors and the model error limit the error bars.
 _WITHOUT_END = 1e6
 
 
@@ -51,8 +53,8 @@ _WITHOUT_END = 1e6
 class Design:
     """A designed protocol, its text, the expected error bars, and those of the runs of `LIBRARY` together.
 
-    limit: the error bars that no number of such blocks makes smaller. They come from what the rig file states of the
-    other parameters, and from errors of the model that act as a parameter does. errors: those that are assumed.
+    limit: the error bars that no number of repeats of the protocol makes smaller. They come from what the rig file
+    states of the other parameters, and from errors of the model that act as a parameter does. errors: of measurement.
     """
 
     protocol: Protocol
@@ -104,10 +106,11 @@ def design(
     trajectory = protocol.expand(config.actuators)
     if problems := check(config, trajectory, protocol):
         raise BadInputError(list(problems))
-    bars = error_bars([expected_poses("design", trajectory, config, errors)], unknowns)
+    planned = expected_poses("design", trajectory, config, errors)
+    bars = error_bars([planned], unknowns)
     known = [expected_poses(name, protocols.load(name).expand(config.actuators), config, errors) for name in LIBRARY]
     library = error_bars(known, unknowns_of(config, chosen, known))
-    limit = error_bars([_repeated(motion)], unknowns, _SEARCH_SUBSTEPS)
+    limit = error_bars([_repeated(planned)], unknowns)
     text = _text(protocol, config, (bars, errors), criterion, seed)
     return Design(protocol, text, bars, library, limit, errors)
 
@@ -143,7 +146,22 @@ def unknowns_of(config: RigConfig, free: Sequence[str], planned: Sequence[Poses]
     beside = nuisance_parameters(start, [exact(one, start) for one in planned], parameters)
     stated = rig_uncertainties(config, start)
     priors = sensor_priors(stated) | {p.name: stated[p.name] for p in beside}
-    return Unknowns(start, parameters, beside, priors)
+    return Unknowns(start, parameters, beside, priors, _drawn_arms(start, stated))
+
+
+def _drawn_arms(start: Setup, stated: Mapping[str, Prior]) -> tuple[Setup, ...]:
+    """Arms as uncertain as the rig's: fine tips of the arm of the rig file, which has no angles, leave less open.
+
+    Damping and filter keep their values, which have a lower bound within their uncertainty.
+    """
+    kept, rng = named(("damping_s", "sensor_filter_s"), start.arm.geometry.actuators), np.random.default_rng(0)
+    arms = []
+    for _ in range(_ARMS):
+        drawn = drawn_setup(start, stated, rng)
+        for parameter in kept:
+            drawn = parameter.write(drawn, parameter.read(start))
+        arms.append(drawn)
+    return tuple(arms)
 
 
 def _damped(setup: Setup) -> Setup:

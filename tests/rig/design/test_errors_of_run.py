@@ -1,0 +1,66 @@
+"""The errors of measurement that a design takes from a run are those of its archive."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.identify.data import at_rest, in_motion
+from rig.cli.app import main
+from rig.config.loader import load
+from rig.design.design import design
+from rig.design.expected_poses import errors_of_run
+from rig.execution.plan import NullOperator
+from rig.experiment import run as experiment
+from runs.run import Run
+
+STEPS = """title: levels
+steps:
+  - {hold: {actuators: [1, 2, 3], level_bar: 0.1, duration_s: 2.5}}
+  - {ramp: {actuators: [2, 3], to_bar: 0.5, duration_s: 0.5}}
+  - {hold: {duration_s: 2.5}}
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("measured")
+    protocol = folder / "levels.yaml"
+    protocol.write_text(STEPS)
+    request = experiment.request(str(protocol), "mock", folder=folder, fast=True, seed=4, report=False)
+    archive = experiment.run(request, experiment.plan(request), NullOperator()).archive
+    assert archive is not None
+    return Run(archive)
+
+
+def test_errors_are_those_that_an_identification_reads_from_the_run(run: Run) -> None:
+    found, frames, plateaus = errors_of_run(run), in_motion(run), at_rest(run)
+    tip_m = np.sqrt(np.diagonal(frames.covariance_m2[frames.has_tip], axis1=1, axis2=2))
+    assert (tip_m.min(axis=0) <= found.tip_m).all()
+    assert (tip_m.max(axis=0) >= found.tip_m).all()
+    assert found.pressure_pa == np.median(frames.pressure_std_pa)
+    assert found.plateau_pa == np.median(plateaus.pressure_std_pa)
+    assert found.plateau_pa < found.pressure_pa
+    assert frames.orientation is not None
+    assert found.rotation_rad is not None
+    assert 0 < found.rotation_rad < 2 * np.sqrt(np.nanmax(frames.orientation.covariance_rad2))
+
+
+def test_a_design_with_the_errors_of_a_run_says_which(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "design.yaml"
+    words = ["design", "--rig", "mock", "--duration-s", "12", "--free", "law", "--learn-from", str(run.path)]
+    with pytest.raises(SystemExit) as left:
+        main([*words, "--to", str(file), "--json"])
+    assert left.value.code in (0, None)
+    found, errors = json.loads(capsys.readouterr().out), errors_of_run(run)
+    assert found["errors"]["source"] == str(run.path)
+    assert tuple(found["errors"]["tip_m"]) == errors.tip_m
+    assert "# Standard deviations: tips " in file.read_text()
+    coarse = design(load("mock"), ("law",), 12.0)
+    finer = [found["parameters"][name]["std"] for name in coarse.bars.names]
+    assert (np.array(finer) < coarse.bars.std).all()
