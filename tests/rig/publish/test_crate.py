@@ -6,6 +6,7 @@ import json
 import subprocess
 import zipfile
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import h5py
@@ -78,6 +79,22 @@ def test_the_metadata_keep_the_rules_of_the_specification(crate: Path) -> None:
                     assert item["@id"] in entities or item["@id"] == "https://w3id.org/ro/crate/1.1"
         if entity["@type"] == "File":
             assert int(entity["contentSize"]) == (crate / entity["@id"]).stat().st_size
+
+
+def test_every_type_and_property_is_a_term_of_the_json_ld_context(crate: Path) -> None:
+    """The context that `rocrate` brings is a later one than the crate's, which is only on the network."""
+    document = json.loads((crate / "ro-crate-metadata.json").read_text())
+    address, own = document["@context"]
+    assert address == "https://w3id.org/ro/crate/1.1/context"
+    terms = json.loads((files("rocrate") / "data" / "ro-crate.jsonld").read_text())["@context"]
+    assert "datePublished" in terms
+    used = set[str]()
+    for entity in document["@graph"]:
+        types = entity["@type"]
+        used |= {types} if isinstance(types, str) else set(types)
+        used |= {name for name in entity if not name.startswith("@")}
+    assert used <= terms.keys() | own.keys()
+    assert own.keys() <= used
 
 
 def test_the_checksums_are_those_of_the_files(crate: Path) -> None:
