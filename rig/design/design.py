@@ -117,8 +117,10 @@ def design(
 
 def _repeated(planned: Poses) -> Poses:
     """An experiment that is the mean of very many repeats."""
+    turned = planned.orientation
     return replace(
         planned,
+        orientation=turned and replace(turned, covariance_rad2=turned.covariance_rad2 / _WITHOUT_END),
         covariance_m2=planned.covariance_m2 / _WITHOUT_END,
         pressure_std_pa=planned.pressure_std_pa / np.sqrt(_WITHOUT_END),
     )

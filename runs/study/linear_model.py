@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 Floats = NDArray[np.float64]
-ORDER, BLOCK = "order of the runs", "block"
+ORDER, BLOCK, CROSSED = "order of the runs", "block", " x "
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def fit(factors: Mapping[str, Sequence[float]], blocks: Sequence[int], order: Se
     main = list(terms)
     for one, other in combinations(coded, 2):
         columns = (coded[one][:, :, None] * coded[other][:, None, :]).reshape(n, -1)
-        terms.append(_Term(f"{one} x {other}", frozenset({one, other}), columns))
+        terms.append(_Term(f"{one}{CROSSED}{other}", frozenset({one, other}), columns))
     whole = _design(terms, n)
     residual, rank = _residual(whole, y)
     dof = n - rank

@@ -20,9 +20,11 @@ from runs.report.drawing import svg
 from runs.report.numbers import DASH, significant
 from runs.report.page import html_document
 from runs.run import Run
-from runs.study.linear_model import LinearModel, fit
+from runs.study.linear_model import CROSSED, LinearModel, fit
 from runs.study.responses import RESPONSES, ResponseVariable
 
+# An interaction with a smaller p gets a sentence.
+_SMALL_P = 0.05
 _FACTS = ("number", "run", "block", "combination", "start_utc")
 
 
@@ -113,7 +115,8 @@ def _body(name: str, title: str, planned: int, table: StudyTable) -> Iterator[st
     yield (
         "<p class=small>Method: least squares with factors, their two-factor interactions, blocks and a linear drift "
         "with the order of the runs; F tests of type II; means of levels without interactions, adjusted for the other "
-        "terms, with 95 % intervals by Student's t. Small p: the term is more than the scatter between runs.</p>"
+        "terms, with 95 % intervals by Student's t. Small p: the term is more than the scatter between runs. "
+        "Of terms without any effect, one in twenty has a p below 0.05 all the same.</p>"
     )
     yield "<h2>Runs</h2>"
     heads = [*_FACTS, *table.settings, *(f"{r.name} [{r.unit}]" for r in RESPONSES)]
@@ -154,6 +157,13 @@ def _response(
     yield _table(["factor", "level", "mean", "effect"], [*rows, drift])
     tests = [[t.name, str(t.dof), significant(t.f, 3), significant(t.p, 2)] for t in model.tests]
     yield _table(["term", "degrees of freedom", "F", "p"], tests)
+    for test in model.tests:
+        if CROSSED in test.name and test.p < _SMALL_P:
+            one, other = test.name.split(CROSSED)
+            yield (
+                f"<p class=note>The effect of {escape(one)} depends on {escape(other)} (p = {significant(test.p, 2)}): "
+                "the means and effects above are averages over the levels of the other factor.</p>"
+            )
 
 
 def _with_width(value: float, half_width: float) -> str:

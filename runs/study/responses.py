@@ -32,7 +32,14 @@ RESPONSES = (
     ResponseVariable(
         "mean_error", "mm", "mean distance of measured and modelled tip", lambda run: run.summary.error_mm.mean
     ),
-    ResponseVariable("largest_error", "mm", "the largest", lambda run: run.summary.error_mm.max),
-    ResponseVariable("settled_error", "mm", "mean over the dwells", lambda run: run.summary.settled_error_mm),
+    ResponseVariable(
+        "largest_error", "mm", "largest distance of measured and modelled tip", lambda run: run.summary.error_mm.max
+    ),
+    ResponseVariable(
+        "settled_error",
+        "mm",
+        "mean distance of measured and modelled tip over the dwells",
+        lambda run: run.summary.settled_error_mm,
+    ),
     ResponseVariable("tracking", "bar", "rms of measured minus set-point", lambda run: run.summary.tracking_rms_bar),
 )
