@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from calibration.design.model_error import added_variances, columns_and_amplitude
+from calibration.design.expected_model_error import added_variances, columns_and_amplitude
 from calibration.identify.information import covariance
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.parameters import Parameter, Prior

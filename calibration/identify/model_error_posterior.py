@@ -107,13 +107,7 @@ class NormalEquations:
 def model_error_posterior(problem: LeastSquaresProblem, solution: Solution, assumed: Array) -> ModelErrorPosterior:
     """The posterior at the solution of a fit; assumed (n,): information on unknowns that are held, in spans."""
     terms = lacking(problem.start.arm)
-    reference_pa = reference_pressure_pa(problem.data)
-    inputs = [error_inputs(poses, reference_pa, terms) for poses in problem.data]
-    term = inputs[0].term
-    columns = [
-        own.columns(predictor.push_response(problem.setup(solution.z, run)))
-        for run, (own, predictor) in enumerate(zip(inputs, problem.predictors(solution.z), strict=True))
-    ]
+    columns, term = effect_columns(problem, solution.z)
     off = solution.discrepancy
     shares = _NOISE_SHARES if off.tip_m or off.rotation_rad else (0.0,)
     noises = [off.scaled(share) for share in shares]
@@ -128,13 +122,24 @@ def model_error_posterior(problem: LeastSquaresProblem, solution: Solution, assu
         second=drawn.second,
         amplitude=np.sqrt(np.maximum(mean_square, (_LEAST_SHARE * scale) ** 2))[term],
         noise_m=off.tip_m * float(np.sqrt(np.mean(np.square(shares)[drawn.noise]))),
-        reference_pa=reference_pa,
+        reference_pa=reference_pressure_pa(problem.data),
         effects=tuple(
             _effect(one, float(drawn.probability[k]), sizes[:, k], drawn.present[:, k]) for k, one in enumerate(terms)
         ),
         absent=drawn.absent,
         unknowns=len(solution.z),
     )
+
+
+def effect_columns(problem: LeastSquaresProblem, z: Array) -> tuple[list[Array], NDArray[np.intp]]:
+    """Derivatives (K, D, m) of each run's predictions by the coefficients at z (n,), and the term (m,) of each."""
+    terms, reference_pa = lacking(problem.start.arm), reference_pressure_pa(problem.data)
+    inputs = [error_inputs(poses, reference_pa, terms) for poses in problem.data]
+    columns = [
+        own.columns(predictor.push_response(problem.setup(z, run)))
+        for run, (own, predictor) in enumerate(zip(inputs, problem.predictors(z), strict=True))
+    ]
+    return columns, inputs[0].term
 
 
 def _effect(term: ModelErrorTerm, probability: float, size: Array, present: NDArray[np.bool_]) -> Effect:

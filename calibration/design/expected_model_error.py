@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.likelihood import Discrepancy
-from calibration.identify.model_error import columns_of, lacking
-from calibration.identify.model_error_posterior import PRESENT, normal_equations, sample
+from calibration.identify.model_error import lacking
+from calibration.identify.model_error_posterior import PRESENT, effect_columns, normal_equations, sample
 
 Array = NDArray[np.float64]
 
@@ -49,6 +49,5 @@ def added_variances(problem: LeastSquaresProblem, draws: int, rng: np.random.Gen
 
 def _effects(problem: LeastSquaresProblem) -> tuple[list[Array], NDArray[np.intp], Array]:
     """Columns of every run at the start, the term (m,) of each, and the scale of each term."""
-    z = np.zeros(len(problem.unknowns))
-    columns = columns_of(problem.data, problem.start.arm, lambda run: problem.setup(z, run))
-    return [c.pose for c in columns], columns[0].term, np.array([one.scale for one in lacking(problem.start.arm)])
+    columns, term = effect_columns(problem, np.zeros(len(problem.unknowns)))
+    return columns, term, np.array([one.scale for one in lacking(problem.start.arm)])
