@@ -1,7 +1,7 @@
 """Whether the error bars that `rig design` expects are those that fits of simulated arms state and realise.
 
 Run: python -m benchmarks.design [--of motion|rest] [--rig mock] [--trials 20] [--seed 0] [--workers 2] [--store DIR]
-[--learn-from RUN]
+[--errors-of RUN]
 
 Each number of each arm is drawn from the rig's standard uncertainties. `motion` is the 60 s protocol of the design,
 `rest` the plateaus of four library protocols. Errors of measurement are those that `rig design` assumes, or those of a
@@ -119,11 +119,11 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--workers", type=int, default=2)
     options.add_argument("--store", type=Path, help="keep finished trials there, to resume")
-    options.add_argument("--learn-from", type=Path, help="archive with the errors of measurement")
+    options.add_argument("--errors-of", type=Path, help="archive with the errors of measurement")
     given = options.parse_args()
     config, began = load(given.rig), time.perf_counter()
     offset_pa = max(sensor.accuracy_bar for sensor in config.sensors) * 1e5 / 2
-    measured = MeasurementErrors() if given.learn_from is None else errors_of_run(Run(given.learn_from))
+    measured = MeasurementErrors() if given.errors_of is None else errors_of_run(Run(given.errors_of))
     errors = replace(measured, offset_pa=offset_pa)
     free = free_parameters(config)
     if given.of == "rest":

@@ -28,10 +28,10 @@ Compare = Annotated[
 ]
 
 
-LearnFrom = Annotated[
+ErrorsOf = Annotated[
     Path | None,
     typer.Option(
-        "--learn-from",
+        "--errors-of",
         metavar="RUN",
         help="Run of the rig whose errors of tips, orientations and pressures the design assumes.",
         autocompletion=completion.runs,
@@ -45,7 +45,7 @@ def design(
     duration_s: Duration = 60.0,
     criterion: Criterion = "d",
     compare: Compare = None,
-    learn_from: LearnFrom = None,
+    errors_of: ErrorsOf = None,
     seed: Seed = 0,
     to: OutputFile = Path("design.yaml"),
     replace: Replace = False,
@@ -68,8 +68,8 @@ def design(
         raise typer.BadParameter("--compare has its own free parameters and criterion", param_hint=given)
     refuse_existing([to], replace=replace)
     config = read(chosen_rig(rig).name).config
-    errors = None if learn_from is None else errors_of_run(Run(resolve(learn_from)))
-    source = "" if learn_from is None else str(learn_from)
+    errors = None if errors_of is None else errors_of_run(Run(resolve(errors_of)))
+    source = "" if errors_of is None else str(errors_of)
     if compare is None:
         from rig.design.design import design as find
 

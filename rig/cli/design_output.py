@@ -55,7 +55,7 @@ def error_bars(found: Design, to: Path, source: str, *, as_json: bool) -> None:
 
 
 def _assumed(errors: MeasurementErrors, source: str) -> str:
-    origin = f"in {source}" if source else "assumed; those of a run: --learn-from RUN"
+    origin = f"in {source}" if source else "assumed; those of a run: --errors-of RUN"
     return f"standard deviations: {errors_text(errors)} ({origin})"
 
 

@@ -97,7 +97,7 @@ COUNTERPARTS = {
     ),
     "design": Counterpart(
         "rig.design.design:design",
-        {"rig": "config", "learn_from": "errors"},
+        {"rig": "config", "errors_of": "errors"},
         FILE | {"compare": "rig.design.law_comparison:design_comparison"},
     ),
     "identify fit": Counterpart(

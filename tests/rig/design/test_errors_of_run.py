@@ -53,7 +53,7 @@ def test_a_design_with_the_errors_of_a_run_says_which(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "design.yaml"
-    words = ["design", "--rig", "mock", "--duration-s", "12", "--free", "law", "--learn-from", str(run.path)]
+    words = ["design", "--rig", "mock", "--duration-s", "12", "--free", "law", "--errors-of", str(run.path)]
     with pytest.raises(SystemExit) as left:
         main([*words, "--to", str(file), "--json"])
     assert left.value.code in (0, None)
