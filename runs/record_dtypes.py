@@ -18,12 +18,24 @@ from runs.columns import (
     STREAMED,
     TIP_CONTROL,
     TRACKED,
+    TRIGGER_PULSES,
+    TRIGGERED,
 )
 from runs.columns.declaration import Table
 
 _ZERO = {
     c.record
-    for t in (*SAMPLES, *AUXILIARY, *OBSERVATIONS, *TRACKED, *ADAPTATIONS, *TIP_CONTROL, *STREAMED)
+    for t in (
+        *SAMPLES,
+        *AUXILIARY,
+        *OBSERVATIONS,
+        *TRACKED,
+        *TRIGGERED,
+        *TRIGGER_PULSES,
+        *ADAPTATIONS,
+        *TIP_CONTROL,
+        *STREAMED,
+    )
     for c in t.columns()
     if c.record and c.missing == 0
 }
@@ -39,15 +51,18 @@ def sample_dtype(actuators: int, valves: int, inputs: int = 0) -> np.dtype[np.vo
     return _dtype((*SAMPLES, *(AUXILIARY if inputs else ())), actuator=actuators, valve=valves, input=inputs)
 
 
-def observation_dtype(actuators: int, cameras: int = 1, tracker: bool = False) -> np.dtype[np.void]:
+def observation_dtype(
+    actuators: int, cameras: int = 1, tracker: bool = False, triggered: bool = False
+) -> np.dtype[np.void]:
     """One frame of every camera: `Tip`, `Backbone`, `Simulated`, `Reference` and `Learning`, in the rod-base frame.
 
-    With a tracker: one reading, with `TrackerClock`.
+    With a tracker: one reading, with `TrackerClock`. With triggered cameras: also `TriggeredFrame`.
 
     `seen` is a `DetectionStatus`; where it is not MEASURED the measured columns are NaN. `truth_m` is NaN on a real
     rig. `age_ns` is the time from exposure to the end of the computation.
     """
-    return _dtype((*OBSERVATIONS, *(TRACKED if tracker else ())), actuator=actuators, camera=cameras)
+    tables = (*OBSERVATIONS, *(TRACKED if tracker else ()), *(TRIGGERED if triggered else ()))
+    return _dtype(tables, actuator=actuators, camera=cameras)
 
 
 def adaptation_dtype(parameters: int) -> np.dtype[np.void]:
@@ -62,6 +77,11 @@ def adaptation_dtype(parameters: int) -> np.dtype[np.void]:
 def tip_control_dtype(valves: int) -> np.dtype[np.void]:
     """One plan of the tip controller: `TipControl`."""
     return _dtype(TIP_CONTROL, valve=valves)
+
+
+def pulse_dtype() -> np.dtype[np.void]:
+    """One pulse of the camera trigger: `TriggerPulse`."""
+    return _dtype(TRIGGER_PULSES)
 
 
 def streamed_dtype(actuators: int) -> np.dtype[np.void]:

@@ -22,6 +22,7 @@ from runs.columns import SolveStatus as SolveStatus
 from runs.record_dtypes import adaptation_dtype as adaptation_dtype
 from runs.record_dtypes import blank as blank
 from runs.record_dtypes import observation_dtype as observation_dtype
+from runs.record_dtypes import pulse_dtype as pulse_dtype
 from runs.record_dtypes import sample_dtype as sample_dtype
 from runs.record_dtypes import streamed_dtype as streamed_dtype
 from runs.record_dtypes import tip_control_dtype as tip_control_dtype
@@ -231,6 +232,8 @@ class RunHeader:
     camera_hz: float = 30.0
     cameras: tuple[str, ...] = ("camera",)
     """By name, in the order of the observations' columns."""
+    triggered: bool = False
+    """Whether a card triggers the cameras."""
     tracker: str = ""
     """Name of the tracker that measures the tip; empty without one."""
     auxiliary: tuple[AuxiliaryChannel, ...] = ()

@@ -166,7 +166,7 @@ def _hands(
 
         yield CapTurner(config, name, seed).picture, lambda text: operator.tell(f"(simulated hands) {text}")
         return
-    camera = open_camera(config, name)
+    camera = open_camera(config.free_running, name)
     try:
         yield lambda _: camera.read(CAMERA_TIMEOUT_S).image, operator.wait
     finally:

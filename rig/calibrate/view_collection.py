@@ -39,7 +39,7 @@ def pictures(config: RigConfig, camera: str, board: Board, seed: int) -> Iterato
 
         yield from shown_boards(config, camera, board, seed)
         return
-    opened = open_camera(config, camera)
+    opened = open_camera(config.free_running, camera)
     try:
         while True:
             yield opened.read(CAMERA_TIMEOUT_S).image

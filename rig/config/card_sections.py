@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -21,6 +21,10 @@ class CardConfig(Section):
     outputs: Index = Field(description="AO channels that the card has")
     inputs: Index = Field(description="AI channels that the card has")
     digital_inputs: Index = Field(default=0, description="DI channels that the card has")
+    digital_outputs: Index = Field(default=0, description="DO channels that the card has")
+
+    writes_digital: ClassVar[bool] = False
+    """True for a driver whose cards are `DigitalOutputCard`s."""
 
     @property
     def is_mock(self) -> bool:
@@ -59,6 +63,7 @@ class ComediCardConfig(SampledCardConfig):
     """A card with a Comedi driver."""
 
     driver: Literal["comedi"]
+    writes_digital: ClassVar[bool] = True
     emulated: bool = Field(default=False, description="the board is a virtual machine's: mark the runs as simulated")
 
     @property
@@ -71,6 +76,7 @@ class MockCardConfig(SampledCardConfig):
     """A card of the simulated bench."""
 
     driver: Literal["mock"]
+    writes_digital: ClassVar[bool] = True
     one_opener: bool = Field(default=False, description="let one process in at a time, as some drivers do")
 
     def setup_options(self) -> dict[str, Any]:
@@ -112,6 +118,7 @@ class UninstalledCardConfig(CardConfig):
     """A card from an archive whose driver is not installed here."""
 
     model_config = ConfigDict(extra="ignore")
+    writes_digital: ClassVar[bool] = True
 
 
 _KEPT = "outputs keep their values; the watchdog writes the safe state"

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from protocols.problems import closest
 from protocols.validation import ValidationFault
+from rig.config import trigger_consistency
 
 if TYPE_CHECKING:
     from rig.config.arm_sections import ArmConfig
@@ -53,6 +54,7 @@ def check(parts: Mapping[str, Any]) -> list[ValidationFault]:
         (_rates, ("cards", "cameras", "control", "limits")),
         (_cards, ("cards",)),
         (_cameras, ("cameras",)),
+        (trigger_consistency.check, ("cards", "cameras", "control", "limits")),
         (_least_cameras, ("cameras", "limits")),
         (_board, ("cameras", "board")),
         (_trackers, ("cameras", "trackers", "limits")),

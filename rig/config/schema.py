@@ -99,6 +99,17 @@ class RigConfig(Section):
         return (*self.cameras.values(), *self.trackers.values())
 
     @property
+    def triggered(self) -> bool:
+        """True when a card triggers the exposures of the cameras."""
+        return any(camera.trigger is not None for camera in self.cameras.values())
+
+    @property
+    def free_running(self) -> RigConfig:
+        """The rig with cameras that expose by their own clocks."""
+        cameras = {name: camera.model_copy(update={"trigger": None}) for name, camera in self.cameras.items()}
+        return self.model_copy(update={"cameras": cameras})
+
+    @property
     def simulated(self) -> bool:
         """True when any device of the rig is simulated."""
         cards = any(card.bench_is_simulated for card in self.cards.values())

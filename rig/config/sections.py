@@ -120,6 +120,16 @@ class PlanarMotion(Section):
     tilt_std_deg: Positive = Field(description="how far the tip may turn out of the plane")
 
 
+class CameraTrigger(Section):
+    """A digital output of a card that triggers the exposures: the rising edge of each pulse begins one."""
+
+    card: Word
+    channel: Index
+    width_ms: Positive | SkipJsonSchema[None] = Field(
+        default=None, description="how long the output stays high, in whole control periods; default: one"
+    )
+
+
 class CameraConfig(Section):
     """One camera. `placement` is the camera (x right, y down, z forward) in the rod-base frame."""
 
@@ -134,6 +144,9 @@ class CameraConfig(Section):
     )
     pixel_format: Annotated[str, Field(pattern=r"^[A-Z0-9 ]{4}$")] | SkipJsonSchema[None] = Field(
         default=None, description="V4L2's four letters, such as YUYV, MJPG, GREY; default: the driver's choice"
+    )
+    trigger: CameraTrigger | SkipJsonSchema[None] = Field(
+        default=None, description="a card triggers the exposures, one pulse per frame; default: the camera's own clock"
     )
     lens: LensConfig
     placement: Placement

@@ -42,6 +42,9 @@ class SimulatedScene(Section):
     noise_grey: Annotated[float, Field(ge=0, le=255, allow_inf_nan=False, strict=True)]
     lighting: Annotated[float, Field(gt=0, le=1, strict=True)] = 0.9
     skew_ms: NonNegative = Field(default=0.0, description="virtual time: each camera exposes so long after the last")
+    stamp_delay_ms: NonNegative = Field(
+        default=0.0, description="how much later than the true one the mid-exposure is that a camera's driver gives"
+    )
 
 
 class AsBuiltSection(Section):

@@ -27,7 +27,7 @@ class CameraSubject:
 
     def frames(self) -> list[tuple[Frame, int]]:
         """Some frames with the times of their arrival [ns]."""
-        with closing(open_camera(self.config, self.name)) as camera:
+        with closing(open_camera(self.config.free_running, self.name)) as camera:
             return [(camera.read(TIMEOUT_S), time.monotonic_ns()) for _ in range(FRAMES)]
 
 
@@ -56,7 +56,7 @@ def reopening(subject: CameraSubject) -> str:
     """A camera can be opened again once it is closed."""
     began = time.monotonic()
     for _ in range(2):
-        with closing(open_camera(subject.config, subject.name)) as camera:
+        with closing(open_camera(subject.config.free_running, subject.name)) as camera:
             camera.read(TIMEOUT_S)
     serial = subject.config.cameras[subject.name].serial()
     return f"opened twice in {time.monotonic() - began:.1f} s, serial number {serial or 'none'}"

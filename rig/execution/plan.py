@@ -97,6 +97,9 @@ class Recorder(Protocol):
     def streamed(self, rows: NDArray[np.void]) -> None:
         """Record set-points of another program."""
 
+    def pulses(self, rows: NDArray[np.void]) -> None:
+        """Record pulses of the camera trigger."""
+
     def picture(self, picture: Picture) -> None:
         """Record a camera picture."""
 

@@ -371,6 +371,7 @@ def header(request: RunRequest, decided: RunPlan, t_ns: int, ahead_ns: int = 0) 
         control_hz=config.control.rate_hz,
         camera_hz=config.observation_hz,
         cameras=tuple(config.cameras),
+        triggered=config.triggered,
         tracker=next(iter(config.trackers), ""),
         auxiliary=decided.auxiliary,
         study=request.study,
@@ -378,8 +379,7 @@ def header(request: RunRequest, decided: RunPlan, t_ns: int, ahead_ns: int = 0) 
 
 
 def _id_ending(request: RunRequest) -> str:
-    place = request.study
-    if place is None:
+    if (place := request.study) is None:
         return request.protocol.name
     role = "" if place.role is StudyRole.RUN else f"-{place.role}"
     return f"{place.study}-{place.number:03d}{role}"

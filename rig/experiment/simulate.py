@@ -45,7 +45,9 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
     samples["t_ns"] = np.round(np.arange(steps) * dt_s * 1e9)
     samples["protocol_s"] = np.arange(steps) * dt_s
     samples["setpoint_pa"] = samples["measured_pa"] = pressures
-    rows = blank(steps, observation_dtype(config.actuators, len(config.cameras), bool(config.trackers)))
+    rows = blank(
+        steps, observation_dtype(config.actuators, len(config.cameras), bool(config.trackers), config.triggered)
+    )
     rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["cycle"], samples["protocol_s"]
     rows["seen"] = rows["camera_seen"] = DetectionStatus.NO_FRAME
     rows["pressure_pa"] = pressures

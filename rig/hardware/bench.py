@@ -124,6 +124,15 @@ class Bench:
             self._cards[name].write(valve_v[column])
         self._commanded_v = valve_v.copy()
 
+    def write_trigger(self, *, high: bool) -> None:
+        """As `SafeOutputs.write_trigger`."""
+        self._safe.write_trigger(high=high)
+
+    @property
+    def trigger_failure(self) -> str:
+        """As `SafeOutputs.trigger_failure`."""
+        return self._safe.trigger_failure
+
     def external_write(self) -> str:
         """Message about a valve that another program has moved since the last `write`; empty if there is none.
 

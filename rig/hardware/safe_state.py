@@ -1,4 +1,4 @@
-"""Making the valves safe: the voltages of the safe state, writing and repeating.
+"""Making the outputs safe: the voltages of the safe state, the camera trigger low, writing and repeating.
 
 Control, the watchdog, the supervisor, the observer, virtual time and `rig vent` all use this module.
 """
@@ -9,12 +9,13 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.hardware.cards.base import Card, CardBusyError, CardError
+from rig.hardware.cards.base import Card, CardBusyError, CardError, DigitalOutputCard
 from rig.hardware.cards.registry import open_card
 from rig.hardware.cards.setup import card_setup
 
@@ -54,11 +55,15 @@ class SafeOutputs:
         columns = {name: [i for i, v in enumerate(self._valves) if v.card == name] for name in cards}
         self.columns = {name: column for name, column in columns.items() if column}
         """Valves of each card that has any, in the order of its outputs."""
+        self._triggers = _trigger_cards(config, cards)
+        self.trigger_failure = ""
+        """Why the last safe state has not set the camera trigger low; empty if it has."""
 
     def make_safe(self, *, vent: bool = False) -> None:
         """Write the safe voltages to every card, also if another card fails; `vent` also vents held valves.
 
-        A failed write is repeated at once, at most WRITE_ATTEMPTS times.
+        A failed write is repeated at once, at most WRITE_ATTEMPTS times. Once the valves are safe, the camera trigger
+        is set low; if that fails, `trigger_failure` says why, and the valves are safe nevertheless.
 
         Raises:
             CardError: one or more cards could not be written; it names each.
@@ -66,10 +71,19 @@ class SafeOutputs:
         failures = []
         voltages = self.vent_v if vent else self.safe_v
         for name, column in self.columns.items():
-            if failure := _retry(self._cards[name], voltages[column]):
+            if failure := _retry(partial(self._cards[name].write, voltages[column])):
                 failures.append(f"card {name}: {failure}")
+        lost = {name: _retry(partial(card.write_digital, high=False)) for name, card in self._triggers.items()}
+        self.trigger_failure = "; ".join(
+            f"the camera trigger of card {name} could not be set low: {why}" for name, why in lost.items() if why
+        )
         if failures:
             raise CardError(f"{UNSAFE}: {'; '.join(failures)}")
+
+    def write_trigger(self, *, high: bool) -> None:
+        """Set the digital outputs that trigger the cameras."""
+        for card in self._triggers.values():
+            card.write_digital(high=high)
 
     def arm(self, *, vent: bool = False) -> tuple[str, ...]:
         """Write the safe voltages as `make_safe` does, read them back and compare.
@@ -136,9 +150,10 @@ def open_outputs(config: RigConfig, *names: str) -> SafeOutputs:
     return SafeOutputs(config, cards)
 
 
-def cards_with_valves(config: RigConfig) -> tuple[str, ...]:
-    """Names of the cards that drive valves."""
-    return tuple(name for name in config.cards if any(valve.card == name for valve in config.valves))
+def cards_with_outputs(config: RigConfig) -> tuple[str, ...]:
+    """Names of the cards that drive valves or trigger cameras."""
+    setups = {name: card_setup(config, name) for name in config.cards}
+    return tuple(name for name, setup in setups.items() if setup.outputs or setup.digital_outputs)
 
 
 def failure_of(write: Callable[[], None], patience_s: float = 0.0, pause_s: float = RETRY_S) -> str:
@@ -162,7 +177,7 @@ def make_safe(config: RigConfig, *, vent: bool) -> None:
         CardError: one or more cannot be opened or written.
     """
     failures: list[CardError] = []
-    for name in cards_with_valves(config):
+    for name in cards_with_outputs(config):
         try:
             with closing(open_outputs(config, name)) as outputs:
                 outputs.make_safe(vent=vent)
@@ -181,7 +196,7 @@ def unsafe_output(config: RigConfig) -> str:
 
     Empty if there is none, or if a card cannot be opened or has no read-back.
     """
-    for name in cards_with_valves(config):
+    for name in cards_with_outputs(config):
         with suppress(CardError), closing(open_outputs(config, name)) as outputs:
             if off := outputs.unsafe_output():
                 return off
@@ -231,12 +246,25 @@ class WatchdogOutputs:
             self._outputs.close()
 
 
-def _retry(card: Card, volts: NDArray[np.float64]) -> str:
+def _trigger_cards(config: RigConfig, cards: Mapping[str, Card]) -> dict[str, DigitalOutputCard]:
+    """The open cards that trigger cameras. Raises CardError for a driver that writes no digital outputs."""
+    found: dict[str, DigitalOutputCard] = {}
+    for name, card in cards.items():
+        if not card_setup(config, name).digital_outputs:
+            continue
+        if not isinstance(card, DigitalOutputCard):
+            driver = config.cards[name].driver
+            raise CardError(f"card {name} triggers cameras, and driver {driver} writes no digital outputs")
+        found[name] = card
+    return found
+
+
+def _retry(write: Callable[[], None]) -> str:
     """Write with retries; return the reason of the failure, empty on success."""
     failure = ""
     for _ in range(WRITE_ATTEMPTS):
         try:
-            card.write(volts)
+            write()
         except Exception as error:  # one card must not prevent the safe state of the others
             failure = str(error)
         else:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.lock import described, held_by_unseen, holders
-from rig.hardware.safe_state import SafeOutputs, cards_with_valves, open_outputs, safe_voltages
+from rig.hardware.safe_state import SafeOutputs, cards_with_outputs, open_outputs, safe_voltages
 from rig.hardware.vent_verification import LONGEST_VENTING_S, verify_venting
 
 REPEATED_S = 0.25
@@ -114,7 +114,7 @@ def _open(config: RigConfig, opened: list[SafeOutputs], failures: list[str], uns
     began = time.monotonic()
     seen: dict[int, float] = {}
     requested = False
-    closed = list(cards_with_valves(config))
+    closed = list(cards_with_outputs(config))
     while closed:
         for card in tuple(closed):
             try:

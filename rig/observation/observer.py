@@ -196,6 +196,11 @@ class _Solve(Protocol):
     def __call__(self, pressure_pa: Floats, loads: model.Loads | None, /) -> model.Shape: ...
 
 
+def observations_of(config: RigConfig) -> np.dtype[np.void]:
+    """The dtype of the rows of the observer of a rig."""
+    return observation_dtype(config.actuators, len(config.cameras), bool(config.trackers), config.triggered)
+
+
 class Observer:
     """Converts frame sets, in order, to rows of `runs.records.observation_dtype`. It uses no clock."""
 
@@ -223,7 +228,7 @@ class Observer:
         self._pressures = PressureInterpolator(config.actuators)
         self._tip_force, self._forces = MeasuredTipForce(config), PressureInterpolator(3)
         self._reference, self._protocol_times = reference, PressureInterpolator(1)
-        self._blank = blank((), observation_dtype(config.actuators, len(config.cameras), bool(config.trackers)))
+        self._blank = blank((), observations_of(config))
         self._model_m = np.full(3, np.nan)
         self.measurement: TipMeasurement | None = None
         """Measurement of the last frame set; `shape` is the model's. For overlays."""
@@ -285,6 +290,9 @@ class Observer:
         row["camera_skew_s"] = [np.nan if f is None else (f.t_ns - frame_set.t_ns) * 1e-9 for f in frame_set.frames]
         if frame_set.reading is not None:
             _describe_clock(row, frame_set.reading)
+        for k, match in enumerate(frame_set.triggers):
+            if match is not None:
+                row["stamp_delay_s"][k], row["untriggered"][k] = match.stamp_delay_ns * 1e-9, match.untriggered
         if self._reference and sample_protocol_s is not None:
             self._refer(row, sample_t_ns, sample_protocol_s)
         if self._adapting is not None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.control.control_loop import ControlLoop
+from rig.control.trigger import TriggerPulses
 from rig.hardware.bench import Bench, open_bench
 from rig.hardware.cards.base import CardError
 from rig.hardware.vent_verification import VentOutcome, VentVerification, real_time
@@ -77,6 +78,8 @@ def main() -> int:
         except CardError as error:
             fault = f"{fault}; then {error}".removeprefix("; then ")
         else:
+            if bench.trigger_failure:
+                fault = f"{fault}; then {bench.trigger_failure}".removeprefix("; then ")
             vented = _verify_venting(job, memory, bench)
             if supervisor.exited:
                 report_unconfirmed(vented)
@@ -164,9 +167,14 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
     loop = ControlLoop(job.plan, valves, time_may_stop=timing.simulator_ns is not None)
     period = loop.period_ns
     clocks_cycles = max(1, round(CLOCKS_PUBLISHED_S * 1e9 / period))
+    trigger = TriggerPulses(job.plan.config, bench, time.monotonic_ns) if job.plan.config.triggered else None
+    began = time.monotonic_ns()
     while not (go := memory.start_ns) or time.monotonic_ns() < go - LEAD_IN_NS:
         loop.read_scans()
         memory.heartbeat("control", time.monotonic_ns())
+        if trigger is not None and not go:
+            # The observer needs pictures before the run begins.
+            _pulse(trigger, (time.monotonic_ns() - began) // period, memory)
         time.sleep(0.002)
         if memory.stop_request != Stop.NONE:
             return ""
@@ -174,6 +182,8 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
             return "the supervisor died before the run began"
     memory.heartbeat("control", time.monotonic_ns())
     memory.publish_stage("control", Stage.RUNNING)
+    if trigger is not None:
+        trigger.restart()
     cycle = skipped = skips = 0
     watchdogs = HeartbeatMonitor(period, timing.watchdog_silent_ns // 10)
     while True:
@@ -188,6 +198,8 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
             return "the supervisor died"
         if watchdogs.silent_ns(now, memory.heartbeat_ns("watchdog")) > timing.watchdog_silent_ns:
             return "the watchdog is silent"
+        if trigger is not None:
+            _pulse(trigger, cycle, memory)
         while skips < memory.skips:
             skips += 1
             loop.skip()
@@ -214,6 +226,13 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
         following = max(cycle + 1, (time.monotonic_ns() - go) // period)
         skipped = following - cycle - 1
         cycle = following
+
+
+def _pulse(trigger: TriggerPulses, cycle: int, memory: SharedState) -> None:
+    """Set the camera trigger for one cycle, and publish the pulse that begins."""
+    row = trigger.cycle(cycle)
+    if row is not None:
+        memory.pulses.push(row)
 
 
 if __name__ == "__main__":

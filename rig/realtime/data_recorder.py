@@ -20,7 +20,7 @@ class DataRecorder:
     def __init__(self, config: RigConfig, memory: SharedState, journal: Recorder, operator: OperatorInterface) -> None:
         self._config, self._memory, self._journal, self._operator = config, memory, journal, operator
         self._health = HealthMonitor(config)
-        self._lost_scans = self._missed = self._dropped = 0
+        self._lost_scans = self._missed = self._dropped = self._lost_pulses = 0
         self.sample: NDArray[np.void] | None = None
         self.observation: NDArray[np.void] | None = None
         self.adaptation: NDArray[np.void] | None = None
@@ -69,6 +69,12 @@ class DataRecorder:
         streamed = memory.streamed.read()
         if len(streamed):
             journal.streamed(streamed)
+        pulses = memory.pulses.read()
+        # Those before the start have let the observer rehearse.
+        if len(pulses := pulses[pulses["t_ns"] >= memory.start_ns]):
+            journal.pulses(pulses)
+            self._lost_pulses += int(pulses["skipped"].sum())
+            self.report(*self._health.pulses(pulses))
         for picture in memory.pictures.read(list(self._config.cameras), self._config.recording.encoding):
             journal.picture(picture)
 
@@ -78,6 +84,7 @@ class DataRecorder:
             "missed_deadlines": self._missed,
             **({} if self.dropped is None else {"dropped_frames": self.dropped}),
             "lost_scans": self._lost_scans,
+            **({"lost_pulses": self._lost_pulses} if self._config.triggered else {}),
             "sample_ring_overflows": self._memory.samples.lost,
             "observation_ring_overflows": self._memory.observations.lost,
             "picture_ring_overflows": self._memory.pictures.lost,

@@ -82,6 +82,7 @@ class HealthMonitor:
         self._cameras = [(name, _Condition(0.3)) for name in config.cameras] if len(config.cameras) > 1 else []
         self._words = _TRACKER if config.trackers else _CAMERA
         self._counted = dict.fromkeys(DATAGRAM_COUNTS, 0)
+        self._triggered = {name: 0 for name, camera in config.cameras.items() if camera.trigger is not None}
         self._disk = _Condition(DISK_S)
         self._refused, self._not_solved = _Condition(0.3), _Condition(0.3)
         self._looked_ns = 0
@@ -156,6 +157,8 @@ class HealthMonitor:
                 yield from self._unused_messages(row)
             if self._cameras:
                 yield from self._idle_camera(row)
+            if self._triggered:
+                yield from self._untriggered(row)
 
     def _paced(self, t_ns: int, dropped: int) -> Iterator[Event]:
         """Check the camera rate: a driver may set another rate than requested."""
@@ -187,6 +190,14 @@ class HealthMonitor:
         for reason in ("malformed", "foreign"):
             if counts[reason] and not before[reason]:
                 yield _warning(int(row["t_ns"]), "observer", f"{reason} messages reach the tracker's port; not used")
+
+    def _untriggered(self, row: NDArray[np.void]) -> Iterator[Event]:
+        """Report the first picture of each camera that no pulse of the trigger began."""
+        for (name, before), count in zip(self._triggered.items(), row["untriggered"].tolist(), strict=True):
+            if count and not before:
+                message = f"camera {name} gives pictures that no trigger pulse begins: is it set to external trigger?"
+                yield _warning(int(row["t_ns"]), "observer", f"{message} They are not used")
+            self._triggered[name] = max(before, count)
 
     def _idle_camera(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report a camera that contributes nothing: the tip is then measured by the others."""
@@ -222,6 +233,15 @@ class HealthMonitor:
                         yield _warning(t_ns, "tip controller", message)
                     case False:
                         yield _over(trouble, t_ns, "tip controller", "plans are followed again")
+
+    def pulses(self, rows: NDArray[np.void]) -> Iterator[Event]:
+        """Events of pulses (n,) of `runs.records.pulse_dtype`, in order of time."""
+        for row in rows[rows["skipped"] > 0]:
+            yield _warning(
+                int(row["t_ns"]),
+                "control",
+                f"{row['skipped']} pulses of the camera trigger were left out: control was late",
+            )
 
     def lost(self, t_ns: int, scans: int) -> Iterator[Event]:
         """Event of scans that the cards have dropped since the last call."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -25,6 +26,8 @@ from rig.realtime.timing_limits import timing_limits
 
 REHEARSED_FRAMES = 3
 FIRST_PICTURE_S = 5.0
+RECENT_PULSES = 64
+"""Pulses of the camera trigger among which that of a frame is looked for."""
 HISTORY_S = 2.0
 """Time before a frame whose control cycles are passed to the model with it."""
 
@@ -55,9 +58,9 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
     preview = PreviewPublisher(config, memory)
     album, names = PictureRecorder(config), list(config.cameras)
     supervisor = supervisor_monitor(job)
-    if not await_turn(memory, supervisor, lambda: not memory.simulator_starting):
+    if not await_turn(memory, supervisor, lambda: _may_open(config, memory)):
         return
-    source = _source(config, job.plan.seed)
+    source = _source(config, job.plan.seed, memory)
     try:
         # A camera without pictures or a silent tracker is detected before the run is armed.
         source.await_all(max(FIRST_PICTURE_S, frame_s))
@@ -91,10 +94,16 @@ def _within_run(memory: SharedState, t_ns: int) -> bool:
     return bool(started_ns) and started_ns <= t_ns and not (safe_ns and t_ns > safe_ns)
 
 
-def _source(config: RigConfig, seed: int) -> CameraSynchroniser | TrackerSource | PredictionClock:
+def _may_open(config: RigConfig, memory: SharedState) -> bool:
+    """Whether the devices may be opened: triggered cameras give pictures only once control gives pulses."""
+    return not memory.simulator_starting and (not config.triggered or memory.stage("control") is not Stage.STARTING)
+
+
+def _source(config: RigConfig, seed: int, memory: SharedState) -> CameraSynchroniser | TrackerSource | PredictionClock:
     if config.trackers:
         return TrackerSource(config, seed)
-    return CameraSynchroniser(config, seed) if config.cameras else PredictionClock(config)
+    pulses = partial(memory.pulses.last, RECENT_PULSES) if config.triggered else None
+    return CameraSynchroniser(config, seed, pulses) if config.cameras else PredictionClock(config)
 
 
 def _observer(job: ChildJob) -> Observer:

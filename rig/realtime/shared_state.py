@@ -27,6 +27,7 @@ from runs.records import (
     Level,
     adaptation_dtype,
     observation_dtype,
+    pulse_dtype,
     sample_dtype,
     streamed_dtype,
     tip_control_dtype,
@@ -40,6 +41,7 @@ MESSAGE_BYTES = 480
 EVENTS = 256
 PLANS = 256
 SETPOINTS = 1024
+PULSES = 1024
 TIP_CONTROLLER = "tip_controller"
 CLOCKS = 8
 """Number of cards whose sampling clocks are published."""
@@ -115,6 +117,7 @@ class StateLayout:
     tracker: bool = False
     adapted: int = 0
     inputs: int = 0
+    triggered: bool = False
 
     @classmethod
     def of(cls, config: RigConfig, adapted: int = 0) -> StateLayout:
@@ -130,6 +133,7 @@ class StateLayout:
             tracker=bool(config.trackers),
             adapted=adapted,
             inputs=len(config.inputs),
+            triggered=config.triggered,
         )
 
 
@@ -155,7 +159,8 @@ class SharedState:
 
     `board` is one structured row of flags; each flag has one writer and is read and written through the property of
     the same name. Times are CLOCK_MONOTONIC [ns], 0 before the event; a process id is 0 before the process exists.
-    `samples`, `observations`, `adaptations`, `plans` and `streamed` are rings of the records of `runs.records`;
+    `samples`, `observations`, `adaptations`, `plans`, `streamed` and `pulses` are rings of the records of
+    `runs.records`;
     `new_setpoints` are those of another program that control has not taken yet. `pictures` are for the recorder and
     `views` for viewers.
 
@@ -202,7 +207,7 @@ class SharedState:
         self.fd = fd
         self.layout = layout
         sample = sample_dtype(layout.actuators, layout.valves, layout.inputs)
-        observation = observation_dtype(layout.actuators, layout.cameras, layout.tracker)
+        observation = observation_dtype(layout.actuators, layout.cameras, layout.tracker, layout.triggered)
         streamed = streamed_dtype(layout.actuators)
         view = view_dtype(layout.corners, layout.actuators)
         sizes = (
@@ -218,6 +223,7 @@ class SharedState:
             ring_bytes(tip_control_dtype(layout.valves), PLANS),
             ring_bytes(streamed, SETPOINTS),
             ring_bytes(streamed, SETPOINTS),
+            ring_bytes(pulse_dtype(), PULSES),
         )
         edges = [0, *np.cumsum(sizes).tolist()]
         own_start = -(-edges[-1] // mmap.ALLOCATIONGRANULARITY) * mmap.ALLOCATIONGRANULARITY
@@ -239,6 +245,7 @@ class SharedState:
         self.plans: RingBuffer[np.void] = RingBuffer(parts[9], tip_control_dtype(layout.valves), PLANS)
         self.new_setpoints: RingBuffer[np.void] = RingBuffer(parts[10], streamed, SETPOINTS)
         self.streamed: RingBuffer[np.void] = RingBuffer(parts[11], streamed, SETPOINTS)
+        self.pulses: RingBuffer[np.void] = RingBuffer(parts[12], pulse_dtype(), PULSES)
         self.new_plans: RingBuffer[np.void] = RingBuffer(own[_ROW_BYTES:], plan_dtype(layout.valves), PLANS)
         self._tip_controller: NDArray[np.void] = np.frombuffer(own, _PROCESS, 1)
 

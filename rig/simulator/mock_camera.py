@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from calibration.vision.transforms import RigidTransform
 from rig.config.optics import board_in_tip, board_of, camera_in_base, lens_of, rigid
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
-from rig.hardware.cameras.base import CameraError, Frame
+from rig.hardware.cameras.base import CameraError, Frame, TriggerMatch
 from rig.hardware.cards.base import CardError
 from rig.simulator.faults import CameraFault, Faults
 from rig.simulator.registers import Registers
@@ -22,19 +23,21 @@ from rig.simulator.tip_pose import PoseSource, TipPose
 
 DROPPED = 9
 """Number of consecutive pictures that the fault DROPPING drops."""
+TRIGGER_LOOK_S = 0.0005
 _OTHER_NOISE = 1_000_003
 """Difference between the seeds of the cameras of a rig, so that each has its own noise."""
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """Input of rendering: the tip's poses at the begin and the middle of the exposure."""
+    """Input of rendering: the tip's poses at the begin and the middle of the exposure; its pulse, if it has one."""
 
     index: int
     t_ns: int
     opened: TipPose
     middle: TipPose
     fault: CameraFault
+    trigger: TriggerMatch | None = None
 
 
 def driver() -> type[MockCameraDriver]:
@@ -53,7 +56,11 @@ class MockCameraDriver:
         """
         try:
             registers = Registers.behind(config.cards.values())
-            camera = MockCamera(config, registers, name, seed, registers.faults)
+            trigger = config.cameras[name].trigger
+            edges = None
+            if trigger is not None:
+                edges = partial(Registers.attach(config.cards[trigger.card].device).rise, trigger.channel)
+            camera = MockCamera(config, registers, name, seed, registers.faults, edges)
         except CardError as error:
             raise CameraError(f"camera {name}: {error}") from error
         camera.start()
@@ -68,8 +75,8 @@ class MockCamera:
     """A camera that observes the tip of the simulator.
 
     In real time `read` exposes on a fixed grid of CLOCK_MONOTONIC: frame n is the n-th period after the camera was
-    opened, and a late reader skips periods, which causes a gap in the index. In virtual time the caller uses
-    `frame_at`.
+    opened, and a late reader skips periods, which causes a gap in the index. A triggered camera exposes at each rising
+    edge of its trigger instead. In virtual time the caller uses `frame_at`, or `rise_ns` and `expose`.
     """
 
     def __init__(
@@ -79,8 +86,12 @@ class MockCamera:
         name: str | None = None,
         seed: int = 0,
         faults: Faults | None = None,
+        edges: Callable[[], tuple[int, int]] | None = None,
     ) -> None:
-        """Open the camera `name` (None: the only one) with the tip poses of `source`."""
+        """Open the camera `name` (None: the only one) with the tip poses of `source`.
+
+        `edges` returns the number of rising edges of the trigger and the time of the last one; None for the own clock.
+        """
         config = config.as_built
         if config.simulator is None:
             raise CameraError("the mock camera needs the rig's 'simulator' section: it says what the picture shows")
@@ -100,6 +111,9 @@ class MockCamera:
         self._base_in_camera = (camera_in_base(chosen) @ rigid(simulator.error_of(name))).inverse() @ self._base
         self._board_in_tip = board_in_tip(config) if simulator.board is None else rigid(simulator.board)
         self._start_ns = time.monotonic_ns() + self._exposure_ns
+        self._stamp_delay_ns = round(truth.stamp_delay_ms * 1e6)
+        self._edges = edges
+        self._rises = 0 if edges is None else edges()[0]
         self._index = -1
         self._faults = faults if faults is not None else Faults()
         self._last: NDArray[np.uint8] | None = None
@@ -114,6 +128,27 @@ class MockCamera:
         """Begin the exposures of real time anew, with the scene made."""
         self.scene.prepare()
         self._start_ns = time.monotonic_ns() + self._exposure_ns
+        self._rises = 0 if self._edges is None else self._edges()[0]
+
+    @property
+    def half_exposure_ns(self) -> int:
+        """Time from the begin of an exposure to its middle."""
+        return self._exposure_ns // 2
+
+    def stamp_ns(self, t_ns: int) -> int:
+        """The mid-exposure that the simulated driver gives for the true one."""
+        return t_ns + self._stamp_delay_ns
+
+    def rise_ns(self) -> int | None:
+        """Time of the newest rising edge that the camera takes since the last call; None without one."""
+        if self._edges is None:
+            return None
+        rises, rise_ns = self._edges()
+        taken = 1 if self._faults.camera(self._number) is not CameraFault.DROPPING else DROPPED + 1
+        if rises < self._rises + taken:
+            return None
+        self._rises = rises
+        return rise_ns
 
     def frame_at(self, index: int, t_ns: int) -> Frame:
         """Frame `index` with its mid-exposure at `t_ns`; the same arguments and seed give the same picture."""
@@ -142,13 +177,18 @@ class MockCamera:
         )
         image = self.scene.render(opened, middle, closed, exposure.index)
         truth_m = self._base.apply(np.array(exposure.middle.position_m, dtype=np.float64))
-        return Frame(exposure.index, exposure.t_ns, self._seen(exposure, image), truth_m)
+        trigger, t_ns = exposure.trigger, self.stamp_ns(exposure.t_ns)
+        if trigger is not None:
+            t_ns = trigger.t_ns
+        return Frame(exposure.index, t_ns, self._seen(exposure, image), truth_m, trigger)
 
     def read(self, timeout_s: float) -> Frame:
         """Wait for the next exposure to end, then return its picture."""
         now = time.monotonic_ns()
         if self._faults.camera(self._number) is CameraFault.SILENT:
             time.sleep(timeout_s)
+        if self._edges is not None:
+            return self._read_triggered(timeout_s)
         # The newest finished exposure after a long gap, else the one after the last.
         takes_ns = self._exposure_ns // 2 + self._faults.camera_delay_ns(self._number)
         ended = (now - takes_ns - self._start_ns) // self._period_ns
@@ -169,6 +209,21 @@ class MockCamera:
                 raise CameraError(f"the simulator has stalled: {error}") from error
             # After a stall of this process the newest picture is taken, as by a late reader.
             return self.read(timeout_s)
+
+    def _read_triggered(self, timeout_s: float) -> Frame:
+        """Wait for the next rising edge and for the end of its exposure, then return the picture."""
+        until = time.monotonic() + timeout_s
+        while (rise_ns := self.rise_ns()) is None:
+            if time.monotonic() > until:
+                raise CameraError(f"no picture within {timeout_s:g} s: no pulse triggers the camera")
+            time.sleep(TRIGGER_LOOK_S)
+        self._index += 1
+        ready_ns = rise_ns + self._exposure_ns + self._faults.camera_delay_ns(self._number)
+        time.sleep(max(0, ready_ns - time.monotonic_ns()) * 1e-9)
+        try:
+            return self.frame_at(self._index, rise_ns + self.half_exposure_ns)
+        except LookupError as error:
+            raise CameraError(f"the simulator has stalled: {error}") from error
 
     def close(self) -> None:
         """Nothing to release."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
 from rig.hardware.runtime_folder import open_private
 from rig.simulator.converter import quantised_output_v
-from rig.simulator.registers import Registers, path_of
+from rig.simulator.registers import DIGITAL_OUTPUTS, Registers, path_of
 
 
 def driver() -> type[MockCard]:
@@ -43,6 +43,7 @@ class MockCard:
         self._inputs = [channel.number for channel in setup.inputs]
         self._outputs = setup.outputs
         self._digital_inputs = setup.digital_inputs
+        self._digital_outputs = setup.digital_outputs
         counts = self._registers.header
         for what, channels, has in (
             ("input", setup.inputs, int(counts["inputs"][0])),
@@ -52,6 +53,11 @@ class MockCard:
             if missing:
                 self.close()
                 raise CardError(f"mock card {setup.device} has {has} {what}s: there is no {what} {missing[0]}")
+        if missing := [number for number in setup.digital_outputs if number >= DIGITAL_OUTPUTS]:
+            self.close()
+            raise CardError(
+                f"mock card {setup.device} has {DIGITAL_OUTPUTS} digital outputs: there is no output {missing[0]}"
+            )
         self._next: int | None = None
 
     def start(self) -> None:
@@ -79,6 +85,13 @@ class MockCard:
         now = time.monotonic_ns()
         for channel, value in zip(self._outputs, values, strict=True):
             self._registers.write(channel.number, value, now)
+
+    def write_digital(self, *, high: bool) -> None:
+        """Set the digital outputs."""
+        self._registers.faults.before_write(self._device)
+        now = time.monotonic_ns()
+        for number in self._digital_outputs:
+            self._registers.write_digital(number, now, high=high)
 
     def readback(self) -> NDArray[np.float64]:
         """The output voltages."""

@@ -216,6 +216,9 @@ class PlantCard:
         self._auxiliary = [i for i, one in enumerate(config.inputs.values()) if one.card == name]
         self._stops = [stop.channel for stop in config.emergency_stops.values() if stop.card == name]
         self._volts = np.zeros((FIFO_SCANS, len(sensors) + len(self._auxiliary)))
+        self.digital_high = False
+        """Whether the digital outputs are high."""
+        self._rises = self._rise_ns = 0
         self._filled = self._lost = 0
 
     @property
@@ -262,6 +265,17 @@ class PlantCard:
         self.faults.before_write(self._device)
         for valve, (low, high), v in zip(self._valves, self._ranges, volts.tolist(), strict=True):
             self._plant.set_output(valve, quantised_output_v(v, low, high))
+
+    def write_digital(self, *, high: bool) -> None:
+        """Set the digital outputs, all at once."""
+        self.faults.before_write(self._device)
+        if high and not self.digital_high:
+            self._rises, self._rise_ns = self._rises + 1, self._plant.t_ns
+        self.digital_high = high
+
+    def rise(self) -> tuple[int, int]:
+        """Number of rising edges of the digital outputs, and the time of the last one."""
+        return self._rises, self._rise_ns
 
     def readback(self) -> NDArray[np.float64]:
         """The voltages that the outputs stand at."""

@@ -36,6 +36,8 @@ SPARE_ROWS = 256
 """Rows that a reader does not use because the plant may overwrite them while they are copied."""
 RECENT_POSES = 220
 FAULTS_AT = 1024
+DIGITAL_AT = 2048
+DIGITAL_OUTPUTS = 64
 SETTLING_S = 0.5
 
 HEADER_DTYPE = np.dtype(
@@ -54,6 +56,7 @@ HEADER_DTYPE = np.dtype(
     ]
 )
 OUTPUT_DTYPE = np.dtype([("volts", "<f8"), ("written_ns", "<i8")])
+DIGITAL_DTYPE = np.dtype([("high", "<i8"), ("rises", "<i8"), ("rise_ns", "<i8")])
 
 
 def scan_dtype(inputs: int) -> np.dtype[np.void]:
@@ -86,6 +89,7 @@ class Registers:
         outputs_at, scans_at, poses_at, _ = _offsets(outputs, inputs)
         self.faults = Faults(np.frombuffer(self._map, FAULTS_DTYPE, 1, FAULTS_AT))
         self.outputs: NDArray[np.void] = np.frombuffer(self._map, OUTPUT_DTYPE, outputs, outputs_at)
+        self.digital: NDArray[np.void] = np.frombuffer(self._map, DIGITAL_DTYPE, DIGITAL_OUTPUTS, DIGITAL_AT)
         self._scans: NDArray[np.void] = np.frombuffer(self._map, scan_dtype(inputs), SCAN_ROWS, scans_at)
         self._poses: NDArray[np.void] = np.frombuffer(self._map, POSE_DTYPE, POSE_ROWS, poses_at)
 
@@ -123,6 +127,7 @@ class Registers:
         registers._scans["index"] = -1
         registers._poses["index"] = -1
         registers.faults.clear()
+        registers.digital[:] = np.zeros(1, DIGITAL_DTYPE)
         now = time.monotonic_ns()
         for output in range(outputs):
             registers.write(output, 0.0, now)
@@ -170,6 +175,22 @@ class Registers:
         """Set one output register and the time of the write."""
         self.outputs["volts"][output] = volts
         self.outputs["written_ns"][output] = t_ns
+
+    def write_digital(self, output: int, t_ns: int, *, high: bool) -> None:
+        """Set one digital output. A rising edge is counted after its time is stored."""
+        row = self.digital[output]
+        if high and not row["high"]:
+            row["rise_ns"] = t_ns
+            row["rises"] += 1
+        row["high"] = high
+
+    def rise(self, output: int) -> tuple[int, int]:
+        """Number of rising edges of a digital output, and the time of the last one."""
+        row = self.digital[output]
+        while True:
+            rises, rise_ns = int(row["rises"]), int(row["rise_ns"])
+            if rises == int(row["rises"]) and rise_ns == int(row["rise_ns"]):
+                return rises, rise_ns
 
     @property
     def plant_t_ns(self) -> int:
@@ -235,7 +256,7 @@ class Registers:
 
     def close(self) -> None:
         """Close the file; the registers keep their values."""
-        del self.header, self.faults, self.outputs, self._scans, self._poses
+        del self.header, self.faults, self.outputs, self.digital, self._scans, self._poses
         with contextlib.suppress(BufferError):  # a view still exists: the map is released with the last view
             self._map.close()
 

@@ -26,7 +26,7 @@ from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import armed_sentence, failure_of
 from rig.hardware.tip_source import TipSourceError
 from rig.hardware.vent_verification import VentOutcome, VentVerification
-from rig.observation.observer import Observer
+from rig.observation.observer import Observer, observations_of
 from rig.observation.picture_recorder import PictureRecorder
 from rig.observation.reading_sequence import ReadingSequence
 from rig.observation.tracker_source import silence
@@ -36,12 +36,13 @@ from rig.simulator.mock_tracker import LEAD_S, MockTracker
 from rig.simulator.plant import Plant
 from rig.tip_control.monitor import SOURCE, TipControlMonitor, failure_message
 from rig.virtual.frame_pipeline import MOST_IN_FLIGHT, FramePipeline, FrameProcessError, FrameSamples, FrameStages
+from rig.virtual.recent_rows import RecentRows
+from rig.virtual.triggered_exposures import FrameExposures, TriggeredExposures
 from runs.records import (
     Event,
     Level,
     Status,
     adaptation_dtype,
-    observation_dtype,
     sample_dtype,
     tip_control_dtype,
 )
@@ -88,9 +89,10 @@ class _VirtualRun:
         self._operator = operator
         self._plant = Plant(config, plan.seed, t0_ns=0)
         self._bench = Bench(config, {name: self._plant.card(name) for name in config.cards})
-        self._cameras = {
-            name: MockCamera(config, self._plant, name, plan.seed, self._plant.faults) for name in config.cameras
-        }
+        self._cameras = {name: self._camera(name) for name in config.cameras}
+        self._trigger = (
+            TriggeredExposures(config, self._bench, self._plant, self._cameras) if config.triggered else None
+        )
         self._tracker: MockTracker | None = None
         for name in config.trackers:
             before_ns = START_NS - round(LEAD_S * 1e9)
@@ -104,7 +106,7 @@ class _VirtualRun:
         self._lost_scans = 0
         self._frame_ns = round(1e9 / config.observation_hz)
         self._delay_ns = round(config.tip_control.delay_ms * 1e6)
-        self._frame = -1 if config.trackers else 0
+        self._frame = -1 if config.trackers or config.triggered else 0
         self._dropped = 0
         self._answered = 0
         self._unseen = 0
@@ -112,12 +114,10 @@ class _VirtualRun:
         self._batch_cycles = max(1, round(BATCH_S * rate_hz))
         self._history_ticks = max(1, round(HISTORY_S * rate_hz))
         self._sample_rows = sample_dtype(config.actuators, len(config.valves), len(config.inputs))
-        self._samples = _RecentRows(self._sample_rows, self._history_ticks)
-        self._observations = _RecentRows(
-            observation_dtype(config.actuators, len(config.cameras), bool(config.trackers)), self._history_ticks
-        )
-        self._adaptations = _RecentRows(adaptation_dtype(len(plan.adapted)), self._history_ticks)
-        self._plans = _RecentRows(tip_control_dtype(len(config.valves)), self._history_ticks)
+        self._samples = RecentRows(self._sample_rows, self._history_ticks)
+        self._observations = RecentRows(observations_of(config), self._history_ticks)
+        self._adaptations = RecentRows(adaptation_dtype(len(plan.adapted)), self._history_ticks)
+        self._plans = RecentRows(tip_control_dtype(len(config.valves)), self._history_ticks)
         self._tip_control = _tip_control(plan)
         self._tip_monitor, self._tip_failure = TipControlMonitor(), ""
         self._exposed: deque[tuple[int, float]] = deque()
@@ -127,6 +127,12 @@ class _VirtualRun:
         """True where the end of the run vents every valve, also those that the rig holds."""
         self._recorder: Recorder
         self._pipeline: FramePipeline
+
+    def _camera(self, name: str) -> MockCamera:
+        config, plant = self._plan.config, self._plant
+        trigger = config.cameras[name].trigger
+        edges = None if trigger is None else plant.card(trigger.card).rise
+        return MockCamera(config, plant, name, self._plan.seed, plant.faults, edges)
 
     def stages(self) -> FrameStages:
         """The stages of the frame pipeline of this run."""
@@ -190,20 +196,17 @@ class _VirtualRun:
         """Run one cycle and its frames; return how the run ends, None while it continues."""
         self._plant.hang(self._plan.trajectory.weight_kg(self._loop.position.protocol_s))
         self._plant.advance(now)
+        if self._trigger is not None:
+            self._trigger.cycle(cycle)
         row, trip = self._loop.cycle(cycle, now, 1, self._answered, False, 0, 0)
         self._samples.add(row)
         self._unseen = min(self._unseen + 1, self._history_ticks)
         if self._tracker is not None:
             self._follow(self._tracker, now)
-        # A frame is processed once there are samples before and after it, and the last camera has exposed.
-        while (
-            self._tracker is None
-            and (t_ns := START_NS + (self._frame + 1) * self._frame_ns) + max(self._skews_ns, default=0) <= now
-        ):
-            self._frame += 1
-            self._observe(self._frame, t_ns, float(row["protocol_s"]))
+        for exposed in () if self._tracker is not None else self._exposures(now):
+            self._observe(exposed, float(row["protocol_s"]))
             if self._tip_control is not None:
-                self._exposed.append((t_ns, float(row["protocol_s"]) - (now - t_ns) * 1e-9))
+                self._exposed.append((exposed.t_ns, float(row["protocol_s"]) - (now - exposed.t_ns) * 1e-9))
         if self._tip_control is not None:
             self._steer(self._tip_control, now)
         if self._plan.controls_tip:
@@ -263,21 +266,35 @@ class _VirtualRun:
         if self._tip_control is not None:
             self._exposed.append((frame_set.t_ns, protocol_s))
 
-    def _observe(self, frame: int, t_ns: int, protocol_s: float) -> None:
-        """Expose a frame here, in the order of cycles, and pass it to the pipeline that renders and measures it."""
-        exposures: list[Exposure | None] = []
-        failures = []
-        for camera, skew_ns in zip(self._cameras.values(), self._skews_ns, strict=True):
-            try:
-                exposures.append(camera.expose(frame, t_ns + skew_ns))
-            except CameraError as error:
-                exposures.append(None)
-                failures.append(error)
-        if failures and len(exposures) - len(failures) < self._plan.config.limits.least_cameras:
+    def _exposures(self, now: int) -> Iterator[FrameExposures]:
+        """Expose the frames that are due, in the order of cycles."""
+        if self._trigger is not None:
+            yield from self._trigger.finished(now)
+            return
+        # A frame is processed once there are samples before and after it, and the last camera has exposed.
+        while (t_ns := START_NS + (self._frame + 1) * self._frame_ns) + max(self._skews_ns, default=0) <= now:
+            exposures: list[Exposure | None] = []
+            failures = []
+            for camera, skew_ns in zip(self._cameras.values(), self._skews_ns, strict=True):
+                try:
+                    exposures.append(camera.expose(self._frame + 1, t_ns + skew_ns))
+                except CameraError as error:
+                    exposures.append(None)
+                    failures.append(error)
+            yield FrameExposures(self._frame + 1, t_ns, exposures, failures)
+
+    def _observe(self, exposed: FrameExposures, protocol_s: float) -> None:
+        """Pass a frame to the pipeline that renders and measures it."""
+        failures = exposed.failures
+        if failures and len(exposed.exposures) - len(failures) < self._plan.config.limits.least_cameras:
             raise failures[0]
+        dropped = max(0, exposed.index - self._frame - 1) if self._frame >= 0 else 0
+        self._dropped += dropped
+        self._frame = exposed.index
         cycles, self._unseen = self._samples.recent(self._unseen), 0
         weight_kg = self._plan.trajectory.weight_kg(protocol_s)
-        self._pipeline.submit(frame, t_ns, exposures, FrameSamples(cycles.tobytes(), protocol_s, weight_kg))
+        samples = FrameSamples(cycles.tobytes(), protocol_s, weight_kg, dropped=dropped)
+        self._pipeline.submit(exposed.index, exposed.t_ns, exposed.exposures, samples)
 
     def _steer(self, controller: TipControlSession, now: int) -> None:
         """Give the controller each frame once its delay has passed, and the control loop the plan."""
@@ -307,6 +324,8 @@ class _VirtualRun:
     def _flush(self, in_flight: int = FRAMES_IN_FLIGHT) -> None:
         while self._pipeline.in_flight > in_flight:
             self._receive()
+        if self._trigger is not None:
+            self._recorder.pulses(self._trigger.take_pulses())
         samples, observations = self._samples.take(), self._observations.take()
         self._recorder.samples(samples)
         self._recorder.observations(observations)
@@ -367,33 +386,3 @@ def _largest_picture(config: RigConfig) -> tuple[int, int]:
     """Height and width [px] that hold a picture of every camera."""
     cameras = config.cameras.values()
     return max((c.height_px for c in cameras), default=0), max((c.width_px for c in cameras), default=0)
-
-
-class _RecentRows:
-    """Rows of a run: keeps the recent ones, and returns new ones once for the record."""
-
-    def __init__(self, dtype: np.dtype[np.void], history: int) -> None:
-        self._history = history
-        self._rows = np.zeros(2 * history, dtype)
-        self._filled = 0
-        self._taken = 0
-
-    def extend(self, row: bytes) -> None:
-        self.add(np.frombuffer(row, self._rows.dtype)[0])
-
-    def add(self, row: NDArray[np.void] | np.void) -> None:
-        if self._filled == len(self._rows):
-            drop = min(self._taken, self._history)
-            self._rows[: self._filled - drop] = self._rows[drop : self._filled].copy()
-            self._filled -= drop
-            self._taken -= drop
-        self._rows[self._filled] = row
-        self._filled += 1
-
-    def take(self) -> NDArray[np.void]:
-        rows = self._rows[self._taken : self._filled]
-        self._taken = self._filled
-        return rows
-
-    def recent(self, n: int) -> NDArray[np.void]:
-        return self._rows[max(0, self._filled - n) : self._filled]

@@ -20,7 +20,7 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.hardware.cameras.base import Frame, FrameSet
+from rig.hardware.cameras.base import Frame, FrameSet, TriggerMatch
 from rig.hardware.trackers.base import TrackerReading
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
@@ -43,8 +43,8 @@ _CLOSED = (EOFError, OSError)
 @dataclass(frozen=True)
 class FrameSamples:
     """What the observer needs beside the pictures: the samples since the last frame set as bytes of the rows that the
-    run records, the protocol time of the newest one and the weight on the end cap. With a tracker its `reading`, None
-    where it was silent, and the readings `dropped` before.
+    run records, the protocol time of the newest one and the weight on the end cap; the frames or readings `dropped`
+    before. With a tracker its `reading`, None where it was silent.
     """
 
     rows: bytes
@@ -71,6 +71,7 @@ class _RenderedFrame:
     t_ns: int
     shape: tuple[int, int]
     truth_m: NDArray[np.float64] | None
+    trigger: TriggerMatch | None
 
 
 @dataclass(frozen=True)
@@ -276,7 +277,7 @@ def _copied(room: NDArray[np.uint8], frame: Frame | None) -> _RenderedFrame | No
         return None
     height, width = frame.image.shape
     room[:height, :width] = frame.image
-    return _RenderedFrame(frame.index, frame.t_ns, (height, width), frame.truth_m)
+    return _RenderedFrame(frame.index, frame.t_ns, (height, width), frame.truth_m, frame.trigger)
 
 
 def _measure(
@@ -307,7 +308,7 @@ def _in_memory(head: _RenderedFrame | None, room: NDArray[np.uint8]) -> Frame | 
     if head is None:
         return None
     height, width = head.shape
-    return Frame(head.index, head.t_ns, room[:height, :width], head.truth_m)
+    return Frame(head.index, head.t_ns, room[:height, :width], head.truth_m, head.trigger)
 
 
 def _failure(error: Exception) -> _Failure:

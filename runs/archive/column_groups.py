@@ -100,6 +100,16 @@ def stream(journal: Journal) -> Group | None:
     return _group(journal, columns.StreamedSetPoints, journal.streamed) if journal.header.streams else None
 
 
+def trigger(journal: Journal) -> Group | None:
+    """Return the pulses of the camera trigger; None for a rig without one."""
+    return _group(journal, columns.TriggerPulse, journal.pulses) if journal.header.triggered else None
+
+
+def exposure(journal: Journal) -> Group | None:
+    """Return what the pulses say of the frames; None for a rig without a camera trigger."""
+    return _group(journal, columns.TriggeredFrame, journal.observations) if journal.header.triggered else None
+
+
 def seconds(journal: Journal, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return times [s] since the start of the run."""
     return np.asarray((t_ns - journal.header.started_t_ns) / 1e9)

@@ -27,6 +27,8 @@ from runs.columns import (
     Tip,
     TipControl,
     TrackerClock,
+    TriggeredFrame,
+    TriggerPulse,
 )
 from runs.columns.conversions import PA_PER_BAR
 from runs.columns.declaration import Table, Values
@@ -102,6 +104,7 @@ class ArchiveReader:
             tip_controller=str(self._group("entry/tip_control").get("controller", "")),
             learned_from=tuple(self._group("entry/learning").get("run", ())),
             streams=bool(self._group("entry/stream", without="setpoint_bar")),
+            triggered=bool(self._group("entry/trigger", without="pulse")),
             control_hz=float(self._group("entry/timing")["control_rate"]),
             camera_hz=float(self._group("entry/timing")["camera_rate"]),
             cameras=self._cameras,
@@ -165,6 +168,18 @@ class ArchiveReader:
         """Set-points of another program; None for a protocol without a step `stream`."""
         values = self._values(StreamedSetPoints)
         return StreamedSetPoints(values) if values else None
+
+    @cached_property
+    def trigger(self) -> TriggerPulse | None:
+        """Pulses of the camera trigger; None for a rig without one."""
+        values = self._values(TriggerPulse)
+        return TriggerPulse(values) if values else None
+
+    @cached_property
+    def exposure(self) -> TriggeredFrame | None:
+        """What the pulses say of the camera frames; None for a rig without a camera trigger."""
+        values = self._values(TriggeredFrame)
+        return TriggeredFrame(values) if values else None
 
     @cached_property
     def timing(self) -> Timing:

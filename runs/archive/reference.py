@@ -8,7 +8,18 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from runs.columns import ADAPTATIONS, AUXILIARY, AXES, OBSERVATIONS, SAMPLES, STREAMED, TIP_CONTROL, TRACKED
+from runs.columns import (
+    ADAPTATIONS,
+    AUXILIARY,
+    AXES,
+    OBSERVATIONS,
+    SAMPLES,
+    STREAMED,
+    TIP_CONTROL,
+    TRACKED,
+    TRIGGER_PULSES,
+    TRIGGERED,
+)
 from runs.columns.declaration import Table
 
 
@@ -31,7 +42,8 @@ def page(text: str) -> str:
     Raises:
         ValueError: the page has no place for a table.
     """
-    for kind in (*SAMPLES, *AUXILIARY, *OBSERVATIONS, *TRACKED, *ADAPTATIONS, *TIP_CONTROL, *STREAMED):
+    observed = (*OBSERVATIONS, *TRACKED, *TRIGGERED, *TRIGGER_PULSES)
+    for kind in (*SAMPLES, *AUXILIARY, *observed, *ADAPTATIONS, *TIP_CONTROL, *STREAMED):
         before, after = f"<!-- columns: {kind.group} -->\n", "<!-- end -->"
         found = text.count(before)
         if found != 1:

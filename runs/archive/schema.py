@@ -31,6 +31,7 @@ from runs.records import (
     StudyRun,
     adaptation_dtype,
     observation_dtype,
+    pulse_dtype,
     sample_dtype,
     streamed_dtype,
     tip_control_dtype,
@@ -192,6 +193,7 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         tip_controller="controller" if everything else "",
         learned_from=("run",) if everything else (),
         streams=everything,
+        triggered=everything,
         auxiliary=(AuxiliaryChannel("input", ""),) if everything else (),
         study=StudyRun("", StudyRole.RUN, 1, 1, 1, "", "") if everything else None,
     )
@@ -200,10 +202,13 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         header=header,
         footer=RunFooter(0, Status.FINISHED, "", {"counter": 0} if everything else {}),
         samples=_rows(sample_dtype(actuators, valves, len(header.auxiliary)), 0),
-        observations=_rows(observation_dtype(actuators, len(header.cameras), bool(header.tracker)), rows),
+        observations=_rows(
+            observation_dtype(actuators, len(header.cameras), bool(header.tracker), header.triggered), rows
+        ),
         adaptations=_rows(adaptation_dtype(len(header.adapted)), 0),
         plans=_rows(tip_control_dtype(valves), 0),
         streamed=_rows(streamed_dtype(actuators), 0),
+        pulses=_rows(pulse_dtype(), 0),
         events=(),
         pictures=StoredPictures(memoryview(b"")),
         damage=(),

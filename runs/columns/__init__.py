@@ -15,6 +15,7 @@ from runs.columns.observations import BACKBONE_POINTS, Backbone, DetectionStatus
 from runs.columns.streamed import StreamedSetPoints, StreamStatus
 from runs.columns.tip_control import PLAN_AHEAD_S, Learning, Reference, SolveStatus, TipControl
 from runs.columns.tracker import DATAGRAM_COUNTS, TrackerClock
+from runs.columns.trigger import TriggeredFrame, TriggerPulse
 
 __all__ = [
     "ADAPTATIONS",
@@ -30,6 +31,8 @@ __all__ = [
     "STREAMED",
     "TIP_CONTROL",
     "TRACKED",
+    "TRIGGERED",
+    "TRIGGER_PULSES",
     "Adaptation",
     "Auxiliary",
     "Backbone",
@@ -47,6 +50,8 @@ __all__ = [
     "Tip",
     "TipControl",
     "TrackerClock",
+    "TriggerPulse",
+    "TriggeredFrame",
 ]
 
 AXES = {
@@ -68,6 +73,8 @@ SAMPLES: tuple[type[Table], ...] = (Pressure, Timing)
 AUXILIARY: tuple[type[Table], ...] = (Auxiliary,)
 OBSERVATIONS: tuple[type[Table], ...] = (Tip, Backbone, Simulated, Reference, Learning)
 TRACKED: tuple[type[Table], ...] = (TrackerClock,)
+TRIGGERED: tuple[type[Table], ...] = (TriggeredFrame,)
+TRIGGER_PULSES: tuple[type[Table], ...] = (TriggerPulse,)
 ADAPTATIONS: tuple[type[Table], ...] = (Adaptation,)
 TIP_CONTROL: tuple[type[Table], ...] = (TipControl,)
 STREAMED: tuple[type[Table], ...] = (StreamedSetPoints,)

@@ -31,6 +31,7 @@ from runs.journal.messages import (
     OBSERVATIONS,
     PICTURES,
     PLANS,
+    PULSES,
     SAMPLES,
     STREAMED,
 )
@@ -42,6 +43,7 @@ from runs.records import (
     RunHeader,
     adaptation_dtype,
     observation_dtype,
+    pulse_dtype,
     sample_dtype,
     streamed_dtype,
     tip_control_dtype,
@@ -65,17 +67,17 @@ class JournalWriter:
         """
         self.path = Path(path)
         self._samples = _TopicRows(SAMPLES, sample_dtype(header.actuators, header.valves, len(header.auxiliary)))
-        self._observations = _TopicRows(
-            OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras), bool(header.tracker))
-        )
+        self._observations = _TopicRows(OBSERVATIONS, observations_of(header))
         self._adaptations = _TopicRows(ADAPTATIONS, adaptation_dtype(len(header.adapted)))
         self._plans = _TopicRows(PLANS, tip_control_dtype(header.valves))
         self._streamed = _TopicRows(STREAMED, streamed_dtype(header.actuators))
+        self._pulses = _TopicRows(PULSES, pulse_dtype())
         self._utc_minus_t_ns = header.started_utc_ns - header.started_t_ns
         self.newest_t_ns = header.started_t_ns
         kinds = [self._samples, self._observations, *([self._adaptations] if header.adapted else [])]
         kinds += [self._plans] if header.tip_controller else []
         kinds += [self._streamed] if header.streams else []
+        kinds += [self._pulses] if header.triggered else []
         first = block_of_header(header, {kind.channel: kind.form["row"] for kind in kinds})
         file = DiskFile(self.path, mcap_records.opening() + first + first)
         self._file: AppendOnlyFile = BufferedFile(file, patience_s) if live else file
@@ -104,6 +106,10 @@ class JournalWriter:
     def streamed(self, rows: NDArray[np.void]) -> None:
         """Append set-points of another program: `streamed_dtype` rows (n,)."""
         self._rows(self._streamed, rows)
+
+    def pulses(self, rows: NDArray[np.void]) -> None:
+        """Append pulses of the camera trigger: `pulse_dtype` rows (n,)."""
+        self._rows(self._pulses, rows)
 
     def picture(self, picture: Picture) -> None:
         """Append an encoded picture and what was seen in it, both or neither."""
@@ -141,6 +147,11 @@ class JournalWriter:
         kind.sequence += len(rows)
         self.newest_t_ns = max(self.newest_t_ns, int(rows["t_ns"][-1]))
         self._file.append(mcap_records.block(content, int(log_ns[0]), int(log_ns[-1])))
+
+
+def observations_of(header: RunHeader) -> np.dtype[np.void]:
+    """Return the dtype of the camera frames of a run."""
+    return observation_dtype(header.actuators, len(header.cameras), bool(header.tracker), header.triggered)
 
 
 class _TopicRows:
@@ -191,6 +202,7 @@ class Journal:
     adaptations: StoredRows
     plans: StoredRows
     streamed: StoredRows
+    pulses: StoredRows
     events: tuple[Event, ...]
     pictures: StoredPictures
     damage: tuple[JournalDamage, ...]
@@ -227,7 +239,7 @@ class _Contents:
         self.footer: RunFooter | None = None
         self.data = data
         self.stored: dict[int, np.dtype[np.void]] = {}
-        self.rows = {channel: Index() for channel in (SAMPLES, OBSERVATIONS, ADAPTATIONS, PLANS, STREAMED)}
+        self.rows = {channel: Index() for channel in (SAMPLES, OBSERVATIONS, ADAPTATIONS, PLANS, STREAMED, PULSES)}
         self.events: list[Event] = []
         self.pictures = StoredPictures(data)
         self.damage: list[JournalDamage] = []
@@ -271,12 +283,11 @@ class _Contents:
             header=header,
             footer=self.footer,
             samples=rows(SAMPLES, sample_dtype(header.actuators, header.valves, len(header.auxiliary))),
-            observations=rows(
-                OBSERVATIONS, observation_dtype(header.actuators, len(header.cameras), bool(header.tracker))
-            ),
+            observations=rows(OBSERVATIONS, observations_of(header)),
             adaptations=rows(ADAPTATIONS, adaptation_dtype(len(header.adapted))),
             plans=rows(PLANS, tip_control_dtype(header.valves)),
             streamed=rows(STREAMED, streamed_dtype(header.actuators)),
+            pulses=rows(PULSES, pulse_dtype()),
             events=tuple(self.events),
             pictures=self.pictures,
             damage=tuple(self.damage),

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T", RunHeader, RunFooter, Event)
 
-HEADER, FOOTER, EVENTS, SAMPLES, OBSERVATIONS, PICTURES, ADAPTATIONS, MARKS, PLANS, STREAMED = range(1, 11)
+HEADER, FOOTER, EVENTS, SAMPLES, OBSERVATIONS, PICTURES, ADAPTATIONS, MARKS, PLANS, STREAMED, PULSES = range(1, 12)
 """Channel numbers, the same in every journal."""
 TOPICS = {
     HEADER: "/header",
@@ -34,6 +34,7 @@ TOPICS = {
     MARKS: "/marks",
     PLANS: "/tip_control",
     STREAMED: "/stream",
+    PULSES: "/trigger",
 }
 _ROS_TYPES = {"<i8": "int64", "<i4": "int32", "<f8": "float64", "<f4": "float32"}
 _STAMP = struct.Struct("<III")

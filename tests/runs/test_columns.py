@@ -19,7 +19,7 @@ from runs.columns.declaration import Column
 from runs.export.exporters import export
 from runs.journal.journal import JournalWriter
 from runs.record_dtypes import blank
-from runs.records import RunFooter, Status, adaptation_dtype, observation_dtype, sample_dtype
+from runs.records import RunFooter, Status, adaptation_dtype, observation_dtype, pulse_dtype, sample_dtype
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def test_a_declared_column_is_checked(tmp_path: Path) -> None:
 
 def test_a_record_that_is_not_filled_is_missing_and_not_zero() -> None:
     zero = {"weight_kg", "force_n", "moment_n_m"}
-    for dtype in (sample_dtype(3, 2, 4), observation_dtype(3, 2), adaptation_dtype(4)):
+    for dtype in (sample_dtype(3, 2, 4), observation_dtype(3, 2, triggered=True), adaptation_dtype(4), pulse_dtype()):
         rows = blank(2, dtype)
         for name in dtype.names or ():
             if dtype[name].base.kind == "f":

@@ -19,18 +19,33 @@ class CameraError(TipSourceError):
 
 
 @dataclass(frozen=True)
+class TriggerMatch:
+    """The pulse of the camera trigger that began an exposure.
+
+    `t_ns` is the middle of the exposure by the pulse, `stamp_delay_ns` by how much the driver's own time is later.
+    `untriggered` counts the pictures that no pulse began, since the camera was opened.
+    """
+
+    pulse: int
+    t_ns: int
+    stamp_delay_ns: int
+    untriggered: int
+
+
+@dataclass(frozen=True)
 class Frame:
     """One picture, stamped at the middle of its exposure.
 
     `image` is (height, width) uint8 grey or (height, width, 3) uint8 BGR; `index` counts the camera's own frames, so
     that a gap is a dropped frame; `truth_m` is the simulator's tool centre point in the rod-base frame, None on a
-    real camera.
+    real camera. A triggered frame has the number of its pulse as `index`, and the time that the pulse gives.
     """
 
     index: int
     t_ns: int
     image: NDArray[np.uint8]
     truth_m: NDArray[np.float64] | None = None
+    trigger: TriggerMatch | None = None
 
 
 @dataclass(frozen=True)
@@ -65,6 +80,11 @@ class FrameSet:
     def t_ns(self) -> int:
         """Middle of the leading frame's exposure."""
         return self.lead.t_ns if self.frames else self.due_ns
+
+    @property
+    def triggers(self) -> tuple[TriggerMatch | None, ...]:
+        """The pulse of each camera's frame; None without a frame, or without a trigger."""
+        return tuple(None if frame is None else frame.trigger for frame in self.frames)
 
     @property
     def truth_m(self) -> NDArray[np.float64] | None:

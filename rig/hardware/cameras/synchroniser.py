@@ -9,11 +9,12 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import Camera, CameraError, Frame, FrameSet
 from rig.hardware.cameras.registry import open_camera
+from rig.hardware.cameras.trigger import PulseRows, TriggeredCamera
 
 KEPT = 4
 """Buffered frames per camera."""
@@ -28,8 +29,8 @@ POLL_S = 0.5
 class CameraSynchroniser:
     """All cameras of a rig, open."""
 
-    def __init__(self, config: RigConfig, seed: int) -> None:
-        """Open every camera.
+    def __init__(self, config: RigConfig, seed: int, pulses: Callable[[], PulseRows] | None = None) -> None:
+        """Open every camera. `pulses` returns the recent pulses (n,) that trigger them; None for the own clocks.
 
         Raises:
             CameraError: one of them cannot be opened.
@@ -46,7 +47,10 @@ class CameraSynchroniser:
         self._last: tuple[int, int] | None = None
         try:
             for name in config.cameras:
-                self._cameras.append(open_camera(config, name, seed))
+                camera = open_camera(config, name, seed)
+                if pulses is not None:
+                    camera = TriggeredCamera(name, config.cameras[name], camera, pulses)
+                self._cameras.append(camera)
         except BaseException:
             self.close()
             raise

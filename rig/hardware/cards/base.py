@@ -43,7 +43,8 @@ class Channel:
 class CardSetup:
     """The setup of one card. `inputs` and `outputs` define the order of the columns.
 
-    `digital_inputs` are channels of digital inputs; only a `DigitalInputCard` can have any.
+    `digital_inputs` are channels of digital inputs; only a `DigitalInputCard` can have any. `digital_outputs` are those
+    of digital outputs, which only a `DigitalOutputCard` can have.
     `acquisition` says whether the inputs are sampled by the card's clock (`command`), one scan per read
     (`instruction`), or by the best mode of the card (`auto`). `one_opener` restricts the mock card to one process
     at a time; for a real card this is detected.
@@ -59,6 +60,7 @@ class CardSetup:
     one_opener: bool = False
     section: Any = None
     digital_inputs: tuple[int, ...] = ()
+    digital_outputs: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,14 @@ class DigitalInputCard(Protocol):
 
     def read_digital(self) -> NDArray[np.bool_]:
         """Return whether each of `CardSetup.digital_inputs` is high now. Raises `CardError`."""
+
+
+@runtime_checkable
+class DigitalOutputCard(Protocol):
+    """A card that has digital outputs."""
+
+    def write_digital(self, *, high: bool) -> None:
+        """Set all of `CardSetup.digital_outputs` high or low; the others keep their levels. Raises `CardError`."""
 
 
 class Card(Protocol):

@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.hardware.cards.base import CardError, CardSetup, Channel, Scans
-from rig.hardware.cards.comedi_device import AnalogueChannel, CommandTiming, Device, Subdevice, device_paths, require
+from rig.hardware.cards.comedi_device import (
+    AnalogueChannel,
+    CommandTiming,
+    Device,
+    DigitalLines,
+    Subdevice,
+    device_paths,
+    require,
+)
 from rig.hardware.cards.comedi_timing import channel_lists, timings
 from rig.hardware.cards.scan_clock import ScanClock
 
@@ -52,7 +60,8 @@ class ComediCard:
         try:
             self._inputs = self._lines(self._device.inputs, setup.inputs, "input", differential=setup.differential)
             self._outputs = self._lines(self._device.outputs, setup.outputs, "output")
-            self._check_digital_inputs()
+            self._check_digital("input", self._device.digital_inputs, setup.digital_inputs)
+            self._check_digital("output", self._device.digital_outputs, setup.digital_outputs)
         except BaseException:
             self._device.close()
             raise
@@ -78,11 +87,10 @@ class ComediCard:
             lines.append(subdevice.line(channel.number, index, differential=differential))
         return tuple(lines)
 
-    def _check_digital_inputs(self) -> None:
-        digital = self._device.digital_inputs
-        there = digital.channels if digital is not None else 0
-        if missing := [number for number in self._setup.digital_inputs if number >= there]:
-            raise CardError(f"{self.description} has {there} digital inputs: there is no digital input {missing[0]}")
+    def _check_digital(self, word: str, lines: DigitalLines | None, used: tuple[int, ...]) -> None:
+        there = lines.channels if lines is not None else 0
+        if missing := [number for number in used if number >= there]:
+            raise CardError(f"{self.description} has {there} digital {word}s: there is no digital {word} {missing[0]}")
 
     def _range(self, subdevice: Subdevice, channel: Channel) -> int:
         """Index of the narrowest range that contains the range of the channel."""
@@ -152,6 +160,11 @@ class ComediCard:
         """Whether each digital input is high."""
         assert self._device.digital_inputs is not None
         return np.array(self._device.digital_inputs.read(self._setup.digital_inputs), bool)
+
+    def write_digital(self, *, high: bool) -> None:
+        """Set the digital outputs high or low."""
+        assert self._device.digital_outputs is not None
+        self._device.digital_outputs.write(self._setup.digital_outputs, high=high)
 
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the outputs, each clipped to its range, also if another output fails."""

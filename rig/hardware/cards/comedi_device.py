@@ -175,8 +175,8 @@ class Subdevice:
             self._subdevice.cancel()
 
 
-class DigitalInputs:
-    """The digital inputs of a card: a subdevice of inputs, or lines that are inputs since the driver was attached."""
+class DigitalLines:
+    """The digital inputs or outputs of a card: a subdevice of one kind, or lines that are inputs since the attach."""
 
     def __init__(self, subdevice: Any, path: str) -> None:
         """`subdevice` is pycomedi's."""
@@ -189,9 +189,15 @@ class DigitalInputs:
         with _told(self._path, "the digital inputs cannot be read"):
             return [bool(self._subdevice.dio_bitfield(base_channel=channel) & 1) for channel in channels]
 
+    def write(self, channels: Sequence[int], *, high: bool) -> None:
+        """Set each channel; the others keep their levels."""
+        with _told(self._path, "the digital outputs cannot be written"):
+            for channel in channels:
+                self._subdevice.dio_bitfield(bits=int(high), write_mask=1, base_channel=channel)
+
 
 class Device:
-    """An open card. `inputs`, `outputs` and `digital_inputs` are None where it has none."""
+    """An open card. Inputs and outputs, also the digital ones, are None where it has none."""
 
     def __init__(self, path: str) -> None:
         """Open /dev/comediN.
@@ -222,6 +228,8 @@ class Device:
                 self.inputs = self._analogue(pc.SUBDEVICE_TYPE.ai, "input")
                 self.outputs = self._analogue(pc.SUBDEVICE_TYPE.ao, "output")
                 self.digital_inputs = self._digital((pc.SUBDEVICE_TYPE.di, pc.SUBDEVICE_TYPE.dio))
+                # Lines that can be both change direction in groups: an output would turn emergency stops into outputs.
+                self.digital_outputs = self._digital((pc.SUBDEVICE_TYPE.do,))
             os.set_blocking(self.fileno, False)
         except BaseException:
             self.close()
@@ -239,11 +247,11 @@ class Device:
         first = next((s for s in found if s.index == streaming), found[0])
         return Subdevice(first, self.path, word, streams=first.index == streaming)
 
-    def _digital(self, kinds: tuple[Any, ...]) -> DigitalInputs | None:
+    def _digital(self, kinds: tuple[Any, ...]) -> DigitalLines | None:
         """The first subdevice of the first kind that the card has."""
         subdevices = list(self._device.subdevices())
         found = [subdevice for kind in kinds for subdevice in subdevices if subdevice.get_type() == kind]
-        return DigitalInputs(found[0], self.path) if found else None
+        return DigitalLines(found[0], self.path) if found else None
 
     @property
     def fileno(self) -> int:

@@ -10,12 +10,13 @@ def card_setup(config: RigConfig, name: str) -> CardSetup:
     """The setup of one card of the rig.
 
     Its inputs are the sensors in actuator order, then the auxiliary inputs; these, valves and emergency stops are in
-    the order of the rig file.
+    the order of the rig file. Its digital outputs are those that trigger cameras.
     """
     card = config.cards[name]
     sensors = [s for s in config.sensors_by_actuator if s.card == name]
     auxiliary = [i for i in config.inputs.values() if i.card == name]
     valves = [v for v in config.valves if v.card == name]
+    triggers = [camera.trigger for camera in config.cameras.values()]
     return CardSetup(
         name=name,
         device=card.device,
@@ -27,5 +28,6 @@ def card_setup(config: RigConfig, name: str) -> CardSetup:
         sampling_hz=card.sampling_hz,
         section=card,
         digital_inputs=tuple(stop.channel for stop in config.emergency_stops.values() if stop.card == name),
+        digital_outputs=tuple(sorted({t.channel for t in triggers if t is not None and t.card == name})),
         **card.setup_options(),
     )

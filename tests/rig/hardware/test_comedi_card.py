@@ -102,14 +102,17 @@ class MadeUpSubdevice:
 
 
 @dataclass
-class MadeUpDigitalInputs:
-    """Sixteen digital inputs, as a 171x has."""
+class MadeUpDigitalLines:
+    """Sixteen digital inputs or outputs, as a 171x has."""
 
     channels: int = 16
     high: set[int] = field(default_factory=set)
 
     def read(self, channels: Sequence[int]) -> list[bool]:
         return [channel in self.high for channel in channels]
+
+    def write(self, channels: Sequence[int], *, high: bool) -> None:
+        self.high = self.high | set(channels) if high else self.high - set(channels)
 
 
 class MadeUpDevice:
@@ -121,7 +124,7 @@ class MadeUpDevice:
         self.path = path
         self.inputs = MadeUpSubdevice("input", 16, INPUT_RANGES, can_command=True)
         self.outputs = MadeUpSubdevice("output", 2, OUTPUT_RANGES)
-        self.digital_inputs = MadeUpDigitalInputs()
+        self.digital_inputs, self.digital_outputs = MadeUpDigitalLines(), MadeUpDigitalLines()
         self.fileno, self.feed = os.pipe()
         os.set_blocking(self.fileno, False)
         self.closed = False
@@ -195,6 +198,17 @@ def test_digital_inputs_are_read_in_the_order_of_the_rig(make: MakeCard) -> None
     assert card.read_digital().tolist() == [False, True]
     with pytest.raises(CardError, match="has 16 digital inputs: there is no digital input 16"):
         make(digital_inputs=(16,))
+
+
+def test_digital_outputs_are_set_together_and_the_others_keep_their_levels(make: MakeCard) -> None:
+    card, device = make(digital_outputs=(2, 5))
+    device.digital_outputs.high.add(7)
+    card.write_digital(high=True)
+    assert device.digital_outputs.high == {2, 5, 7}
+    card.write_digital(high=False)
+    assert device.digital_outputs.high == {7}
+    with pytest.raises(CardError, match="has 16 digital outputs: there is no digital output 16"):
+        make(digital_outputs=(16,))
 
 
 def test_differential_inputs_are_sampled_by_the_even_channels(make: MakeCard) -> None:

@@ -26,6 +26,7 @@ from runs.records import (
     StudyRun,
     adaptation_dtype,
     observation_dtype,
+    pulse_dtype,
     sample_dtype,
     streamed_dtype,
     tip_control_dtype,
@@ -47,6 +48,7 @@ SIZES = {
     "I": 15,
     "R": 14,
     "T": 16,
+    "G": 17,
 } | {str(n): n for n in (2, 3, 4, 6, len(DATAGRAM_COUNTS))}
 FREE = ("calibration", "model", "versions", "timing/counters")
 """Groups whose names come from elsewhere."""
@@ -84,17 +86,19 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
         tip_controller="horizon",
         learned_from=tuple(f"run {k}" for k in range(SIZES["R"])),
         streams=True,
+        triggered=True,
         metadata=dict.fromkeys(("specimen", *USER), "-"),
         study=StudyRun("study", StudyRole.RUN, 1, 1, 1, "-", "-"),
     )
     writer = JournalWriter(source, header)
     writer.samples(np.zeros(SIZES["N"], sample_dtype(SIZES["A"], SIZES["V"], SIZES["I"])))
-    observations = np.zeros(SIZES["M"], observation_dtype(SIZES["A"], SIZES["C"], tracker=True))
+    observations = np.zeros(SIZES["M"], observation_dtype(SIZES["A"], SIZES["C"], tracker=True, triggered=True))
     observations["tip_motion"] = 1
     writer.observations(observations)
     writer.adaptations(np.zeros(SIZES["M"], adaptation_dtype(SIZES["P"])))
     writer.plans(np.zeros(SIZES["M"], tip_control_dtype(SIZES["V"])))
     writer.streamed(np.zeros(SIZES["T"], streamed_dtype(SIZES["A"])))
+    writer.pulses(np.zeros(SIZES["G"], pulse_dtype()))
     for index in range(SIZES["K"]):
         writer.picture(made_up.picture(index))
     writer.event(made_up.ARMED)

@@ -1,0 +1,99 @@
+"""Whoever makes a bench safe sets the camera trigger low, after the valves, and its failure leaves the valves safe."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rig.config.loader
+from rig.config.schema import RigConfig
+from rig.hardware import safe_state
+from rig.hardware.bench import Bench, open_bench
+from rig.hardware.cards.base import CardError
+from rig.hardware.safe_state import SafeOutputs, WatchdogOutputs
+from rig.hardware.vent import vent
+from rig.simulator.registers import Registers
+from tests.support.triggered_bench import CHANNEL, triggered, triggered_rig
+
+
+@pytest.fixture
+def registers() -> Iterator[Registers]:
+    """Two mock cards without a plant; the second one has no valves."""
+    devices = [f"lowered-{os.getpid()}{letter}" for letter in ("", "b")]
+    made = [Registers.create(device, 2, 8) for device in devices]
+    yield made[0]
+    for one in made:
+        path = one.path
+        one.close()
+        path.unlink()
+
+
+def on_card(registers: Registers, second: bool = False) -> RigConfig:
+    device = f"lowered-{os.getpid()}"
+    text = triggered(rig.config.loader.text("mock")).replace("device: mock0", f"device: {device}")
+    if second:
+        other = f"  other: {{driver: mock, device: {device}b, inputs: 8, outputs: 2, digital_outputs: 16}}\n"
+        text = text.replace("cards:\n", f"cards:\n{other}").replace(
+            "{card: daq, channel: 3}", "{card: other, channel: 3}"
+        )
+    return rig.config.loader.parse(text, "rig.yaml")
+
+
+@pytest.mark.parametrize("second", [False, True], ids=["on the card of the valves", "on a card of its own"])
+def test_every_way_to_make_a_bench_safe_sets_the_trigger_low(registers: Registers, second: bool) -> None:
+    config = on_card(registers, second)
+    digital = registers if not second else Registers.attach(f"lowered-{os.getpid()}b")
+    bench, watchdog = open_bench(config), WatchdogOutputs(config)
+    ways = (
+        bench.make_safe,
+        lambda: watchdog.make_safe(vent=False),
+        lambda: safe_state.make_safe(config, vent=True),
+        lambda: vent(config),
+    )
+    for number, make_safe in enumerate(ways, 1):
+        bench.write_trigger(high=True)
+        assert digital.rise(CHANNEL)[0] == number
+        assert digital.digital["high"].sum() == 1, "no other output is high"
+        make_safe()
+        assert not digital.digital["high"].any()
+    watchdog.close()
+    bench.close()
+
+
+class BrokenLine:
+    """A card with valves that can be written and digital outputs that cannot."""
+
+    def __init__(self) -> None:
+        self.order: list[str] = []
+        self.volts: NDArray[np.float64] = np.full(2, 7.0)
+
+    def write(self, volts: NDArray[np.float64]) -> None:
+        """Set the valves."""
+        self.order.append("valves")
+        self.volts = volts.copy()
+
+    def write_digital(self, *, high: bool) -> None:
+        """Fail."""
+        self.order.append("trigger")
+        raise CardError("gone")
+
+
+def test_a_trigger_that_cannot_be_set_low_leaves_the_valves_safe_and_is_reported() -> None:
+    card = BrokenLine()
+    outputs = SafeOutputs(triggered_rig(), {"daq": card})  # type: ignore[dict-item]
+    outputs.make_safe()
+    np.testing.assert_allclose(card.volts, outputs.safe_v)
+    assert card.order[:2] == ["valves", "trigger"]
+    assert outputs.trigger_failure == "the camera trigger of card daq could not be set low: gone"
+
+
+def test_a_card_without_digital_outputs_cannot_trigger() -> None:
+    class NoDigital:
+        """A card that only has the six methods of every card."""
+
+    with pytest.raises(CardError, match="card daq triggers cameras, and driver mock writes no digital outputs"):
+        Bench(triggered_rig(), {"daq": NoDigital()})  # type: ignore[dict-item]
