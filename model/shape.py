@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+_SMALLEST = 1e-12
+_UNIT = np.eye(3)
+
+
 @dataclass(frozen=True)
 class Shape:
     """The arm's axis at n points, in the base frame (z along the straight arm).
@@ -40,6 +44,28 @@ class Shape:
         """Tip frame to base frame (3, 3)."""
         turned: Array = self.rotation[-1]
         return turned
+
+    def frames_at(self, s_m: Array) -> tuple[Array, Array]:
+        """Position (k, 3) [m] and rotation (k, 3, 3) of the sections at arc lengths (k,), between the points.
+
+        Cubic Hermite interpolation of the axis; rotations by linear interpolation and Newton's iteration to the nearest
+        rotation.
+        """
+        after = np.clip(np.searchsorted(self.s_m, s_m), 1, len(self.s_m) - 1)
+        before, step = after - 1, self.s_m[after] - self.s_m[after - 1]
+        t = ((s_m - self.s_m[before]) / step)[:, None]
+        slope = np.einsum("nij,nj->ni", self.rotation, self.v)
+        first, last = slope[before] * step[:, None], slope[after] * step[:, None]
+        change = self.p_m[after] - self.p_m[before]
+        position = self.p_m[before] + t * (
+            first + t * (3 * change - 2 * first - last + t * (first + last - 2 * change))
+        )
+        rotation = (1 - t)[:, :, None] * self.rotation[before] + t[:, :, None] * self.rotation[after]
+        while True:
+            defect = np.swapaxes(rotation, 1, 2) @ rotation - _UNIT
+            if np.abs(defect).max(initial=0.0) < _SMALLEST:
+                return position, rotation
+            rotation = rotation - 0.5 * rotation @ defect
 
     @property
     def actuator_lengths_m(self) -> Array:

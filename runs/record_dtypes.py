@@ -15,6 +15,7 @@ from runs.columns import (
     OBSERVATIONS,
     PLAN_AHEAD_S,
     SAMPLES,
+    SECTIONS,
     STREAMED,
     TIP_CONTROL,
     TRACKED,
@@ -31,6 +32,7 @@ _ZERO = {
         *OBSERVATIONS,
         *TRACKED,
         *TRIGGERED,
+        *SECTIONS,
         *TRIGGER_PULSES,
         *ADAPTATIONS,
         *TIP_CONTROL,
@@ -52,17 +54,18 @@ def sample_dtype(actuators: int, valves: int, inputs: int = 0) -> np.dtype[np.vo
 
 
 def observation_dtype(
-    actuators: int, cameras: int = 1, tracker: bool = False, triggered: bool = False
+    actuators: int, cameras: int = 1, tracker: bool = False, triggered: bool = False, sections: int = 0
 ) -> np.dtype[np.void]:
     """One frame of every camera: `Tip`, `Backbone`, `Simulated`, `Reference` and `Learning`, in the rod-base frame.
 
-    With a tracker: one reading, with `TrackerClock`. With triggered cameras: also `TriggeredFrame`.
+    With a tracker: one reading, with `TrackerClock`. With triggered cameras: also `TriggeredFrame`. With measured
+    sections: also `Sections`.
 
     `seen` is a `DetectionStatus`; where it is not MEASURED the measured columns are NaN. `truth_m` is NaN on a real
     rig. `age_ns` is the time from exposure to the end of the computation.
     """
     tables = (*OBSERVATIONS, *(TRACKED if tracker else ()), *(TRIGGERED if triggered else ()))
-    return _dtype(tables, actuator=actuators, camera=cameras)
+    return _dtype((*tables, *(SECTIONS if sections else ())), actuator=actuators, camera=cameras, section=sections)
 
 
 def adaptation_dtype(parameters: int) -> np.dtype[np.void]:

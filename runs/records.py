@@ -143,6 +143,14 @@ class AuxiliaryChannel:
 
 
 @dataclass(frozen=True)
+class SectionPlace:
+    """A measured section of the arm: its name, and its arc length from the rod base at rest."""
+
+    name: str
+    at_mm: float
+
+
+@dataclass(frozen=True)
 class RecordedFile:
     """An input file of a run, verbatim: a calibration (its `kind`) or a CSV file of the protocol."""
 
@@ -232,6 +240,8 @@ class RunHeader:
     camera_hz: float = 30.0
     cameras: tuple[str, ...] = ("camera",)
     """By name, in the order of the observations' columns."""
+    sections: tuple[SectionPlace, ...] = ()
+    """Measured sections of the arm, in the order of the observations' columns."""
     triggered: bool = False
     """Whether a card triggers the cameras."""
     tracker: str = ""

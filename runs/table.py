@@ -13,7 +13,20 @@ from runs.archive.checked import ArchiveContents, opened
 from runs.archive.schema import TEXT
 
 Column = NDArray[Any]
-TABLES = ("pressure", "aux", "tip", "adaptation", "tip_control", "timing", "simulator", "reference", "events")
+TABLES = (
+    "pressure",
+    "aux",
+    "tip",
+    "sections",
+    "trigger",
+    "exposure",
+    "adaptation",
+    "tip_control",
+    "timing",
+    "simulator",
+    "reference",
+    "events",
+)
 """Groups whose rows are those of their `time`."""
 
 
@@ -22,7 +35,7 @@ def table(path: Path | str, group: str) -> dict[str, Column]:
 
     A field of several columns becomes one for each actuator, valve or axis: `measured_bar` (N, 3) gives
     `measured_1_bar`, `measured_2_bar` and `measured_3_bar`; `measured_mm` (M, 3) gives `measured_x_mm` and so on.
-    Auxiliary inputs have units of their own: `value_load_N`.
+    Auxiliary inputs have units of their own: `value_load_N`. Measured sections come first: `measured_middle_x_mm`.
     """
     with opened(path) as archive:
         fields = archive.fields(f"entry/{group}")
@@ -31,7 +44,8 @@ def table(path: Path | str, group: str) -> dict[str, Column]:
         columns = {"time_s": archive.value(f"entry/{group}/time")}
         # In the order of their names, as HDF5 lists them.
         for name in sorted(fields):
-            if fields[name].scales[:1] == ("time",) and len(fields[name].scales) < 3:
+            scales = fields[name].scales
+            if scales[:1] == ("time",) and (len(scales) < 3 or scales[1] == "section"):
                 columns.update(_columns(archive, f"entry/{group}", name))
     return columns
 
@@ -61,6 +75,13 @@ def _columns(archive: ArchiveContents, group: str, name: str) -> dict[str, Colum
     if len(field.dimensions) == 1:
         return {f"{plain}{end}": values}
     labels = archive.value(f"{group}/{field.scales[1]}")
+    if len(field.dimensions) == 3:
+        inner = archive.value(f"{group}/{field.scales[2]}")
+        return {
+            f"{plain}_{one}_{other}{end}": np.ascontiguousarray(values[:, i, k])
+            for i, one in enumerate(labels)
+            for k, other in enumerate(inner)
+        }
     ends = [end] * len(labels)
     if (units := f"{field.scales[1]}_unit") in archive.fields(group):
         ends = [f"_{unit}" for unit in archive.value(f"{group}/{units}")]

@@ -51,9 +51,19 @@ class BoardPattern(Section):
         """The print alone, as calibration files state it."""
 
     @property
+    def markers(self) -> tuple[str, range]:
+        """Family and numbers of the markers; no numbers for a board without."""
+        return "", range(0)
+
+    @property
     def marker_texts(self) -> tuple[str, ...]:
-        """Family and numbers of the markers; nothing for a board without."""
-        return ()
+        """Family and numbers of the markers in words; nothing for a board without."""
+        family, numbers = self.markers
+        if not numbers:
+            return ()
+        if len(numbers) == 1:
+            return (f"marker {family}, number {numbers[0]}",)
+        return (f"markers {family}, numbers {numbers[0]} to {numbers[-1]}, row by row from the top left",)
 
     @property
     def words(self) -> str:
@@ -170,9 +180,9 @@ class CharucoPattern(BoardPattern):
         return {"square": self.square_mm, "marker": self.marker_mm}
 
     @property
-    def marker_texts(self) -> tuple[str, ...]:
+    def markers(self) -> tuple[str, range]:
         """Family and numbers of the markers."""
-        return _numbered(self.dictionary, self.first_marker, self.squares_x * self.squares_y // 2)
+        return self.dictionary, range(self.first_marker, self.first_marker + self.squares_x * self.squares_y // 2)
 
     @property
     def pattern(self) -> CharucoPattern:
@@ -223,9 +233,9 @@ class TagGridPattern(BoardPattern):
         return {"tag": self.tag_mm, "gap": self.gap_mm}
 
     @property
-    def marker_texts(self) -> tuple[str, ...]:
+    def markers(self) -> tuple[str, range]:
         """Family and numbers of the markers."""
-        return _numbered(self.dictionary, self.first_marker, self.tags_x * self.tags_y)
+        return self.dictionary, range(self.first_marker, self.first_marker + self.tags_x * self.tags_y)
 
     @property
     def pattern(self) -> TagGridPattern:
@@ -254,13 +264,6 @@ def with_default_kind(value: Any) -> Any:
     return {"kind": _DEFAULT_KIND, **value} if isinstance(value, dict) and "kind" not in value else value
 
 
-def _numbered(family: str, first: int, count: int) -> tuple[str, ...]:
-    """The markers of a board in words."""
-    if count == 1:
-        return (f"marker {family}, number {first}",)
-    return (f"markers {family}, numbers {first} to {first + count - 1}, row by row from the top left",)
-
-
 def _enough_markers(needed: int, first: int, family: str) -> None:
     """Refuse a board that needs more markers than its family has."""
     if first + needed > MARKERS[family]:
@@ -284,3 +287,14 @@ else:
     """The board of the rig file."""
     AnyPattern = _by_kind(PATTERN_KINDS)
     """The board of a calibration file."""
+
+
+class MeasuredSection(Section):
+    """A cross-section of the arm that carries a board of its own: its pose is measured beside that of the tip.
+
+    The board's `placement` is that in the frame of the section: origin on the arm's axis at `at_mm`, axes as the rod
+    base's when the rod is straight.
+    """
+
+    at_mm: LengthMm = Field(description="arc length from the rod base to the section, of the arm at rest")
+    board: AnyBoard

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from protocols.problems import closest
 from protocols.validation import ValidationFault
-from rig.config import trigger_consistency
+from rig.config import section_consistency, trigger_consistency
 
 if TYPE_CHECKING:
     from rig.config.arm_sections import ArmConfig
@@ -57,6 +57,7 @@ def check(parts: Mapping[str, Any]) -> list[ValidationFault]:
         (trigger_consistency.check, ("cards", "cameras", "control", "limits")),
         (_least_cameras, ("cameras", "limits")),
         (_board, ("cameras", "board")),
+        (section_consistency.check, ("board", "sections", "arm")),
         (_trackers, ("cameras", "trackers", "limits")),
         (_arm, ("arm",)),
         (_simulator, ("cards", "cameras", "trackers", "simulator")),

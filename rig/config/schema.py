@@ -13,7 +13,7 @@ from pydantic.json_schema import SkipJsonSchema
 from protocols.validation import faults
 from rig.config import consistency
 from rig.config.arm_sections import ArmConfig
-from rig.config.board_sections import AnyBoard
+from rig.config.board_sections import AnyBoard, MeasuredSection
 from rig.config.card_sections import AnyCard
 from rig.config.input_sections import AuxiliaryInput, EmergencyStop
 from rig.config.metadata import Metadata
@@ -56,6 +56,9 @@ class RigConfig(Section):
         default_factory=dict, description="a device that gives the pose of the tip itself, in place of cameras"
     )
     board: AnyBoard | SkipJsonSchema[None] = None
+    sections: NamedOrNone[MeasuredSection] = Field(
+        default_factory=dict, description="boards along the arm, beside the one on the end cap"
+    )
     arm: ArmConfig
     uncertainties: Uncertainties = Field(default_factory=Uncertainties)
     model: ModelConfig = ModelConfig()
@@ -108,6 +111,10 @@ class RigConfig(Section):
         """The rig with cameras that expose by their own clocks."""
         cameras = {name: camera.model_copy(update={"trigger": None}) for name, camera in self.cameras.items()}
         return self.model_copy(update={"cameras": cameras})
+
+    def with_board_of(self, section: str) -> RigConfig:
+        """The rig with the board of a section of the arm as the one that is measured."""
+        return self.model_copy(update={"board": self.sections[section].board, "sections": {}})
 
     @property
     def simulated(self) -> bool:

@@ -102,11 +102,14 @@ def quantities(config: RigConfig) -> tuple[Quantity, ...]:
             add("calibration", f"{key}_translation", "mm", *place.translation_mm, uncertainty=place.translation_std_mm)
             add("calibration", f"{key}_rotation", "deg", *place.rotation_deg, uncertainty=place.rotation_std_deg)
         add("calibration", f"{name}_delay", "ms", tracker.delay_ms, uncertainty=tracker.delay_std_ms)
-    if config.board is None:
-        return tuple(found)
-    tool = config.board.placement
-    for name, length_mm in config.board.lengths_mm.items():
-        add("calibration", f"board_{name}", "mm", length_mm)
-    add("calibration", "board_translation", "mm", *tool.translation_mm, uncertainty=tool.translation_std_mm)
-    add("calibration", "board_rotation", "deg", *tool.rotation_deg, uncertainty=tool.rotation_std_deg)
+    boards = {} if config.board is None else {"board": config.board}
+    boards |= {f"{name}_board": section.board for name, section in config.sections.items()}
+    for board_name, board in boards.items():
+        place, std_mm = board.placement, board.placement.translation_std_mm
+        for name, length_mm in board.lengths_mm.items():
+            add("calibration", f"{board_name}_{name}", "mm", length_mm)
+        add("calibration", f"{board_name}_translation", "mm", *place.translation_mm, uncertainty=std_mm)
+        add("calibration", f"{board_name}_rotation", "deg", *place.rotation_deg, uncertainty=place.rotation_std_deg)
+    for name, section in config.sections.items():
+        add("calibration", f"{name}_at", "mm", section.at_mm)
     return tuple(found)

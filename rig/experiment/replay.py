@@ -21,7 +21,6 @@ from rig.config.parameters_overlay import read as read_parameters
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from rig.experiment.provenance import git_state, quantities, versions
-from rig.experiment.run import free_id
 from rig.hardware.cameras.base import Frame, FrameSet
 from rig.observation.observer import Observer
 from rig.observation.tip_force import MeasuredTipForce
@@ -31,6 +30,7 @@ from runs.data_folder import DATA
 from runs.journal.journal import SUFFIX, JournalWriter
 from runs.records import RunFooter, blank, sample_dtype
 from runs.run import Run
+from runs.run_names import free_id
 
 
 def replay(

@@ -40,10 +40,12 @@ from runs.records import (
     RecordedFile,
     RunFooter,
     RunHeader,
+    SectionPlace,
     Status,
     StudyRole,
     StudyRun,
 )
+from runs.run_names import free_id
 
 if TYPE_CHECKING:
     from runs.journal.journal import JournalWriter
@@ -372,6 +374,7 @@ def header(request: RunRequest, decided: RunPlan, t_ns: int, ahead_ns: int = 0) 
         camera_hz=config.observation_hz,
         cameras=tuple(config.cameras),
         triggered=config.triggered,
+        sections=tuple(SectionPlace(name, section.at_mm) for name, section in config.sections.items()),
         tracker=next(iter(config.trackers), ""),
         auxiliary=decided.auxiliary,
         study=request.study,
@@ -389,12 +392,3 @@ def _intervals(trajectory: SetPointTrajectory) -> tuple[Interval, ...]:
     return tuple(
         Interval(s.start_s, s.stop_s, s.kind, s.label, tuple(float(p) for p in s.level_pa)) for s in trajectory.segments
     )
-
-
-def free_id(folder: Path, stem: str) -> str:
-    """Return a run id that is unique in the folder; two runs can start within one second."""
-    candidate, n = stem, 1
-    while any(folder.glob(f"{candidate}.*")):
-        n += 1
-        candidate = f"{stem}-{n}"
-    return candidate

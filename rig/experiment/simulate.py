@@ -16,10 +16,11 @@ from rig.config.arm_model import TipLoad, model_arm
 from rig.execution.plan import RunPlan
 from rig.experiment.run import RunRequest, header
 from rig.observation.motion_model import motion_model
+from rig.observation.observer import observations_of
 from rig.observation.overlay import backbone
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
-from runs.records import MODEL_ALONE, DetectionStatus, RunFooter, Status, blank, observation_dtype, sample_dtype
+from runs.records import MODEL_ALONE, DetectionStatus, RunFooter, Status, blank, sample_dtype
 
 _Solve = Callable[[NDArray[np.float64], model.Loads | None], model.Shape]
 
@@ -45,11 +46,12 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
     samples["t_ns"] = np.round(np.arange(steps) * dt_s * 1e9)
     samples["protocol_s"] = np.arange(steps) * dt_s
     samples["setpoint_pa"] = samples["measured_pa"] = pressures
-    rows = blank(
-        steps, observation_dtype(config.actuators, len(config.cameras), bool(config.trackers), config.triggered)
-    )
+    rows = blank(steps, observations_of(config))
     rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["cycle"], samples["protocol_s"]
     rows["seen"] = rows["camera_seen"] = DetectionStatus.NO_FRAME
+    sections_m = np.array([section.at_mm * 1e-3 for section in config.sections.values()])
+    if len(sections_m):
+        rows["section_seen"] = DetectionStatus.NO_FRAME
     rows["pressure_pa"] = pressures
     rows["reference_m"] = trajectory.tip.sample(rows["protocol_s"])
     rows["predicted_m"] = trajectory.tip.predicted_m(rows["protocol_s"])
@@ -65,6 +67,8 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
         shape = _solved(solve, pressure, tip_load.carrying(weight_kg))
         if shape is not None:
             tip_m = shape.tip_m
+        if shape is not None and len(sections_m):
+            row["section_model_m"] = shape.frames_at(sections_m)[0]
         row["model_m"], row["backbone_m"], row["model_ok"] = tip_m, backbone(shape), shape is not None
 
     title = f"{request.protocol.title} (model alone, {config.model.mode})"

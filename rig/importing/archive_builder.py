@@ -21,7 +21,6 @@ from protocols.source_positions import Document
 from rig.config import loader
 from rig.config.calibration_files import sha256_of
 from rig.experiment.provenance import git_state, versions
-from rig.experiment.run import free_id
 from rig.importing.columns import ColumnReader
 from rig.importing.gravity import gravity_calibration, measured_gravity, warn_if_opposite
 from rig.importing.mapping import Mapping, load
@@ -49,6 +48,7 @@ from runs.records import (
     observation_dtype,
     sample_dtype,
 )
+from runs.run_names import free_id
 
 EVEN = 0.25
 """Tolerance for even time steps, as a part of the period."""

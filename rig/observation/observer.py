@@ -23,6 +23,7 @@ from rig.hardware.trackers.base import TrackerReading
 from rig.observation.motion_model import motion_model
 from rig.observation.multi_camera import MultiCameraTipEstimator
 from rig.observation.overlay import backbone
+from rig.observation.sections import SectionObserver
 from rig.observation.single_camera import TipMeasurement
 from rig.observation.tip_force import MeasuredTipForce
 from runs.records import DetectionStatus, blank, observation_dtype
@@ -198,7 +199,9 @@ class _Solve(Protocol):
 
 def observations_of(config: RigConfig) -> np.dtype[np.void]:
     """The dtype of the rows of the observer of a rig."""
-    return observation_dtype(config.actuators, len(config.cameras), bool(config.trackers), config.triggered)
+    return observation_dtype(
+        config.actuators, len(config.cameras), bool(config.trackers), config.triggered, len(config.sections)
+    )
 
 
 class Observer:
@@ -218,6 +221,7 @@ class Observer:
         # The pictures are small; a second thread only takes CPU time from the control process.
         cv2.setNumThreads(1)
         self._tip_estimator: _TipEstimator = _tip_estimator(config)
+        self._sections = SectionObserver(config) if config.sections else None
         rate_hz = config.observation_hz
         arm = model_arm(config, variant)
         dynamics = motion_model(arm, 1 / rate_hz, config.model.mode == "static")
@@ -290,6 +294,8 @@ class Observer:
         row["camera_skew_s"] = [np.nan if f is None else (f.t_ns - frame_set.t_ns) * 1e-9 for f in frame_set.frames]
         if frame_set.reading is not None:
             _describe_clock(row, frame_set.reading)
+        if self._sections is not None:
+            self._sections.observe(row, frame_set, shape)
         for k, match in enumerate(frame_set.triggers):
             if match is not None:
                 row["stamp_delay_s"][k], row["untriggered"][k] = match.stamp_delay_ns * 1e-9, match.untriggered

@@ -82,6 +82,7 @@ class HealthMonitor:
         self._cameras = [(name, _Condition(0.3)) for name in config.cameras] if len(config.cameras) > 1 else []
         self._words = _TRACKER if config.trackers else _CAMERA
         self._counted = dict.fromkeys(DATAGRAM_COUNTS, 0)
+        self._sections = [(name, _Condition(0.3)) for name in config.sections]
         self._triggered = {name: 0 for name, camera in config.cameras.items() if camera.trigger is not None}
         self._disk = _Condition(DISK_S)
         self._refused, self._not_solved = _Condition(0.3), _Condition(0.3)
@@ -157,6 +158,8 @@ class HealthMonitor:
                 yield from self._unused_messages(row)
             if self._cameras:
                 yield from self._idle_camera(row)
+            if self._sections:
+                yield from self._unmeasured_section(row)
             if self._triggered:
                 yield from self._untriggered(row)
 
@@ -190,6 +193,17 @@ class HealthMonitor:
         for reason in ("malformed", "foreign"):
             if counts[reason] and not before[reason]:
                 yield _warning(int(row["t_ns"]), "observer", f"{reason} messages reach the tracker's port; not used")
+
+    def _unmeasured_section(self, row: NDArray[np.void]) -> Iterator[Event]:
+        """Report a section of the arm that is not measured."""
+        t_ns, dropped = int(row["t_ns"]), int(row["dropped"])
+        for (name, trouble), seen in zip(self._sections, row["section_seen"], strict=True):
+            match trouble.judge(t_ns, self._frame_s * (dropped + 1), float(seen != DetectionStatus.MEASURED)):
+                case True:
+                    why = _SEEN.get(DetectionStatus(seen), DetectionStatus(seen).words)
+                    yield _warning(t_ns, "observer", f"section {name} is not measured: {why}")
+                case False:
+                    yield _over(trouble, t_ns, "observer", f"section {name} is measured again")
 
     def _untriggered(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report the first picture of each camera that no pulse of the trigger began."""

@@ -118,6 +118,7 @@ class StateLayout:
     adapted: int = 0
     inputs: int = 0
     triggered: bool = False
+    sections: int = 0
 
     @classmethod
     def of(cls, config: RigConfig, adapted: int = 0) -> StateLayout:
@@ -134,6 +135,7 @@ class StateLayout:
             adapted=adapted,
             inputs=len(config.inputs),
             triggered=config.triggered,
+            sections=len(config.sections),
         )
 
 
@@ -207,7 +209,9 @@ class SharedState:
         self.fd = fd
         self.layout = layout
         sample = sample_dtype(layout.actuators, layout.valves, layout.inputs)
-        observation = observation_dtype(layout.actuators, layout.cameras, layout.tracker, layout.triggered)
+        observation = observation_dtype(
+            layout.actuators, layout.cameras, layout.tracker, layout.triggered, layout.sections
+        )
         streamed = streamed_dtype(layout.actuators)
         view = view_dtype(layout.corners, layout.actuators)
         sizes = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -18,7 +18,7 @@ from rig.hardware.cameras.base import CameraError, Frame, TriggerMatch
 from rig.hardware.cards.base import CardError
 from rig.simulator.faults import CameraFault, Faults
 from rig.simulator.registers import Registers
-from rig.simulator.scene import ImageDegradation, Scene
+from rig.simulator.scene import ImageDegradation, MovingBoard, PaintedBoard, Scene
 from rig.simulator.tip_pose import PoseSource, TipPose
 
 DROPPED = 9
@@ -109,7 +109,10 @@ class MockCamera:
         simulator = config.simulator
         self._base = rigid(simulator.base)
         self._base_in_camera = (camera_in_base(chosen) @ rigid(simulator.error_of(name))).inverse() @ self._base
-        self._board_in_tip = board_in_tip(config) if simulator.board is None else rigid(simulator.board)
+        self._boards_in_frames = (
+            board_in_tip(config) if simulator.board is None else rigid(simulator.board),
+            *(rigid(section.board.placement) for section in config.sections.values()),
+        )
         self._start_ns = time.monotonic_ns() + self._exposure_ns
         self._stamp_delay_ns = round(truth.stamp_delay_ms * 1e6)
         self._edges = edges
@@ -123,6 +126,11 @@ class MockCamera:
         """What the camera sees; made at its first use, which takes about 0.1 s."""
         size = (self._camera.width_px, self._camera.height_px)
         return Scene(board_of(self._config), lens_of(self._camera), size, self._degradation, self._seed)
+
+    @cached_property
+    def _section_boards(self) -> tuple[PaintedBoard, ...]:
+        """The board of each measured section."""
+        return tuple(PaintedBoard(section.board.board()) for section in self._config.sections.values())
 
     def start(self) -> None:
         """Begin the exposures of real time anew, with the scene made."""
@@ -170,12 +178,14 @@ class MockCamera:
 
         The motion in the second half of the exposure is extrapolated from the first half.
         """
-        opened, middle = self._board_before_camera(exposure.opened), self._board_before_camera(exposure.middle)
-        # The rotation continues by the same angle: R_middle R_opened^T R_middle.
-        closed = RigidTransform(
-            middle.rotation @ opened.rotation.T @ middle.rotation, 2 * middle.translation_m - opened.translation_m
+        (opened, middle, closed), *others = (
+            self._before_camera(first, second, board)
+            for first, second, board in zip(
+                _frames(exposure.opened), _frames(exposure.middle), self._boards_in_frames, strict=True
+            )
         )
-        image = self.scene.render(opened, middle, closed, exposure.index)
+        along = [MovingBoard(board, *poses) for board, poses in zip(self._section_boards, others, strict=True)]
+        image = self.scene.render(opened, middle, closed, exposure.index, along)
         truth_m = self._base.apply(np.array(exposure.middle.position_m, dtype=np.float64))
         trigger, t_ns = exposure.trigger, self.stamp_ns(exposure.t_ns)
         if trigger is not None:
@@ -237,5 +247,20 @@ class MockCamera:
             self._last = image
         return self._last
 
-    def _board_before_camera(self, pose: TipPose) -> RigidTransform:
-        return self._base_in_camera @ RigidTransform(pose.rotation, pose.position_m) @ self._board_in_tip
+    def _before_camera(
+        self, opened: RigidTransform, middle: RigidTransform, board: RigidTransform
+    ) -> tuple[RigidTransform, RigidTransform, RigidTransform]:
+        """A board in the camera's frame at the exposure's start, middle and end, by the first two of what it is on."""
+        first, second = (self._base_in_camera @ frame @ board for frame in (opened, middle))
+        # The rotation continues by the same angle: R_middle R_opened^T R_middle.
+        last = RigidTransform(
+            second.rotation @ first.rotation.T @ second.rotation, 2 * second.translation_m - first.translation_m
+        )
+        return first, second, last
+
+
+def _frames(pose: TipPose) -> Iterator[RigidTransform]:
+    """The frames of the tip and of the sections in the rod base's."""
+    yield RigidTransform(pose.rotation, pose.position_m)
+    for rotation, position_m in zip(pose.section_rotation, pose.section_m, strict=True):
+        yield RigidTransform(rotation, position_m)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from model import NotConverged
 from model.dynamics import Dynamics
+from model.shape import Shape
 from rig.config.arm_model import TipLoad, true_arm, true_geometry
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError, Scans
@@ -19,7 +20,7 @@ from rig.simulator.converter import quantised_output_v
 from rig.simulator.faults import Faults
 from rig.simulator.faulty_devices import FaultySensors, FaultyValves
 from rig.simulator.pneumatics import STEP_NS
-from rig.simulator.pose_history import POSE_DTYPE, pose_among
+from rig.simulator.pose_history import pose_among, pose_dtype
 from rig.simulator.tip_pose import TipPose
 from rig.valves.iso6358 import ATMOSPHERE_PA
 
@@ -65,6 +66,7 @@ class Plant:
         self._weight_kg = 0.0
         self._hook = TipLoad(config)
         self._loads = self._hook.carrying(0.0)
+        shape: Shape | None = None
         if self._dynamics is not None:
             try:
                 shape = self._dynamics.start(np.zeros(config.actuators))
@@ -73,10 +75,16 @@ class Plant:
                     f"rig {config.name}: the simulated arm cannot carry its own weight and cap ({error})",
                     "look at material, geometry and cap_mass_g of its simulator section",
                 ) from error
-            lengths, position, rotation = shape.actuator_lengths_m, shape.tip_m, shape.tip_rotation
-        self._poses = np.zeros(2 * REMEMBERED_POSES, POSE_DTYPE)
+            lengths = shape.actuator_lengths_m
+        self._section_s_m = np.array([section.at_mm * 1e-3 for section in config.sections.values()])
+        self._poses = np.zeros(2 * REMEMBERED_POSES, pose_dtype(len(self._section_s_m)))
         self._kept = 0
-        self._remember(0, position, rotation)
+        if shape is None:
+            count = len(self._section_s_m)
+            upright = np.column_stack([np.zeros((count, 2)), self._section_s_m])
+            self._remember(0, position, rotation, upright, np.repeat(np.eye(3)[None], count, axis=0))
+        else:
+            self._remember_shape(0, shape)
         self._valves = pneumatics.valves(config, truth.valve)
         self._chambers = pneumatics.chambers(config, truth)
         self._sensors = pneumatics.sensors(config, truth, seed)
@@ -119,7 +127,7 @@ class Plant:
         return pose_among(self._poses[first : self._kept], t_ns)
 
     def poses_since(self, index: int) -> NDArray[np.void]:
-        """Remembered poses (n,) of POSE_DTYPE whose index is at least this."""
+        """Remembered poses (n,) of `pose_dtype` whose index is at least this."""
         kept = self._poses[max(0, self._kept - REMEMBERED_POSES) : self._kept]
         return kept[kept["index"] >= index]
 
@@ -140,7 +148,7 @@ class Plant:
         standing = self._poses[self._kept - 1].copy()
         last = self._step // ARM_STEPS
         for index in range(max(first, last - REMEMBERED_POSES + 1), last + 1):
-            self._remember(index, standing["position_m"], standing["rotation"])
+            self._remember(index, *list(standing)[2:])
 
     def hang(self, weight_kg: float) -> None:
         """Hang a weight on the end cap in place of what hung there, as an operator would."""
@@ -172,7 +180,7 @@ class Plant:
         pneumatics.follow(
             shape.s_m, shape.v, shape.u, shape.actuator_xy_m, self._bore_m2, self._dead_m3, ARM_STEP_S, self._air
         )
-        self._remember(self._step // ARM_STEPS, shape.tip_m, shape.tip_rotation)
+        self._remember_shape(self._step // ARM_STEPS, shape)
 
     def _effective_pa(self) -> NDArray[np.float64]:
         """Pressures (N,) that give an arm without effects the push which the arm has now."""
@@ -184,11 +192,17 @@ class Plant:
             pressure_bar = effect.advance(pressure_bar)
         return np.array(pressure_bar) * PA_PER_BAR
 
-    def _remember(self, index: int, position: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
+    def _remember_shape(self, index: int, shape: Shape) -> None:
+        sections = shape.frames_at(self._section_s_m) if len(self._section_s_m) else ()
+        self._remember(index, shape.tip_m, shape.tip_rotation, *sections)
+
+    def _remember(self, index: int, *pose: NDArray[np.float64]) -> None:
+        """Keep positions and rotations of the tip and, if the rig has any, of the sections."""
         if self._kept == len(self._poses):
             self._poses[:REMEMBERED_POSES] = self._poses[REMEMBERED_POSES:].copy()
             self._kept = REMEMBERED_POSES
-        self._poses[self._kept] = (index, self._t0_ns + index * ARM_STEPS * STEP_NS, position, rotation)
+        fields = pose if len(self._section_s_m) else pose[:2]
+        self._poses[self._kept] = (index, self._t0_ns + index * ARM_STEPS * STEP_NS, *fields)
         self._kept += 1
 
 

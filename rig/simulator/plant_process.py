@@ -53,7 +53,7 @@ class _SimulatedCard:
         self._channels = [v.channel for v in config.valves if v.card == name]
         valves = [i for i, v in enumerate(config.valves) if v.card == name]
         self._safe_v = np.array([[config.valves[i].safe_v(vent=vent) for i in valves] for vent in (False, True)])
-        self._registers = Registers.create(card.device, card.outputs, card.inputs)
+        self._registers = Registers.create(card.device, card.outputs, card.inputs, sections=len(config.sections))
         self.faults = self._registers.faults
         self._card.faults = Faults()  # faults act in the mock card of the run's processes; this one only samples
         self._written = self._registers.outputs["written_ns"]

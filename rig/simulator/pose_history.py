@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,13 +16,19 @@ _MOST_ITERATIONS = 50
 _DEFECT = 1e-8
 _UNIT = np.eye(3)
 
-POSE_DTYPE = np.dtype(
-    [("index", "<i8"), ("t_ns", "<i8"), ("position_m", "<f8", (3,)), ("rotation", "<f8", (3, 3))], align=True
-)
+
+def pose_dtype(sections: int = 0) -> np.dtype[np.void]:
+    """One pose of the tip, and those of so many measured sections."""
+    along = [("section_m", "<f8", (sections, 3)), ("section_rotation", "<f8", (sections, 3, 3))] if sections else []
+    tip = [("index", "<i8"), ("t_ns", "<i8"), ("position_m", "<f8", (3,)), ("rotation", "<f8", (3, 3))]
+    return np.dtype([*tip, *along], align=True)
+
+
+POSE_DTYPE = pose_dtype()
 
 
 def pose_among(entries: NDArray[np.void], t_ns: int) -> TipPose:
-    """Interpolate the pose at a time from entries (n,) of POSE_DTYPE, oldest first, n at least 1.
+    """Interpolate the pose at a time from entries (n,) of `pose_dtype`, oldest first, n at least 1.
 
     Before the first entry of all (index 0) the arm was at rest in it.
 
@@ -31,15 +39,32 @@ def pose_among(entries: NDArray[np.void], t_ns: int) -> TipPose:
     if t_ns < times[0]:
         if entries["index"][0] != 0:
             raise LookupError(f"the tip's pose of {(times[-1] - t_ns) * 1e-9:.2f} s ago is forgotten")
-        return TipPose(t_ns, entries["position_m"][0].copy(), entries["rotation"][0].copy())
+        return _standing(t_ns, entries[0])
     if len(entries) == 1:
-        return TipPose(t_ns, entries["position_m"][0].copy(), entries["rotation"][0].copy())
+        return _standing(t_ns, entries[0])
     after = min(max(int(np.searchsorted(times, t_ns)), 1), len(entries) - 1)
     a, b = entries[after - 1], entries[after]
     until = min(t_ns, int(times[-1]) + FURTHEST_AHEAD_NS)
     share = (until - int(a["t_ns"])) / (int(b["t_ns"]) - int(a["t_ns"]))
     position = a["position_m"] + share * (b["position_m"] - a["position_m"])
-    return TipPose(t_ns, position, _nearest_rotation(a["rotation"] + share * (b["rotation"] - a["rotation"])))
+    rotation = _nearest_rotation(a["rotation"] + share * (b["rotation"] - a["rotation"]))
+    if not _has_sections(entries.dtype):
+        return TipPose(t_ns, position, rotation)
+    sections = a["section_m"] + share * (b["section_m"] - a["section_m"])
+    turned = a["section_rotation"] + share * (b["section_rotation"] - a["section_rotation"])
+    return TipPose(t_ns, position, rotation, sections, np.array([_nearest_rotation(matrix) for matrix in turned]))
+
+
+def _standing(t_ns: int, entry: np.void) -> TipPose:
+    """The pose of an entry."""
+    tip = TipPose(t_ns, entry["position_m"].copy(), entry["rotation"].copy())
+    if not _has_sections(entry.dtype):
+        return tip
+    return replace(tip, section_m=entry["section_m"].copy(), section_rotation=entry["section_rotation"].copy())
+
+
+def _has_sections(dtype: np.dtype[np.void]) -> bool:
+    return "section_m" in (dtype.names or ())
 
 
 def _nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -25,7 +25,7 @@ from rig.config.card_sections import CardConfig
 from rig.hardware.cards.base import CardError, Scans
 from rig.hardware.runtime_folder import open_private, runtime_folder
 from rig.simulator.faults import FAULTS_DTYPE, Faults
-from rig.simulator.pose_history import POSE_DTYPE, pose_among
+from rig.simulator.pose_history import pose_among, pose_dtype
 from rig.simulator.tip_pose import TipPose
 
 MAGIC = b"softrig\0"
@@ -53,6 +53,7 @@ HEADER_DTYPE = np.dtype(
         ("hung_kg", "<f8"),
         ("scans", "<i8"),
         ("poses", "<i8"),
+        ("sections", "<u8"),
     ]
 )
 OUTPUT_DTYPE = np.dtype([("volts", "<f8"), ("written_ns", "<i8")])
@@ -86,15 +87,16 @@ class Registers:
         os.close(descriptor)
         self.header: NDArray[np.void] = np.frombuffer(self._map, HEADER_DTYPE, 1)
         inputs, outputs = int(self.header["inputs"][0]), int(self.header["outputs"][0])
-        outputs_at, scans_at, poses_at, _ = _offsets(outputs, inputs)
+        sections = int(self.header["sections"][0])
+        outputs_at, scans_at, poses_at, _ = _offsets(outputs, inputs, sections)
         self.faults = Faults(np.frombuffer(self._map, FAULTS_DTYPE, 1, FAULTS_AT))
         self.outputs: NDArray[np.void] = np.frombuffer(self._map, OUTPUT_DTYPE, outputs, outputs_at)
         self.digital: NDArray[np.void] = np.frombuffer(self._map, DIGITAL_DTYPE, DIGITAL_OUTPUTS, DIGITAL_AT)
         self._scans: NDArray[np.void] = np.frombuffer(self._map, scan_dtype(inputs), SCAN_ROWS, scans_at)
-        self._poses: NDArray[np.void] = np.frombuffer(self._map, POSE_DTYPE, POSE_ROWS, poses_at)
+        self._poses: NDArray[np.void] = np.frombuffer(self._map, pose_dtype(sections), POSE_ROWS, poses_at)
 
     @classmethod
-    def create(cls, device: str, outputs: int, inputs: int, patience_s: float = 8.0) -> Registers:
+    def create(cls, device: str, outputs: int, inputs: int, patience_s: float = 8.0, *, sections: int = 0) -> Registers:
         """Become the plant of a mock device: empty rings and every output at 0 V, as when a driver attaches.
 
         An existing file is used again, so that a process that has mapped it stays connected. This waits for a plant
@@ -104,7 +106,7 @@ class Registers:
             CardError: another plant runs behind the device, or the file cannot be made.
         """
         path = path_of(device)
-        size = _offsets(outputs, inputs)[3]
+        size = _offsets(outputs, inputs, sections)[3]
         try:
             descriptor = _locked(path, patience_s)
             if os.fstat(descriptor).st_size not in (0, size):
@@ -117,7 +119,7 @@ class Registers:
             header["magic"], header["version"] = MAGIC, VERSION
             header["outputs"], header["inputs"] = outputs, inputs
             header["scan_rows"], header["pose_rows"] = SCAN_ROWS, POSE_ROWS
-            header["plant_pid"] = os.getpid()
+            header["plant_pid"], header["sections"] = os.getpid(), sections
             os.pwrite(descriptor, header.tobytes(), 0)
         except OSError as error:
             if error.errno == errno.ENOSPC:
@@ -213,10 +215,10 @@ class Registers:
         self.header["scans"][0] = first + len(t_ns)
 
     def push_poses(self, poses: NDArray[np.void]) -> None:
-        """Append poses (n,) of POSE_DTYPE, whose index continues the ring's. Only the plant may."""
+        """Append poses (n,) of `pose_dtype`, whose index continues the ring's. Only the plant may."""
         rows = poses["index"] % POSE_ROWS
         self._poses["index"][rows] = -1
-        for name in ("t_ns", "position_m", "rotation", "index"):
+        for name in (*(name for name in poses.dtype.names or () if name != "index"), "index"):
             self._poses[name][rows] = poses[name]
         self.header["poses"][0] = int(poses["index"][-1]) + 1
 
@@ -270,18 +272,18 @@ def _sound(descriptor: int) -> bool:
     if header["magic"] != MAGIC.rstrip(b"\0") or header["version"] != VERSION:
         return False
     sizes = (int(header["scan_rows"]), int(header["pose_rows"]))
-    expected = _offsets(int(header["outputs"]), int(header["inputs"]))[3]
+    expected = _offsets(int(header["outputs"]), int(header["inputs"]), int(header["sections"]))[3]
     return sizes == (SCAN_ROWS, POSE_ROWS) and os.fstat(descriptor).st_size == expected
 
 
-def _offsets(outputs: int, inputs: int) -> tuple[int, int, int, int]:
+def _offsets(outputs: int, inputs: int, sections: int) -> tuple[int, int, int, int]:
     """Where the outputs, the scans and the poses begin, and the size of the file [bytes]."""
     outputs_at = 4096
     scans_at = outputs_at + 4096
     poses_at = scans_at + SCAN_ROWS * scan_dtype(inputs).itemsize
     if outputs * OUTPUT_DTYPE.itemsize > 4096:
         raise CardError(f"a mock card has at most {4096 // OUTPUT_DTYPE.itemsize} outputs, not {outputs}")
-    return outputs_at, scans_at, poses_at, poses_at + POSE_ROWS * POSE_DTYPE.itemsize
+    return outputs_at, scans_at, poses_at, poses_at + POSE_ROWS * pose_dtype(sections).itemsize
 
 
 def _locked(path: Path, patience_s: float) -> int:

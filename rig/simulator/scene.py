@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -41,6 +42,34 @@ class ImageDegradation:
     lighting: float = 0.9
 
 
+class PaintedBoard:
+    """A board that a scene can show."""
+
+    def __init__(self, board: Board, occlusion: Occlusion | None = None) -> None:
+        """`occlusion` hides a part of it."""
+        self.outline = _outline(board)
+        self.paint = painter(board) if occlusion is None else print_painter(board, occlusion)
+        # A point at (a, d) units lies at x = (a - nx/2) s, y = (ny/2 - d) s on the board.
+        width_units, height_units = board.extent
+        self.squares = np.array(
+            [
+                [board.unit_m, 0.0, -width_units / 2 * board.unit_m],
+                [0.0, -board.unit_m, height_units / 2 * board.unit_m],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+
+
+@dataclass(frozen=True)
+class MovingBoard:
+    """A board's frame in the camera's at the exposure's start, middle and end."""
+
+    board: PaintedBoard
+    opened: RigidTransform
+    middle: RigidTransform
+    closed: RigidTransform
+
+
 class Scene:
     """One camera's view of the board; the same seed and frame index give the same picture, bit for bit."""
 
@@ -54,7 +83,7 @@ class Scene:
         occlusion: Occlusion | None = None,
     ) -> None:
         """`size` is (width, height) in pixels; `occlusion` hides a part of the board."""
-        self._board, self._degradation, self._seed = board, degradation, seed
+        self._board, self._degradation, self._seed = PaintedBoard(board, occlusion), degradation, seed
         self._lens = lens
         width, height = size
         self._rays = _PixelRays(lens, size)
@@ -67,17 +96,6 @@ class Scene:
         self._backdrops: dict[int, Image] = {}
         self._samples = _sample_offsets()
         self._taps = _taps(degradation.blur_px)
-        self._outline = _outline(board)
-        self._paint = painter(board) if occlusion is None else print_painter(board, occlusion)
-        # A point at (a, d) units lies at x = (a - nx/2) s, y = (ny/2 - d) s on the board.
-        width_units, height_units = board.extent
-        self._squares = np.array(
-            [
-                [board.unit_m, 0.0, -width_units / 2 * board.unit_m],
-                [0.0, -board.unit_m, height_units / 2 * board.unit_m],
-                [0.0, 0.0, 1.0],
-            ]
-        )
 
     def prepare(self) -> None:
         """Find the rays of the whole picture and draw the backdrops, so that no frame in real time waits for them."""
@@ -86,32 +104,50 @@ class Scene:
         for number in range(_BACKDROPS):
             self._noisy_backdrop(number)
 
-    def render(self, opened: RigidTransform, middle: RigidTransform, closed: RigidTransform, index: int) -> Image:
-        """Render (height, width) uint8 of the board's frame in the camera's at the exposure's start, middle and end."""
-        height, width = self._light.shape
+    def render(
+        self,
+        opened: RigidTransform,
+        middle: RigidTransform,
+        closed: RigidTransform,
+        index: int,
+        others: Sequence[MovingBoard] = (),
+    ) -> Image:
+        """Render (height, width) uint8 of the board's frame in the camera's at the exposure's start, middle and end.
+
+        `others` are further boards; a nearer one hides what is behind it.
+        """
         # No two pictures in a row have the same backdrop: a picture that repeats is one of a frozen camera.
         image = self._noisy_backdrop((13 * index + 5 * (index // _BACKDROPS)) % _BACKDROPS).copy()
-        box = self._extent((opened, middle, closed), width, height)
+        boards = [MovingBoard(self._board, opened, middle, closed), *others]
+        boards.sort(key=lambda one: -float(one.middle.translation_m[2]))
+        for number, board in enumerate(boards):
+            self._draw(board, image, index, self._backdrop if number == 0 else image.astype(np.float32))
+        return image
+
+    def _draw(self, moving: MovingBoard, image: Image, index: int, backdrop: Singles) -> None:
+        """Draw a board into the picture; `backdrop` is what is behind it."""
+        height, width = self._light.shape
+        poses = (moving.opened, moving.middle, moving.closed)
+        box = self._extent(moving.board, poses, width, height)
         if box is not None:
             x0, y0, x1, y1 = box
-            at_open, at_middle, at_close = self._to_squares((opened, middle, closed))
+            at_open, at_middle, at_close = _to_squares(moving.board, poses)
             fine = np.empty(((y1 - y0) * FINE, (x1 - x0) * FINE), np.float32)
             view = ExposedView(
                 (x0, y0),
                 self._light,
-                self._backdrop,
+                backdrop,
                 self._rays.covering(box),
                 at_middle,
                 at_close - at_open,
                 self._samples,
             )
-            self._paint(fine, view)
+            moving.board.paint(fine, view)
             seen = np.empty((y1 - y0, x1 - x0), np.float32)
             shrink(fine, self._taps, seen)
             dx, dy = self._noise_places[index % _NOISE_PLACES].tolist()
             noise = self._noise[dy + y0 : dy + y1, dx + x0 : dx + x1]
             image[y0:y1, x0:x1] = cv2.add(seen, noise, dtype=cv2.CV_8U)
-        return image
 
     def _noisy_backdrop(self, number: int) -> Image:
         """One of the pictures without a board, drawn when it is first needed."""
@@ -122,27 +158,30 @@ class Scene:
             self._backdrops[number] = np.asarray(cv2.add(self._backdrop, noise, dtype=cv2.CV_8U), dtype=np.uint8)
         return self._backdrops[number]
 
-    def _to_squares(self, poses: tuple[RigidTransform, ...]) -> Floats:
-        """Homographies (n, 3, 3) from rays to units across and down from the print's top left, last entries 1."""
-        planes = np.empty((len(poses), 3, 3))
-        for plane, pose in zip(planes, poses, strict=True):
-            plane[:, :2], plane[:, 2] = pose.rotation[:, :2], pose.translation_m
-        inverse = np.linalg.inv(planes @ self._squares)
-        return np.asarray(inverse / inverse[:, 2:, 2:])
-
-    def _extent(self, poses: tuple[RigidTransform, ...], width: int, height: int) -> tuple[int, int, int, int] | None:
+    def _extent(
+        self, board: PaintedBoard, poses: tuple[RigidTransform, ...], width: int, height: int
+    ) -> tuple[int, int, int, int] | None:
         """Pixels that the board with its margin may touch; None when it is out of the picture or behind."""
         rotations = np.array([pose.rotation for pose in poses])
         translations = np.array([pose.translation_m for pose in poses])
         bounds = np.empty((2, 2))
         lens = self._lens
-        if extent(self._outline, rotations, translations, lens.matrix, lens.distortion, bounds) <= _NEAREST_M:
+        if extent(board.outline, rotations, translations, lens.matrix, lens.distortion, bounds) <= _NEAREST_M:
             return None
         margin = 4 + int(np.ceil(4 * self._degradation.blur_px))
         (left, top), (right, bottom) = bounds.tolist()
         x0, y0 = max(math.floor(left) - margin, 0), max(math.floor(top) - margin, 0)
         x1, y1 = min(math.ceil(right) + margin, width), min(math.ceil(bottom) + margin, height)
         return None if x1 - x0 < 2 or y1 - y0 < 2 else (x0, y0, x1, y1)
+
+
+def _to_squares(board: PaintedBoard, poses: tuple[RigidTransform, ...]) -> Floats:
+    """Homographies (n, 3, 3) from rays to units across and down from the print's top left, last entries 1."""
+    planes = np.empty((len(poses), 3, 3))
+    for plane, pose in zip(planes, poses, strict=True):
+        plane[:, :2], plane[:, 2] = pose.rotation[:, :2], pose.translation_m
+    inverse = np.linalg.inv(planes @ board.squares)
+    return np.asarray(inverse / inverse[:, 2:, 2:])
 
 
 class _PixelRays:

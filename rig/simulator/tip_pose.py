@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -11,11 +11,16 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class TipPose:
-    """The tip frame in the rod-base frame: a point x of the tip frame is `rotation` x + `position_m`."""
+    """The tip frame in the rod-base frame: a point x of the tip frame is `rotation` x + `position_m`.
+
+    `section_m` (k, 3) and `section_rotation` (k, 3, 3) are those of the rig's measured sections.
+    """
 
     t_ns: int
     position_m: NDArray[np.float64]
     rotation: NDArray[np.float64]
+    section_m: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
+    section_rotation: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3, 3)))
 
 
 class PoseSource(Protocol):

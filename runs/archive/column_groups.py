@@ -110,6 +110,17 @@ def exposure(journal: Journal) -> Group | None:
     return _group(journal, columns.TriggeredFrame, journal.observations) if journal.header.triggered else None
 
 
+def sections(journal: Journal) -> Group | None:
+    """Return the measured sections of the arm; None without any."""
+    places = journal.header.sections
+    if not places:
+        return None
+    at_mm = np.array([place.at_mm for place in places])
+    about = "arc length from the rod base, of the arm at rest"
+    place = Field("at_mm", at_mm, "mm", about, scales=("section",))
+    return _group(journal, columns.Sections, journal.observations, (place,))
+
+
 def seconds(journal: Journal, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return times [s] since the start of the run."""
     return np.asarray((t_ns - journal.header.started_t_ns) / 1e9)
@@ -158,9 +169,12 @@ def _scale(journal: Journal, axis: str) -> Field:
         "count": list(columns.DATAGRAM_COUNTS),
         "camera": list(header.cameras),
         "station": np.linspace(0, 1, columns.BACKBONE_POINTS),
+        "section": [place.name for place in header.sections],
         "parameter": [q.name for q in header.adapted],
     }
-    return Field(axis, values[axis], about=columns.AXES[axis][1], any_length=axis in ("camera", "input", "parameter"))
+    return Field(
+        axis, values[axis], about=columns.AXES[axis][1], any_length=axis in ("camera", "input", "parameter", "section")
+    )
 
 
 def _some(rows: RowTable, name: str) -> bool:

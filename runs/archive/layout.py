@@ -60,6 +60,7 @@ def groups(journal: Journal) -> tuple[Group, ...]:
             column_groups.tracker(journal),
             column_groups.trigger(journal),
             column_groups.exposure(journal),
+            column_groups.sections(journal),
             column_groups.adaptation(journal),
             column_groups.tip_control(journal),
             column_groups.stream(journal),

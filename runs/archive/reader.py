@@ -21,6 +21,7 @@ from runs.columns import (
     Learning,
     Pressure,
     Reference,
+    Sections,
     Simulated,
     StreamedSetPoints,
     Timing,
@@ -32,7 +33,17 @@ from runs.columns import (
 )
 from runs.columns.conversions import PA_PER_BAR
 from runs.columns.declaration import Table, Values
-from runs.records import AuxiliaryChannel, Event, Interval, Level, Quantity, RecordedFile, RunHeader, Status
+from runs.records import (
+    AuxiliaryChannel,
+    Event,
+    Interval,
+    Level,
+    Quantity,
+    RecordedFile,
+    RunHeader,
+    SectionPlace,
+    Status,
+)
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -105,6 +116,7 @@ class ArchiveReader:
             learned_from=tuple(self._group("entry/learning").get("run", ())),
             streams=bool(self._group("entry/stream", without="setpoint_bar")),
             triggered=bool(self._group("entry/trigger", without="pulse")),
+            sections=_section_places(self._group("entry/sections", without="measured_mm")),
             control_hz=float(self._group("entry/timing")["control_rate"]),
             camera_hz=float(self._group("entry/timing")["camera_rate"]),
             cameras=self._cameras,
@@ -180,6 +192,12 @@ class ArchiveReader:
         """What the pulses say of the camera frames; None for a rig without a camera trigger."""
         values = self._values(TriggeredFrame)
         return TriggeredFrame(values) if values else None
+
+    @cached_property
+    def sections(self) -> Sections | None:
+        """Measured sections of the arm; None without any."""
+        g = self._group("entry/sections", without="measured_mm")
+        return Sections(self._values(Sections), g["section"], g["at_mm"]) if g else None
 
     @cached_property
     def timing(self) -> Timing:
@@ -281,6 +299,11 @@ class ArchiveReader:
 def _auxiliary(g: dict[str, Any]) -> tuple[AuxiliaryChannel, ...]:
     columns = (g.get(key, ()) for key in ("input", "input_unit"))
     return tuple(AuxiliaryChannel(name, unit) for name, unit in zip(*columns, strict=True))
+
+
+def _section_places(g: dict[str, Any]) -> tuple[SectionPlace, ...]:
+    columns = (g.get(key, ()) for key in ("section", "at_mm"))
+    return tuple(SectionPlace(name, float(at_mm)) for name, at_mm in zip(*columns, strict=True))
 
 
 def _adapted(g: dict[str, Any]) -> tuple[Quantity, ...]:

@@ -14,6 +14,7 @@ from runs.columns import (
     AXES,
     OBSERVATIONS,
     SAMPLES,
+    SECTIONS,
     STREAMED,
     TIP_CONTROL,
     TRACKED,
@@ -42,7 +43,7 @@ def page(text: str) -> str:
     Raises:
         ValueError: the page has no place for a table.
     """
-    observed = (*OBSERVATIONS, *TRACKED, *TRIGGERED, *TRIGGER_PULSES)
+    observed = (*OBSERVATIONS, *TRACKED, *TRIGGERED, *SECTIONS, *TRIGGER_PULSES)
     for kind in (*SAMPLES, *AUXILIARY, *observed, *ADAPTATIONS, *TIP_CONTROL, *STREAMED):
         before, after = f"<!-- columns: {kind.group} -->\n", "<!-- end -->"
         found = text.count(before)

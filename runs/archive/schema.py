@@ -17,7 +17,7 @@ import numpy as np
 from runs.archive import checksum, layout
 from runs.archive.fields import QUANTITY_GROUPS, ComputedColumn, Field, Group, Pictures
 from runs.columns.conversions import LARGEST
-from runs.journal.journal import Journal
+from runs.journal.journal import Journal, observations_of
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
 from runs.records import (
     AuxiliaryChannel,
@@ -26,11 +26,11 @@ from runs.records import (
     RecordedFile,
     RunFooter,
     RunHeader,
+    SectionPlace,
     Status,
     StudyRole,
     StudyRun,
     adaptation_dtype,
-    observation_dtype,
     pulse_dtype,
     sample_dtype,
     streamed_dtype,
@@ -194,6 +194,7 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         learned_from=("run",) if everything else (),
         streams=everything,
         triggered=everything,
+        sections=(SectionPlace("section", 0.0),) if everything else (),
         auxiliary=(AuxiliaryChannel("input", ""),) if everything else (),
         study=StudyRun("", StudyRole.RUN, 1, 1, 1, "", "") if everything else None,
     )
@@ -202,9 +203,7 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         header=header,
         footer=RunFooter(0, Status.FINISHED, "", {"counter": 0} if everything else {}),
         samples=_rows(sample_dtype(actuators, valves, len(header.auxiliary)), 0),
-        observations=_rows(
-            observation_dtype(actuators, len(header.cameras), bool(header.tracker), header.triggered), rows
-        ),
+        observations=_rows(observations_of(header), rows),
         adaptations=_rows(adaptation_dtype(len(header.adapted)), 0),
         plans=_rows(tip_control_dtype(valves), 0),
         streamed=_rows(streamed_dtype(actuators), 0),

@@ -12,6 +12,7 @@ from runs.columns.control_cycles import Auxiliary, Pressure, Timing
 from runs.columns.conversions import COUNT, SECONDS
 from runs.columns.declaration import Column, Table
 from runs.columns.observations import BACKBONE_POINTS, Backbone, DetectionStatus, Simulated, Tip
+from runs.columns.sections import Sections
 from runs.columns.streamed import StreamedSetPoints, StreamStatus
 from runs.columns.tip_control import PLAN_AHEAD_S, Learning, Reference, SolveStatus, TipControl
 from runs.columns.tracker import DATAGRAM_COUNTS, TrackerClock
@@ -28,6 +29,7 @@ __all__ = [
     "PLAN_AHEAD_S",
     "SAMPLES",
     "SECONDS",
+    "SECTIONS",
     "STREAMED",
     "TIP_CONTROL",
     "TRACKED",
@@ -41,6 +43,7 @@ __all__ = [
     "Learning",
     "Pressure",
     "Reference",
+    "Sections",
     "Simulated",
     "SolveStatus",
     "StreamStatus",
@@ -65,6 +68,7 @@ AXES = {
     "count": (str(len(DATAGRAM_COUNTS)), "names of the counts"),
     "camera": ("C", "names of the cameras in the rig file"),
     "station": ("L", "0 to 1, share of the length of the arm at rest"),
+    "section": ("B", "names of the measured sections in the rig file"),
     "parameter": ("P", "its name, as in `rig identify --free`"),
 }
 """Size of each axis in the reference page, and what its scale holds."""
@@ -74,6 +78,7 @@ AUXILIARY: tuple[type[Table], ...] = (Auxiliary,)
 OBSERVATIONS: tuple[type[Table], ...] = (Tip, Backbone, Simulated, Reference, Learning)
 TRACKED: tuple[type[Table], ...] = (TrackerClock,)
 TRIGGERED: tuple[type[Table], ...] = (TriggeredFrame,)
+SECTIONS: tuple[type[Table], ...] = (Sections,)
 TRIGGER_PULSES: tuple[type[Table], ...] = (TriggerPulse,)
 ADAPTATIONS: tuple[type[Table], ...] = (Adaptation,)
 TIP_CONTROL: tuple[type[Table], ...] = (TipControl,)

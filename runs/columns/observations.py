@@ -45,11 +45,21 @@ class DetectionStatus(IntEnum):
         return self.name.lower().replace("_", " ")
 
 
+def upper_triangle(covariance: Values) -> Values:
+    """Upper triangles (.., 6) of covariances (.., 3, 3)."""
+    return covariance[..., _UPPER[0], _UPPER[1]]
+
+
+def full_matrix(stored: Values) -> Values:
+    """Covariances (.., 3, 3) of upper triangles (.., 6)."""
+    return stored[..., _FULL]
+
+
 def _error_mm(rows: NDArray[np.void]) -> Values:
     return np.asarray(np.linalg.norm(rows["measured_m"] * MM_PER_M - rows["model_m"] * MM_PER_M, axis=1))
 
 
-_STATUSES = ", ".join(f"{s.value} {s.name.lower()}" for s in DetectionStatus)
+STATUSES = ", ".join(f"{s.value} {s.name.lower()}" for s in DetectionStatus)
 
 
 class Tip(Table):
@@ -61,7 +71,7 @@ class Tip(Table):
     time_s = time_column("middle of the exposure; of a tracker: time of the pose")
     frame = Column("frame", "<i8", about="number of the camera's frame")
     protocol_s = protocol_time_column()
-    seen = Column("seen", "<i4", about=_STATUSES, among=tuple(DetectionStatus))
+    seen = Column("seen", "<i4", about=STATUSES, among=tuple(DetectionStatus))
     model_ok = Column(
         "model_ok", "<i4", about="0 where the model could not solve the step", read=lambda stored: stored.astype(bool)
     )
@@ -104,8 +114,8 @@ class Tip(Table):
         shape=("axis", "axis"),
         unit="mm^2",
         about="covariance of measured_mm: xx, xy, xz, yy, yz, zz",
-        convert=lambda covariance: covariance[:, _UPPER[0], _UPPER[1]] * MM_PER_M**2,
-        read=lambda stored: stored[:, _FULL],
+        convert=lambda covariance: upper_triangle(covariance) * MM_PER_M**2,
+        read=full_matrix,
     )
     orientation_deg = Column(
         "orientation_rad",
@@ -126,8 +136,8 @@ class Tip(Table):
         shape=("axis", "axis"),
         unit="deg^2",
         about="covariance of that small rotation about the rod-base axes: xx, xy, xz, yy, yz, zz",
-        convert=lambda covariance: covariance[:, _UPPER[0], _UPPER[1]] * _DEG_PER_RAD**2,
-        read=lambda stored: stored[:, _FULL],
+        convert=lambda covariance: upper_triangle(covariance) * _DEG_PER_RAD**2,
+        read=full_matrix,
     )
     cross_covariance_mm_deg = Column(
         "cross_covariance_m_rad",

@@ -151,7 +151,9 @@ class JournalWriter:
 
 def observations_of(header: RunHeader) -> np.dtype[np.void]:
     """Return the dtype of the camera frames of a run."""
-    return observation_dtype(header.actuators, len(header.cameras), bool(header.tracker), header.triggered)
+    return observation_dtype(
+        header.actuators, len(header.cameras), bool(header.tracker), header.triggered, len(header.sections)
+    )
 
 
 class _TopicRows:

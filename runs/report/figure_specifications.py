@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from runs.report import auxiliary_figure, estimates_figure, figures, pictures, reference_figure
+from runs.report import auxiliary_figure, estimates_figure, figures, pictures, reference_figure, sections_figure
 from runs.report.drawing import FigureSpecification
 from runs.report.numbers import listed, plain
 from runs.run import Run
@@ -105,6 +105,13 @@ def _error(run: Run, summary: Summary) -> FigureSpecification | None:
     return FigureSpecification("error", "Error over time", figures.error, (9, 4.2 if run.simulated else 2.6))
 
 
+def _sections(run: Run, summary: Summary) -> FigureSpecification | None:
+    if run.sections is None or not summary.frames:
+        return None
+    caption = f"{sections_figure.caption(run.sections)} {Z_DOWN}"
+    return FigureSpecification("sections", "Measured sections", sections_figure.draw, (9, 6.5), caption)
+
+
 def _reference(run: Run, summary: Summary) -> FigureSpecification | None:
     if run.reference is None or summary.tip_path is None:
         return None
@@ -149,6 +156,7 @@ FIGURES: tuple[Callable[[Run, Summary], FigureSpecification | None], ...] = (
     _steps,
     _tip,
     _error,
+    _sections,
     _reference,
     _adaptation,
     _timing,

@@ -81,7 +81,8 @@ def test_frames_have_the_times_of_pulses_and_what_is_lost_is_reported(tmp_path: 
     try:
         registers = run.wait_until_moving()
         registers.faults.inject(camera=CameraFault.DROPPING)
-        time.sleep(0.8)
+        for _ in range(25):
+            while_high(registers)
         registers.faults.clear()
         run.signal((CONTROL,), STOP)
         time.sleep(0.2)

@@ -21,6 +21,7 @@ from runs.records import (
     AuxiliaryChannel,
     Quantity,
     RunFooter,
+    SectionPlace,
     Status,
     StudyRole,
     StudyRun,
@@ -49,6 +50,7 @@ SIZES = {
     "R": 14,
     "T": 16,
     "G": 17,
+    "B": 18,
 } | {str(n): n for n in (2, 3, 4, 6, len(DATAGRAM_COUNTS))}
 FREE = ("calibration", "model", "versions", "timing/counters")
 """Groups whose names come from elsewhere."""
@@ -87,12 +89,15 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
         learned_from=tuple(f"run {k}" for k in range(SIZES["R"])),
         streams=True,
         triggered=True,
+        sections=tuple(SectionPlace(f"section {k}", float(k)) for k in range(SIZES["B"])),
         metadata=dict.fromkeys(("specimen", *USER), "-"),
         study=StudyRun("study", StudyRole.RUN, 1, 1, 1, "-", "-"),
     )
     writer = JournalWriter(source, header)
     writer.samples(np.zeros(SIZES["N"], sample_dtype(SIZES["A"], SIZES["V"], SIZES["I"])))
-    observations = np.zeros(SIZES["M"], observation_dtype(SIZES["A"], SIZES["C"], tracker=True, triggered=True))
+    observations = np.zeros(
+        SIZES["M"], observation_dtype(SIZES["A"], SIZES["C"], tracker=True, triggered=True, sections=SIZES["B"])
+    )
     observations["tip_motion"] = 1
     writer.observations(observations)
     writer.adaptations(np.zeros(SIZES["M"], adaptation_dtype(SIZES["P"])))
