@@ -24,11 +24,13 @@ from rig.live.view_state import (
     PressureView,
     ProtocolView,
     RunDescription,
+    SectionView,
     TimingView,
     TipView,
     ViewState,
     estimates,
     inputs,
+    sections,
 )
 from rig.observation.overlay import arm_lines
 from rig.realtime.picture_rings import LINE_POINTS
@@ -167,6 +169,7 @@ class ArchivedRun:
             if cycle >= 0
             else None,
             tip=self._tip(frame) if frame >= 0 else None,
+            sections=self._sections(frame) if frame >= 0 else (),
             inputs=inputs(run.header.auxiliary, auxiliary.value[cycle]) if auxiliary is not None else (),
             estimates=self._estimates(frame) if frame >= 0 else (),
         )
@@ -198,6 +201,10 @@ class ArchivedRun:
             mean_error_mm=float(self.mean[frame]),
             reprojection_px=float(tip.reprojection_px[frame]),
         )
+
+    def _sections(self, frame: int) -> tuple[SectionView, ...]:
+        found = self.run.sections
+        return () if found is None else sections(found.names, found.measured_mm[frame], found.model_mm[frame])
 
     def _estimates(self, frame: int) -> tuple[EstimateView, ...]:
         found = self.run.adaptation

@@ -27,11 +27,13 @@ from rig.live.view_state import (
     PressureView,
     ProtocolView,
     RunDescription,
+    SectionView,
     TimingView,
     TipView,
     ViewState,
     estimates,
     inputs,
+    sections,
 )
 from rig.realtime.shared_state import Stage
 from runs.records import DetectionStatus, Event
@@ -235,6 +237,7 @@ class LiveRunViewer:
             ),
             pressure=None if sample is None else PressureView.of_pascal(sample["setpoint_pa"], sample["measured_pa"]),
             tip=self._tip() if source.observations else None,
+            sections=self._sections() if source.observations and plan.config.sections else (),
             inputs=inputs(plan.auxiliary, sample["aux"]) if sample is not None and plan.auxiliary else (),
             estimates=self._estimates(),
             prompt=plan.trajectory.prompts[waiting].message if waiting >= 0 else None,
@@ -247,11 +250,19 @@ class LiveRunViewer:
             return ()
         return estimates(self._source.session.plan.adapted, row["value"], np.sqrt(np.diagonal(row["covariance"])))
 
-    def _tip(self) -> TipView:
+    def _observation(self) -> tuple[NDArray[np.void], float]:
+        """Row of the frame that is shown, and the mean error up to it."""
         source = self._source
         newest = next(reversed(source.observations))
         frame = newest if source.view is None else int(source.view[0]["frame"])
-        row, mean = source.observations.get(frame, source.observations[newest])
+        return source.observations.get(frame, source.observations[newest])
+
+    def _sections(self) -> tuple[SectionView, ...]:
+        row, _ = self._observation()
+        return sections(self._source.session.plan.config.sections, MM * row["section_m"], MM * row["section_model_m"])
+
+    def _tip(self) -> TipView:
+        row, mean = self._observation()
         return TipView(
             frame=int(row["frame"]),
             seen=DetectionStatus(int(row["seen"])).words,

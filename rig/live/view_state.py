@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -86,6 +86,14 @@ class InputView(NamedTuple):
     unit: str
 
 
+class SectionView(NamedTuple):
+    """A measured section of the arm: its point in the rod-base frame and the distance of the model's; None unknown."""
+
+    name: str
+    point_mm: tuple[float, float, float] | None
+    error_mm: float | None
+
+
 class EstimateView(NamedTuple):
     """An estimated parameter as text, with its standard deviation and the value that it began with."""
 
@@ -107,6 +115,7 @@ class ViewState:
     pressure: PressureView | None = None
     tip: TipView | None = None
     inputs: tuple[InputView, ...] = ()
+    sections: tuple[SectionView, ...] = ()
     estimates: tuple[EstimateView, ...] = ()
     prompt: str | None = None
     ended: str = ""
@@ -123,3 +132,14 @@ def estimates(adapted: Sequence[Quantity], value: Floats, std: Floats) -> tuple[
 def inputs(channels: Sequence[AuxiliaryChannel], values: Floats) -> tuple[InputView, ...]:
     """The values (n,) of the auxiliary inputs."""
     return tuple(InputView(one.name, f"{value:.4g}", one.unit) for one, value in zip(channels, values, strict=True))
+
+
+def sections(names: Iterable[str], points_mm: Floats, models_mm: Floats) -> tuple[SectionView, ...]:
+    """The measured sections (n,) by their measured and modelled points (n, 3)."""
+    found = []
+    for name, point, model in zip(names, points_mm, models_mm, strict=True):
+        known, error = bool(np.isfinite(point).all()), float(np.linalg.norm(point - model))
+        x, y, z = (round(float(value), 2) for value in point)
+        shown = round(error, 3) if np.isfinite(error) else None
+        found.append(SectionView(name, (x, y, z) if known else None, shown))
+    return tuple(found)

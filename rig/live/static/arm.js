@@ -14,6 +14,7 @@ export class ArmView {
     this.turn = -0.5;
     this.tilt = 0.3;
     this.lines = null;
+    this.points = [];
     canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
     canvas.addEventListener("pointermove", (event) => {
       if (!event.buttons) return;
@@ -28,9 +29,10 @@ export class ArmView {
     this.about = about;
   }
 
-  show(lines, pressures) {
+  show(lines, pressures, points) {
     this.lines = lines;
     this.pressures = pressures;
+    this.points = points.filter((point) => point !== null); // null: a section that is not measured
     this.draw();
   }
 
@@ -56,7 +58,23 @@ export class ArmView {
     const ink = getComputedStyle(document.body);
     this.floor(length, ink.getPropertyValue("--rule"), ink.getPropertyValue("--muted"));
     if (this.lines && this.lines[0][0][0] !== null) this.tubes(ink);
+    this.sections(ink);
     this.scaleBar(width, height, ink);
+  }
+
+  // The measured sections, before the tubes that would hide them.
+  sections(ink) {
+    const { context } = this;
+    context.strokeStyle = ink.getPropertyValue("--card");
+    context.fillStyle = ink.getPropertyValue("--measured");
+    context.lineWidth = 2;
+    for (const point of this.points) {
+      const [u, v] = this.project(point);
+      context.beginPath();
+      context.arc(u, v, 6, 0, 2 * Math.PI);
+      context.fill();
+      context.stroke();
+    }
   }
 
   floor(length, rule, muted) {

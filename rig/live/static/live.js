@@ -68,7 +68,7 @@ async function show(data) {
   numbers();
   charts.add(packet.pressure, packet.track, now.time_s);
   events(packet.events);
-  if (packet.drawing) arm.show(packet.drawing.lines, now.pressure?.measured_bar);
+  if (packet.drawing) arm.show(packet.drawing.lines, now.pressure?.measured_bar, now.sections.map(([, point]) => point));
   if (data.byteLength > 4 + length) {
     await picture.show(new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" }), packet.drawing);
     if (now.tip?.sent_ms) seen.latency.push(now.tip.age_ms + Date.now() - now.tip.sent_ms);
@@ -102,6 +102,7 @@ function numbers() {
     ...(about.measured
       ? [["frames dropped", timing.dropped, timing.dropped > 0], ["reprojection", `${fixed(tip.reprojection_px, 3)} px`, false]]
       : []),
+    ...now.sections.map(([name, , error]) => [`${name} from model`, `${fixed(error, 2)} mm`, false]),
     ...now.inputs.map(([name, value, unit]) => [name, `${value} ${unit}`, false]),
     ...(tip.age_ms === undefined || !about.measured ? [] : [["picture's age", `${fixed(seen.latency.at(-1) ?? tip.age_ms, 0)} ms`, false]]),
   ];

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.live.packets import History, RunningMean, ViewUpdate, jpeg, rounded
-from rig.live.view_state import InputView, PressureView, ProtocolView, TimingView, TipView, ViewState
+from rig.live.view_state import InputView, PressureView, ProtocolView, SectionView, TimingView, TipView, ViewState
 
 
 @given(rows=st.integers(0, 900), capacity=st.integers(2, 64))
@@ -62,6 +62,7 @@ def test_a_packet_holds_its_numbers_and_then_its_picture() -> None:
         pressure=PressureView(np.array([0.2]), np.array([0.1])),
         tip=TipView(7, "no board", True, float("nan"), 0.25, float("nan")),
         inputs=(InputView("force", "0.5", "N"),),
+        sections=(SectionView("middle", (1.5, 0.0, 85.0), 0.25), SectionView("lower", None, None)),
     )
     packet = ViewUpdate(state, picture=picture).encoded()
     (length,) = struct.unpack_from("<I", packet)
@@ -81,6 +82,7 @@ def test_a_packet_holds_its_numbers_and_then_its_picture() -> None:
             "reprojection_px": None,
         },
         "inputs": [["force", "0.5", "N"]],
+        "sections": [["middle", [1.5, 0.0, 85.0], 0.25], ["lower", None, None]],
         "estimates": [],
         "ended": "",
     }

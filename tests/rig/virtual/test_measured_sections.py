@@ -11,6 +11,8 @@ import rig.config.loader
 import runs
 from rig.cli.app import main
 from rig.hardware.cameras.base import FrameSet
+from rig.live import view_state
+from rig.live.archived_run import ArchivedRun
 from rig.observation.multi_camera import MultiCameraTipEstimator
 from rig.simulator.mock_camera import MockCamera
 from rig.simulator.plant import Plant
@@ -70,6 +72,19 @@ def test_the_report_has_a_figure_of_them(run: Run) -> None:
     assert "middle at 85 mm, lower at 125 mm from the base" in found["sections"].caption
     drawn = drawing.svg(found["sections"].draw, found["sections"].size, "sections", run, run.summary)
     assert drawn.count("<svg") == 1
+
+
+def test_the_page_shows_them(run: Run) -> None:
+    sections = run.sections
+    assert sections is not None
+    frame = int(np.flatnonzero((sections.seen == DetectionStatus.MEASURED).all(axis=1))[-1])
+    shown = ArchivedRun(run.path).now(float(run.tip.time_s[frame]), frame, playing=False).sections
+    assert [one.name for one in shown] == ["middle", "lower"]
+    for k, one in enumerate(shown):
+        np.testing.assert_allclose(one.point_mm, sections.measured_mm[frame, k], atol=0.01)
+        assert one.error_mm == pytest.approx(sections.error_mm[frame, k], abs=1e-3)
+    missing = view_state.sections(["lost"], np.full((1, 3), np.nan), np.zeros((1, 3)))
+    assert missing == (view_state.SectionView("lost", None, None),)
 
 
 def test_an_export_has_a_column_for_each_section(run: Run, tmp_path: Path) -> None:
