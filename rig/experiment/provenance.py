@@ -9,7 +9,7 @@ from pathlib import Path
 
 from protocols import Protocol
 from rig.config.schema import RigConfig
-from runs.records import GRAVITY_DIRECTION, Quantity
+from runs.records import GRAVITY_DIRECTION, Quantity, SectionPlace
 
 _PACKAGES = ("softrig", "numpy", "scipy", "numba", "opencv-python-headless", "h5py", "mcap", "pydantic", "pycomedi")
 _ROOT = Path(__file__).resolve().parents[2]
@@ -52,6 +52,11 @@ def protocol_parameters(protocol: Protocol) -> tuple[Quantity, ...]:
         Quantity("protocol", p.name, (p.value,), p.unit, "set for this run" if p.given else "default of the protocol")
         for p in protocol.parameters
     )
+
+
+def section_places(config: RigConfig) -> tuple[SectionPlace, ...]:
+    """The measured sections of the arm, in the order of the observations' columns."""
+    return tuple(SectionPlace(name, section.at_mm) for name, section in config.sections.items())
 
 
 def quantities(config: RigConfig) -> tuple[Quantity, ...]:

@@ -20,7 +20,7 @@ from rig.config.loader import RigFile
 from rig.config.parameters_overlay import read as read_parameters
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
-from rig.experiment.provenance import git_state, quantities, versions
+from rig.experiment.provenance import git_state, quantities, section_places, versions
 from rig.hardware.cameras.base import Frame, FrameSet
 from rig.observation.observer import Observer
 from rig.observation.tip_force import MeasuredTipForce
@@ -54,7 +54,8 @@ def replay(
     if not len(run.frames.index):
         raise ArchiveError(f"{run.path} holds no pictures: there is nothing to replay")
     rig_file, chosen = replay_rig(run, rig, variant, parameters, calibrations)
-    config = rig_file.config
+    # The frames have their times in the archive, and a replay gives no pulses.
+    config = rig_file.config.free_running
     if not config.cameras:
         expected = "a rig with a camera: this one has none to measure the tip in the run's pictures"
         raise BadInputError([Problem("--rig", 0, 0, "", config.name, expected)])
@@ -74,6 +75,8 @@ def replay(
         parameters_yaml=rig_file.parameters,
         model_variant=chosen,
         cameras=tuple(config.cameras),
+        sections=section_places(config),
+        triggered=False,
         command=shlex.join(sys.argv),
         versions=versions(),
         git_commit=commit,

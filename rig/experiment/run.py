@@ -25,7 +25,7 @@ from rig.config.sections import Variant
 from rig.execution.plan import OperatorInterface, Outcome, RunPlan, StartError
 from rig.experiment import report_process
 from rig.experiment.preflight import check
-from rig.experiment.provenance import git_state, protocol_parameters, quantities, versions
+from rig.experiment.provenance import git_state, protocol_parameters, quantities, section_places, versions
 from rig.experiment.tip_setup import tip_controller, tip_inverse
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
@@ -40,7 +40,6 @@ from runs.records import (
     RecordedFile,
     RunFooter,
     RunHeader,
-    SectionPlace,
     Status,
     StudyRole,
     StudyRun,
@@ -374,7 +373,7 @@ def header(request: RunRequest, decided: RunPlan, t_ns: int, ahead_ns: int = 0) 
         camera_hz=config.observation_hz,
         cameras=tuple(config.cameras),
         triggered=config.triggered,
-        sections=tuple(SectionPlace(name, section.at_mm) for name, section in config.sections.items()),
+        sections=section_places(config),
         tracker=next(iter(config.trackers), ""),
         auxiliary=decided.auxiliary,
         study=request.study,

@@ -33,7 +33,7 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
     rig's `model` says whether statics or dynamics are solved. After a step without convergence the model restarts from
     the static solution.
     """
-    config, trajectory = plan.config, plan.trajectory
+    config, trajectory = plan.config.free_running, plan.trajectory
     rate_hz = config.observation_hz
     dt_s = 1.0 / rate_hz
     steps = int(trajectory.duration_s * rate_hz) + 1
@@ -79,6 +79,7 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
         simulated=True,
         control_hz=rate_hz,
         auxiliary=(),
+        triggered=False,
     )
     request.folder.mkdir(parents=True, exist_ok=True)
     journal = JournalWriter(request.folder / f"{about.run_id}.mcap", about)

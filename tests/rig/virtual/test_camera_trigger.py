@@ -12,6 +12,7 @@ import rig.config.loader
 import runs
 from rig.cli.app import main
 from rig.config.schema import RigConfig
+from rig.experiment.replay import replay
 from rig.simulator.faults import CameraFault
 from runs.columns import DetectionStatus
 from runs.run import Run
@@ -144,3 +145,17 @@ def test_a_camera_that_gives_no_picture_ends_the_run_with_the_trigger_low(
     card = plants[0].card("daq")
     assert card.rise()[0] > 10
     assert not card.digital_high
+
+
+def test_a_replay_and_a_simulation_have_no_pulses(run: Run, tmp_path: Path) -> None:
+    replayed = runs.open(replay(run, tmp_path))
+    assert not replayed.header.triggered
+    assert replayed.trigger is None
+    assert replayed.exposure is None
+    np.testing.assert_array_equal(replayed.tip.time_s, run.tip.time_s[np.isin(run.tip.frame, replayed.tip.frame)])
+    (tmp_path / "rig.yaml").write_text(run.header.rig_yaml)
+    (tmp_path / "protocol.yaml").write_text(PROTOCOL)
+    out = tmp_path / "simulated"
+    with pytest.raises(SystemExit):
+        main(["simulate", str(tmp_path / "protocol.yaml"), "--rig", str(tmp_path / "rig.yaml"), "--out", str(out)])
+    assert runs.open(next(out.glob("*.h5"))).trigger is None

@@ -10,6 +10,7 @@ import pytest
 import rig.config.loader
 import runs
 from rig.cli.app import main
+from rig.experiment.replay import replay
 from rig.hardware.cameras.base import FrameSet
 from rig.live import view_state
 from rig.live.archived_run import ArchivedRun
@@ -149,3 +150,15 @@ def test_a_section_that_is_not_seen_is_reported(tmp_path: Path) -> None:
     assert (found.sections.seen[:, 1] == DetectionStatus.NO_BOARD).all()
     assert (found.tip.seen == DetectionStatus.MEASURED).all()
     assert any("section lower is not measured: no board in the picture" in event.message for event in found.events)
+
+
+@pytest.mark.parametrize("rig_name", [None, "mock-charuco"])
+def test_a_replay_has_the_sections_of_its_rig(run: Run, tmp_path: Path, rig_name: str | None) -> None:
+    found = runs.open(replay(run, tmp_path, rig_name))
+    if rig_name is not None:
+        assert found.sections is None
+        return
+    assert found.sections is not None
+    assert run.sections is not None
+    stored = np.isin(run.tip.frame, found.tip.frame)
+    np.testing.assert_allclose(found.sections.measured_mm, run.sections.measured_mm[stored], atol=0.1)
