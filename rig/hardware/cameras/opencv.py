@@ -35,7 +35,11 @@ class OpenCVDriver:
     def open(self, config: RigConfig, name: str, seed: int) -> Camera:
         """Open a camera of the rig. Raises CameraError."""
         camera = config.cameras[name]
-        return RecordedCamera(camera) if is_recording(camera.device) else OpenCVCamera(camera)
+        if not is_recording(camera.device):
+            return OpenCVCamera(camera)
+        if camera.trigger is not None:
+            raise CameraError(f"camera {name} plays a recording, which no card can trigger: remove its `trigger`")
+        return RecordedCamera(camera)
 
     def serial(self, camera: CameraConfig) -> str | None:
         """Serial number of the USB camera behind the device."""

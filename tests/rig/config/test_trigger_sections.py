@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import ClassVar, Literal
+
 import pytest
 
 from protocols import BadInputError
-from rig.config import loader
+from rig.config import loader, trigger_consistency
+from rig.config.card_sections import CardConfig
 from tests.support.triggered_bench import triggered, triggered_rig
 
 
@@ -79,3 +82,29 @@ def test_outside_a_run_the_cameras_expose_by_their_own_clocks() -> None:
     config = triggered_rig()
     assert config.triggered
     assert not config.free_running.triggered
+
+
+class BoxConfig(CardConfig):
+    """A card of another package, as the tutorial describes it."""
+
+    driver: Literal["box"]
+
+
+class TriggeringBoxConfig(BoxConfig):
+    """The same with digital outputs."""
+
+    writes_digital: ClassVar[bool] = True
+
+
+def test_a_driver_of_another_package_states_that_it_writes_digital_outputs() -> None:
+    config = triggered_rig()
+    cameras = {name: camera.model_copy(update={"driver": "opencv"}) for name, camera in config.cameras.items()}
+    keys = {"driver": "box", "device": "box-1", "inputs": 8, "outputs": 2, "digital_outputs": 4}
+    found = {
+        kind: list(trigger_consistency.check({"daq": kind(**keys)}, cameras, config.control, config.limits))
+        for kind in (BoxConfig, TriggeringBoxConfig)
+    }
+    assert [fault.expected for fault in found[BoxConfig]] == [
+        "a card whose driver writes digital outputs: driver box writes none"
+    ]
+    assert found[TriggeringBoxConfig] == []

@@ -11,6 +11,7 @@ import pytest
 
 import rig.config.loader
 import rig.config.schema
+from rig.config.sections import CameraTrigger
 from rig.hardware.cameras.base import CameraError
 from rig.hardware.cameras.registry import open_camera
 
@@ -46,6 +47,14 @@ def test_a_folder_plays_every_picture_once_at_the_rigs_rate(
     with pytest.raises(CameraError, match="ended after 4 pictures"):
         camera.read(1.0)
     camera.close()
+
+
+def test_a_recording_cannot_be_triggered(config: rig.config.schema.RigConfig, tmp_path: Path) -> None:
+    trigger = CameraTrigger(card="daq", channel=0)
+    rig_ = _with(config, driver="opencv", device=str(_folder(tmp_path, 1)), trigger=trigger)
+    with pytest.raises(CameraError, match="front plays a recording, which no card can trigger"):
+        open_camera(rig_, "front")
+    open_camera(rig_.free_running, "front").close()
 
 
 def test_a_recording_of_another_size_is_refused(config: rig.config.schema.RigConfig, tmp_path: Path) -> None:
