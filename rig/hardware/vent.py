@@ -43,9 +43,9 @@ def vent(config: RigConfig) -> VentResult:
     holds valves, the end of the run is awaited.
 
     Raises:
-        CardError: a card cannot be opened or written, an output does not keep its voltage, the pressures do not
-            confirm it, or a process that holds the rig continues and cannot be signalled; the other cards are vented
-            nevertheless.
+        CardError: a card cannot be opened or written, an output does not keep its voltage, a camera trigger cannot be
+            set low, the pressures do not confirm it, or a process that holds the rig continues and cannot be signalled;
+            the other cards are vented nevertheless.
     """
     running = bool(holders(config))
     unsignalled: set[int] = set()
@@ -103,6 +103,8 @@ def _vent(config: RigConfig, unsignalled: set[int]) -> tuple[tuple[str, ...], li
                 unverified += outputs.arm(vent=True)
             except CardError as error:
                 failures.append(str(error))
+            if outputs.trigger_failure:
+                failures.append(outputs.trigger_failure)
     finally:
         for outputs in opened:
             outputs.close()

@@ -16,6 +16,7 @@ from rig.hardware.bench import Bench, open_bench
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import SafeOutputs, WatchdogOutputs
 from rig.hardware.vent import vent
+from rig.simulator.mock_card import MockCard
 from rig.simulator.registers import Registers
 from tests.support.triggered_bench import CHANNEL, triggered, triggered_rig
 
@@ -89,6 +90,20 @@ def test_a_trigger_that_cannot_be_set_low_leaves_the_valves_safe_and_is_reported
     np.testing.assert_allclose(card.volts, outputs.safe_v)
     assert card.order[:2] == ["valves", "trigger"]
     assert outputs.trigger_failure == "the camera trigger of card daq could not be set low: gone"
+
+
+def test_rig_vent_reports_a_trigger_that_it_cannot_set_low(
+    registers: Registers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(card: MockCard, *, high: bool) -> None:
+        raise CardError("gone")
+
+    monkeypatch.setattr(MockCard, "write_digital", fail)
+    config = on_card(registers)
+    registers.outputs["volts"][:2] = 7.0
+    with pytest.raises(CardError, match="the camera trigger of card daq could not be set low: gone"):
+        vent(config)
+    np.testing.assert_allclose(registers.outputs["volts"][:2], safe_state.safe_voltages(config, vent=True), atol=1e-3)
 
 
 def test_a_card_without_digital_outputs_cannot_trigger() -> None:
