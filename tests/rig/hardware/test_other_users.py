@@ -264,6 +264,8 @@ def test_two_users_of_one_card_exclude_each_other(shared: Path, tmp_path: Path) 
 class Outputs:
     """A card that counts how often it is vented."""
 
+    trigger_failure = ""
+
     def __init__(self, config: RigConfig, card: str) -> None:
         self.vented = 0
 
