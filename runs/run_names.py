@@ -63,12 +63,3 @@ def _in_data(part: str) -> Path | None:
         shown = ", ".join(stems[:MOST_SHOWN]) + (", .." if len(stems) > MOST_SHOWN else "")
         raise ArchiveError(f"{part}: {len(stems)} runs in data/ have this in their id: {shown}; give more of it")
     return DATA / f"{stems[0]}{SUFFIX}" if stems else None
-
-
-def free_id(folder: Path, stem: str) -> str:
-    """Return a run id that is unique in the folder; two runs can start within one second."""
-    candidate, n = stem, 1
-    while any(folder.glob(f"{candidate}.*")):
-        n += 1
-        candidate = f"{stem}-{n}"
-    return candidate

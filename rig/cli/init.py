@@ -43,6 +43,8 @@ EXPLAINED = {
     "`rotation_deg` a rotation vector. Drivers: opencv, realsense, mock.",
     "board": "The checkerboard on the end cap: its squares, not its inner corners. `placement` is its "
     "centre in the tip frame; `rig calibrate tool` finds it.",
+    "sections": "Optional: boards with markers along the arm, each with the arc length `at_mm` of its section. "
+    "Their poses are measured, archived and drawn.",
     "arm": "The manipulator: geometry as built, material from `rig identify`, mass of the end cap.",
     "uncertainties": "Standard uncertainties of what is stated above, in the unit of each name, for `rig identify`.",
     "model": "The model that runs beside the rig, and whether it is static or dynamic.",

@@ -26,11 +26,10 @@ from rig.observation.observer import Observer
 from rig.observation.tip_force import MeasuredTipForce
 from rig.sections.quantities import PA_PER_BAR
 from runs.archive.writer import ArchiveError, finalise
-from runs.data_folder import DATA
+from runs.data_folder import DATA, free_id
 from runs.journal.journal import SUFFIX, JournalWriter
 from runs.records import RunFooter, blank, sample_dtype
 from runs.run import Run
-from runs.run_names import free_id
 
 
 def replay(

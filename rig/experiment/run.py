@@ -31,6 +31,7 @@ from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
 from rig.realtime.scheduling import obtainable
 from rig.realtime.timing_limits import timing_limits
+from runs.data_folder import free_id
 from runs.journal.append_only_file import JournalError, JournalExistsError
 from runs.records import (
     Event,
@@ -44,7 +45,6 @@ from runs.records import (
     StudyRole,
     StudyRun,
 )
-from runs.run_names import free_id
 
 if TYPE_CHECKING:
     from runs.journal.journal import JournalWriter

@@ -31,7 +31,7 @@ from rig.importing.tracker_frames import PlacedTips, placed, wrench
 from rig.importing.units import KILOGRAMS, VOLTS
 from rig.sections.quantities import PA_PER_BAR
 from runs.archive.writer import finalise
-from runs.data_folder import DATA
+from runs.data_folder import DATA, free_id
 from runs.export.exporters import SIMULATED
 from runs.journal.journal import SUFFIX, JournalWriter
 from runs.records import (
@@ -48,7 +48,6 @@ from runs.records import (
     observation_dtype,
     sample_dtype,
 )
-from runs.run_names import free_id
 
 EVEN = 0.25
 """Tolerance for even time steps, as a part of the period."""
