@@ -57,6 +57,11 @@ SUDDEN_FRAMES, SUDDEN_SHARE = 2, 0.75
 """The share for a sum that has risen within so few frames: the arm still swings towards where the payload pulls it."""
 ANSWER_STD = 0.08
 """Share by which an arm with hysteresis and creep answers a change of its load otherwise than the estimates say."""
+UNMODELLED_FRAMES = 300
+"""A difference that is back within so many frames of learning again is not learned: it counts as noise."""
+TOLERATED, UNMODELLED_SHARE = 1.5, 1 / 8
+"""Mean square of the innovations, relative to the expected one, above which the noise grows while everything is learned
+again, and the share by which one frame corrects it."""
 BEYOND_PRIORS = 3.0
 """The prior standard deviations are multiplied by this for an arm beyond them, and everything is learned again."""
 
@@ -75,7 +80,8 @@ class EstimatorState(NamedTuple):
     `excess`: sum of the NIS beyond USUAL_NIS. `frames`: since everything is learned. `settling`: frames until the arm
     has settled after a change. `relapse`: frames in which a second change is not taken for a payload.
     `suspected`: frames since `excess` began to rise, `calm`: z and covariance before that.
-    `before`: the payload before the last change, None without any.
+    `before`: the payload before the last change, None without any. `unmodelled_m2`: variance of each coordinate by what
+    learning does not take away, as of a motion too fast for the model; `again`: frames in which it may grow.
     z: gains (V,), softness, lag, payload, offset (3,), then a_k and b_k (3,) of each harmonic.
     """
 
@@ -88,6 +94,8 @@ class EstimatorState(NamedTuple):
     suspected: int = 0
     calm: tuple[Array, Array] | None = None
     before: PayloadBefore | None = None
+    unmodelled_m2: float = 0.0
+    again: int = 0
 
 
 class TipEstimator:
@@ -182,12 +190,15 @@ class TipEstimator:
         walk = self._each(GAIN_WALK, 0.0, LAG_WALK_S, PAYLOAD_WALK_KG, OFFSET_WALK_M, waves)
         # What has just changed is the payload: the frames after it show its mass, not a drift of the others.
         covariance = state.covariance + (0.0 if state.relapse else 1.0) * np.diag(walk**2) * passed_s
-        noise = covariance_m2 + MODEL_STD_M**2 * np.eye(3)
+        noise = covariance_m2 + (MODEL_STD_M**2 + state.unmodelled_m2) * np.eye(3)
         gap = measured_m - predicted
         innovation = slope @ covariance @ slope.T + noise
         nis = float(gap @ np.linalg.solve(innovation, gap))
         excess, settling, relapse = 0.0, max(0, state.settling - 1), max(0, state.relapse - 1)
         z, frames, before = state.z, state.frames + 1, state.before
+        unmodelled_m2, again = state.unmodelled_m2, max(0, state.again - 1)
+        if state.again and state.frames <= LEARNING_FRAMES:
+            unmodelled_m2 = _matched(unmodelled_m2, gap, innovation)
         if state.frames > LEARNING_FRAMES and not settling:
             excess = max(0.0, state.excess + min(nis, OUTLIER_NIS) - USUAL_NIS)
             if nis > OUTLIER_NIS and state.excess <= SUSPICION_NIS:
@@ -197,7 +208,11 @@ class TipEstimator:
             hung = excess > CHANGE_NIS and not relapse and self._payload_explains(state, gap, slope, noise)
             if excess > CHANGE_NIS and not hung:
                 z, before = z.copy(), None
-                covariance += np.diag((BEYOND_PRIORS * self._prior_std()) ** 2)
+                if state.again:
+                    unmodelled_m2 += float(gap @ gap) / 3
+                else:
+                    covariance += np.diag((BEYOND_PRIORS * self._prior_std()) ** 2)
+                again = UNMODELLED_FRAMES
                 if state.before is not None:
                     covariance[self._payload, self._payload] += (z[self._payload] - state.before.payload_kg) ** 2
                     z[self._payload] = state.before.payload_kg
@@ -223,7 +238,9 @@ class TipEstimator:
         suspected, calm = (state.suspected + 1, state.calm) if excess > SUSPICION_NIS else (0, after)
         if before is not None:
             before = before._replace(covariance=keep @ before.covariance)
-        return EstimatorState(*after, excess, frames, settling, relapse, suspected, calm, before), nis
+        return EstimatorState(
+            *after, excess, frames, settling, relapse, suspected, calm, before, unmodelled_m2, again
+        ), nis
 
     def _payload_explains(self, state: EstimatorState, gap: Array, slope: Array, noise: Array) -> bool:
         """Whether what a frame shows beyond the estimates that were kept points where a payload pulls the tip."""
@@ -252,3 +269,10 @@ class TipEstimator:
             phase = 2 * np.pi / period_s * np.outer(times_s, np.arange(1, HARMONICS + 1))
             out[:, 1::2], out[:, 2::2] = np.cos(phase), np.sin(phase)
         return out
+
+
+def _matched(variance_m2: float, gap: Array, innovation: Array) -> float:
+    """The variance of what the model lacks after one innovation, by covariance matching (Mehra 1972)."""
+    expected = float(np.trace(innovation))
+    surplus = min(float(gap @ gap), OUTLIER_NIS / 3 * expected) - TOLERATED * expected
+    return max(0.0, variance_m2 + UNMODELLED_SHARE * surplus / 3)

@@ -218,6 +218,23 @@ def test_a_sideways_shift_that_no_payload_explains_is_learned_within_half_a_seco
     assert abs(estimate.payload_kg) < 2 * estimate.payload_std_kg < 0.03
 
 
+def test_a_disturbance_too_fast_to_be_learned_counts_as_noise(static_map: StaticMap) -> None:
+    """Otherwise everything is learned again and again, each time from wider priors, and the estimates run away."""
+    estimator, rng = TipEstimator(static_map), np.random.default_rng(1)
+    state, still = estimator.start(), np.zeros(3)
+    for k in range(600):
+        pressure = 4e4 + 2e4 * np.sin(2.2 * k / 30 + np.array([0.0, 2.1, 4.2]))
+        tip = static_map.tips(pressure[None])[0]
+        fast = 5e-3 * np.sin(np.array([19.0, 23.0, 29.0]) * k / 30 + np.array([0.0, 1.0, 2.0]))
+        prediction = estimator.predict(state, tip, still, pressure, k / 30, None)
+        measured = tip + (fast if k >= 120 else 0.0) + 5e-5 * rng.standard_normal(3)
+        state, nis = estimator.update(state, measured, 2.5e-9 * np.eye(3), prediction, 1 / 30, None)
+        if k > 300:
+            assert np.abs(estimator.gains(state)).max() < 0.15
+            assert np.linalg.norm(estimator.disturbance(state, np.array([k / 30]), None)[0]) < 4e-3
+            assert nis < 20.0
+
+
 def test_a_payload_that_sinks_in_slowly_is_weighed_from_the_frames_before_it_was_noticed(static_map: StaticMap) -> None:
     estimator, rng = TipEstimator(static_map), np.random.default_rng(1)
     state, pressure, still = estimator.start(), np.array([4e4, 2e4, 2e4]), np.zeros(3)
