@@ -1,4 +1,4 @@
-"""Exact gradients of the tip by parameters and pressures, for identification.
+"""Exact gradients of tip and sections by parameters and pressures, for identification.
 
 By the implicit function theorem (model/kernels/tangents.py): tangent vectors of a solved arm are integrated beside it,
 without further Newton iterations.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import numpy as np
@@ -20,7 +20,7 @@ from model.dynamics import Dynamics
 from model.errors import NotConverged, Unstable
 from model.hysteresis import effective_pa
 from model.kernels import layout
-from model.kernels.arguments import TipAnswers
+from model.kernels.arguments import SectionAnswers, TipAnswers
 from model.kernels.dynamic_sensitivities import dynamic_sensitivities
 from model.kernels.lanes import Lanes, apply_tip_load
 from model.kernels.shooting import TOLERANCE_AT_REST, TOLERANCE_IN_MOTION, workspace_for
@@ -45,6 +45,8 @@ class Gradients:
 
     tip_m (K, 3), tip_rotation (K, 3, 3), ok (K,). tip_by (K, 3, P) [m]; turn_by (K, 3, P) [rad]: rotation vector in
     the base frame. NaN where there is no stable solution; unstable (K,) where an unstable equilibrium was found.
+    section_m (K, S, 3), section_rotation (K, S, 3, 3), section_by (K, S, 3, P), section_turn_by (K, S, 3, P): the same
+    of the S sections that were asked for.
     """
 
     tip_m: Array
@@ -53,6 +55,10 @@ class Gradients:
     tip_by: Array
     turn_by: Array
     unstable: NDArray[np.bool_]
+    section_m: Array
+    section_rotation: Array
+    section_by: Array
+    section_turn_by: Array
 
 
 @dataclass(frozen=True)
@@ -97,13 +103,16 @@ def statics(
     pull: TipWrench | None = None,
     nodes: int | None = None,
     workers: int | None = None,
+    sections_m: ArrayLike = (),
 ) -> Gradients:
     """Tips at rest for rows of pressure_pa (K, N) [Pa], and how they answer to each change, in one call on all cores.
 
-    weight_kg (K,), pull (K rows): hang on the tip. Raises ValueError for what does not fit.
+    weight_kg (K,), pull (K rows): hang on the tip. sections_m (S,): arc lengths [m] of sections of the arm at rest that
+    are asked for, too. Raises ValueError for what does not fit.
     """
     rows, nodes = _rows(arm, pressure_pa), steps_along(arm, nodes)
     _check_changes(arm, changes, rows)
+    at = _arc_lengths(arm, sections_m)
     tip_loads = lane_tip_loads(arm, changes, len(rows), weight_kg, pull)
     stack = PerturbedArms.of(arm, changes, nodes, rows)
     by_lane = lane_rows(rows, [change.pressure_pa for change in changes])
@@ -111,18 +120,15 @@ def statics(
 
     def part(span: range) -> None:
         if len(span):
-            at = slice(span.start, span.stop)
+            own = slice(span.start, span.stop)
             workspace = Lanes.of(len(changes), nodes, 1)
             parts[span.start] = _solve(
-                stack.own(at), by_lane[at], tip_loads if len(tip_loads) == 1 else tip_loads[at], nodes, workspace
+                stack.own(own), by_lane[own], tip_loads if len(tip_loads) == 1 else tip_loads[own], nodes, workspace, at
             )
 
     spread(part, len(rows), workers, ROWS_PER_THREAD)
     each = [parts[start] for start in sorted(parts)]
-    return Gradients(
-        *(np.concatenate([getattr(one, name) for one in each]) for name in ("tip_m", "tip_rotation", "ok")),
-        *(np.concatenate([getattr(one, name) for one in each]) for name in ("tip_by", "turn_by", "unstable")),
-    )
+    return Gradients(*(np.concatenate([getattr(one, f.name) for one in each]) for f in fields(Gradients)))
 
 
 def motion(
@@ -134,11 +140,13 @@ def motion(
     every: int = 1,
     nodes: int | None = None,
     pull: TipWrench | None = None,
+    sections_m: ArrayLike = (),
 ) -> Gradients:
     """The tip in motion, from rest under the first of the rows of pressure_pa (1 + T, N) [Pa], one time step a row.
 
     Answers of the first row and of `every` so many steps after it: K = 1 + T // every. weight_kg (1 + T,), pull
-    (1 + T rows): hang on the tip. The scheme is BDF-alpha. Raises ValueError for what does not fit.
+    (1 + T rows): hang on the tip. sections_m: as of `statics`. The scheme is BDF-alpha. Raises ValueError for what does
+    not fit.
     """
     rows = _rows(arm, pressure_pa)
     _check_changes(arm, changes, rows)
@@ -148,9 +156,8 @@ def motion(
         raise ValueError(f"answers are asked for every so many steps, at least 1, got {every}")
     tip_loads = lane_tip_loads(arm, changes, len(rows), weight_kg, pull)
     count, neighbours = 1 + (len(rows) - 1) // every, len(changes)
-    place, turned = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
-    by, good = np.full((count, neighbours, 6), np.nan), np.zeros(count, dtype=np.bool_)
-    unstable = np.zeros(count, dtype=np.bool_)
+    answers = _no_answers(count, neighbours)
+    sections = _no_sections(count, neighbours, _arc_lengths(arm, sections_m))
     dynamics = Dynamics(arm, dt_s, nodes=nodes)
     n = dynamics.nodes
     still = PerturbedArms.of(arm, changes, n, rows[:1])
@@ -159,8 +166,8 @@ def motion(
     try:
         dynamics.begin(still.first, rows[0], here, still.load, still.loaded)
     except NotConverged as fault:
-        unstable[0] = isinstance(fault, Unstable)
-        return _gradients(place, turned, good, by, unstable)
+        answers.unstable[0] = isinstance(fault, Unstable)
+        return _gradients(answers, sections)
     swinging = PerturbedArms.of(arm, changes, n, rows, dynamics.c0, dt_s)
     arm_in_motion = dynamics.arm_with_cap._replace(
         stiffness=swinging.first.stiffness, rest=swinging.first.rest, per_pressure=swinging.first.per_pressure
@@ -171,12 +178,12 @@ def motion(
         lane_rows(rows, [change.pressure_pa for change in changes]), tip_loads, swinging.steps, every,
         layout.aligned(works, n + 1, (36 if branches else 24) * layout.LANES),
         layout.aligned(works, branches, n + 1, 12 * layout.LANES), dynamics.workspace,
-        Lanes.of(neighbours, n, dynamics.segments), TOLERANCE_IN_MOTION,
-        TipAnswers(place, turned, by, good, unstable),
+        Lanes.of(neighbours, n, dynamics.segments), TOLERANCE_IN_MOTION, answers, sections,
     )  # fmt: skip
-    lost = ~good
-    place[lost], turned[lost], by[lost] = np.nan, np.nan, np.nan
-    return _gradients(place, turned, good, by, unstable)
+    lost = ~answers.good
+    for found in (answers, sections):
+        found.place[lost], found.turned[lost], found.by[lost] = np.nan, np.nan, np.nan
+    return _gradients(answers, sections)
 
 
 def _with_hysteresis(change: Variation, arm: Arm, rows: Array) -> Variation:
@@ -188,11 +195,33 @@ def _with_hysteresis(change: Variation, arm: Arm, rows: Array) -> Variation:
     return replace(change, pressure_pa=effective_pa(stops, given))
 
 
-def _gradients(
-    place: Array, turned: Array, good: NDArray[np.bool_], by: Array, unstable: NDArray[np.bool_]
-) -> Gradients:
-    answers = by.transpose(0, 2, 1)
-    return Gradients(place, turned, good, answers[:, :3], answers[:, 3:], unstable)
+def _no_answers(count: int, neighbours: int) -> TipAnswers:
+    """Answers of K rows by P changes, nothing solved yet."""
+    place, turned = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
+    by, unstable = np.full((count, neighbours, 6), np.nan), np.zeros(count, dtype=np.bool_)
+    return TipAnswers(place, turned, by, np.zeros(count, dtype=np.bool_), unstable)
+
+
+def _no_sections(count: int, neighbours: int, at_m: Array) -> SectionAnswers:
+    """The same of the sections at arc lengths (S,)."""
+    place, turned = np.full((count, len(at_m), 3), np.nan), np.full((count, len(at_m), 3, 3), np.nan)
+    return SectionAnswers(at_m, place, turned, np.full((count, len(at_m), neighbours, 6), np.nan))
+
+
+def _gradients(tip: TipAnswers, sections: SectionAnswers) -> Gradients:
+    by, section_by = tip.by.swapaxes(-1, -2), sections.by.swapaxes(-1, -2)
+    return Gradients(
+        tip.place, tip.turned, tip.good, by[:, :3], by[:, 3:], tip.unstable,
+        sections.place, sections.turned, section_by[:, :, :3], section_by[:, :, 3:],
+    )  # fmt: skip
+
+
+def _arc_lengths(arm: Arm, sections_m: ArrayLike) -> Array:
+    at = np.array(sections_m, dtype=np.float64).reshape(-1)
+    length = arm.geometry.length_m
+    if not ((at >= 0) & (at <= length)).all():
+        raise ValueError(f"sections lie on the arm, from 0 to {length:g} m, got {at.tolist()}")
+    return at
 
 
 def _rows(arm: Arm, pressure_pa: ArrayLike) -> Array:
@@ -259,13 +288,16 @@ def _lanes_at_rest(neighbours: int, nodes: int) -> Lanes:
 _kept = _Kept()
 
 
-def _solve(stack: PerturbedArms, rows: Array, tip_loads: Array, nodes: int, workspace: Lanes) -> Gradients:
+_NO_SECTIONS = np.empty(0)
+
+
+def _solve(
+    stack: PerturbedArms, rows: Array, tip_loads: Array, nodes: int, workspace: Lanes, at_m: Array = _NO_SECTIONS
+) -> Gradients:
     """For pressures (K, W, N, 8); the stack's work arrays are written to."""
     count, first, neighbours = len(rows), stack.first, len(stack.steps)
-    place, turned, by = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, neighbours, 6))
-    good, unstable = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.bool_)
     arm = first.arm(stack.work, first.cap, stack.load, stack.loaded)
-    answers = TipAnswers(place, turned, by, good, unstable)
+    answers, sections = _no_answers(count, neighbours), _no_sections(count, neighbours, at_m)
     static_sensitivities(
         first.walls,
         arm,
@@ -277,5 +309,6 @@ def _solve(stack: PerturbedArms, rows: Array, tip_loads: Array, nodes: int, work
         workspace,
         TOLERANCE_AT_REST,
         answers,
+        sections,
     )
-    return _gradients(place, turned, good, by, unstable)
+    return _gradients(answers, sections)

@@ -69,3 +69,12 @@ class TipAnswers(NamedTuple):
     by: Array  # (K, P, 6)
     good: Array  # (K,)
     unstable: Array  # (K,)
+
+
+class SectionAnswers(NamedTuple):
+    """Poses of sections of the arm to fill in, and how they answer to each neighbour's change."""
+
+    at: Array  # (S,) [m], arc lengths
+    place: Array  # (K, S, 3) [m]
+    turned: Array  # (K, S, 3, 3)
+    by: Array  # (K, S, P, 6)

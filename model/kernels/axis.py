@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from model.kernels.arguments import ArmArguments, MotionState, TipPoses
+from model.kernels.between_nodes import orientation_between, passed_between
 from model.kernels.equilibrium import UNSTABLE, equilibrium
 from model.kernels.jit import kernel
 from model.kernels.law import Walls
@@ -88,6 +89,33 @@ def place_tip(x: Array, length: float, centre: Array, place: Array, turned: Arra
     speed, d1, d2, d3 = _speed(x, n)
     at = _reached(passed, speed, first, _bend(x, n, d1, d2, d3), length / n)
     _write_axis(at, d1, d2, d3, centre, place, turned, t)
+
+
+@leaf
+def place_section(x: Array, length: float, centre: Array, at: float, place: Array, turned: Array, k: int) -> None:
+    """The section at arc length `at`, into row k of place (S, 3) and turned (S, 3, 3)."""
+    n = x.shape[0] // 2 - 1
+    h = length / n
+    last = min(max(int(at / h), 0), n - 1)
+    speed, d1, d2, d3 = _speed(x, 0)
+    passed, first, reached = (0.5 * speed[0], 0.5 * speed[1], 0.5 * speed[2]), _bend(x, 0, d1, d2, d3), (0.0, 0.0, 0.0)
+    bend = first
+    for j in range(1, last + 1):
+        speed, d1, d2, d3 = _speed(x, j)
+        bend = _bend(x, j, d1, d2, d3)
+        reached = _reached(passed, speed, first, bend, h)
+        passed = plus(passed, 1.0, speed)
+    following, d1, d2, d3 = _speed(x, last + 1)
+    t = at / h - last
+    step = passed_between(speed, bend, following, _bend(x, last + 1, d1, d2, d3), t, h)
+    d1, d2, d3 = rotation(
+        orientation_between(
+            (x[last, 12], x[last, 13], x[last, 14], x[last, 15]), (x[last, 3], x[last, 4], x[last, 5]),
+            (x[last + 1, 12], x[last + 1, 13], x[last + 1, 14], x[last + 1, 15]),
+            (x[last + 1, 3], x[last + 1, 4], x[last + 1, 5]), t, h,
+        )
+    )  # fmt: skip
+    _write_axis(plus(reached, 1.0, step), d1, d2, d3, centre, place, turned, k)
 
 
 @kernel

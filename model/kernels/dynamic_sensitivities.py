@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from model.kernels.arguments import ArmArguments, LaneArguments, MotionState, TipAnswers
-from model.kernels.axis import place_tip
+from model.kernels.arguments import ArmArguments, LaneArguments, MotionState, SectionAnswers, TipAnswers
+from model.kernels.axis import place_section, place_tip
 from model.kernels.jit import kernel
-from model.kernels.lanes import FIRST, Lanes, apply_pressure, apply_tip_load, places
+from model.kernels.lanes import FIRST, Lanes, apply_pressure, apply_tip_load, places, section_places
 from model.kernels.law import Walls, branched
 from model.kernels.layout import LANES, STATE
 from model.kernels.relaxation import relax_branches_in_lanes
@@ -57,10 +57,28 @@ def _moved(
     n = states.shape[1] - 1
     for p in range(works.shape[0]):
         places(works[p], states[p], derivatives[p], x[n], workspace.place[p])
+    _answers(workspace, steps, by)
+
+
+@leaf
+def _answers(workspace: Lanes, steps: Array, by: Array) -> None:
+    """Derivatives (P, 6) of the places in the workspace by each change of size steps (P,)."""
     for f in range(steps.shape[0]):
         p, i = (FIRST + f) // LANES, (FIRST + f) % LANES
         for c in range(6):
             by[f, c] = (workspace.place[p, c, i] - workspace.place[0, c, 0]) / steps[f]
+
+
+@leaf
+def _sections_moved(
+    x: Array, length: float, works: Array, workspace: Lanes, states: Array, derivatives: Array, steps: Array,
+    at: Array, by: Array,
+) -> None:  # fmt: skip
+    """How the sections at arc lengths `at` (S,) answer (S, P, 6), after `_combine`."""
+    for k in range(at.shape[0]):
+        for p in range(works.shape[0]):
+            section_places(works[p], states[p], derivatives[p], at[k], length, x, workspace.place[p])
+        _answers(workspace, steps, by[k])
 
 
 @leaf
@@ -105,21 +123,22 @@ def dynamic_sensitivities(
     workspace: Lanes,
     tolerance: float,
     answers: TipAnswers,
+    sections: SectionAnswers,
 ) -> None:
-    """A motion from rest by BDF-alpha, and how its tip answers to each neighbour's change.
+    """A motion from rest by BDF-alpha, and how its tip and sections answer to each neighbour's change.
 
     The arm stands at rest in the motion's x; `still` are the lanes of the arm at rest, `swinging` those of the moving
     one. pressure (1 + T, W, N, 8): at rest, then step by step; sections and tip_loads one for each of these rows, or
     one for all. past (W, N + 1, 192): for the lanes' history; (W, N + 1, 288) where the walls have branches, whose
     strains are branch_strains (W, B, N + 1, 96). steps (P,): sizes of the changes; without neighbours the lanes rest.
-    Fills the answers (1 + T / every,) of every so many steps.
+    Fills the answers (1 + T / every,) of every so many steps, and those of the sections.
     """
     row, here, x = np.empty(walls.actuators), arm.tip.copy(), motion.x
     scheme, segments = motion.coefficients, motion.segments
     c0, c1, c2, d1 = scheme[0], scheme[1], scheme[2], scheme[4]
-    followed, now, sections = steps.shape[0] > 0, 0, arm.stiffness.shape[0]
+    followed, now, rows = steps.shape[0] > 0, 0, arm.stiffness.shape[0]
     for t in range(pressure.shape[0]):
-        r, q, tip_load = t % sections, t % arm.rest.shape[0], tip_loads[t % tip_loads.shape[0]]
+        r, q, tip_load = t % rows, t % arm.rest.shape[0], tip_loads[t % tip_loads.shape[0]]
         apply_tip_load(arm.tip, tip_load, here)
         solved = 1
         if t == 0 and followed:
@@ -141,7 +160,7 @@ def dynamic_sensitivities(
         if t > 0:
             for k in range(walls.actuators):
                 row[k] = pressure[t, 0, k, 0]
-            if sections > 1:
+            if rows > 1:
                 stiffen(arm.work, arm.stiffness[r])
             solved = advance(
                 arm.work, walls, arm.rest[q], arm.per_pressure[r], arm.free_per_pa, motion.before, row, arm.load,
@@ -167,6 +186,8 @@ def dynamic_sensitivities(
             at = t // every
             answers.good[at] = solved > 0
             place_tip(x, arm.length, arm.centre, answers.place, answers.turned, at)
+            for k in range(sections.at.shape[0]):
+                place_section(x, arm.length, arm.centre, sections.at[k], sections.place[at], sections.turned[at], k)
             if followed:
                 _moved(
                     x,
@@ -177,5 +198,10 @@ def dynamic_sensitivities(
                     steps,
                     answers.by[at],
                 )
+                _sections_moved(
+                    x, arm.length, swinging.works, workspace, workspace.states[now], workspace.derivatives[now],
+                    steps, sections.at, sections.by[at],
+                )  # fmt: skip
             else:
                 answers.by[at] = np.nan
+                sections.by[at] = np.nan

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from model.kernels.between_nodes import Quaternion, orientation_between, passed_between
 from model.kernels.law import Walls, branched
 from model.kernels.layout import (
     AXIAL,
@@ -32,7 +33,7 @@ from model.kernels.layout import (
     aligned,
 )
 from model.kernels.rod import stage
-from model.kernels.vec3 import called, cross, inlined, leaf, plus, put, rotation, triple
+from model.kernels.vec3 import Triple, called, cross, inlined, leaf, plus, put, rotation, triple
 
 Array = Any
 
@@ -182,6 +183,60 @@ def apply_tip_load(tip: Array, tip_loads: Array, here: Array) -> None:
         here[HANGS - 6 + c] += tip_loads[0, 6 + c, 0]
 
 
+@inlined
+def _gather(w: Array, states: Array, derivatives: Array, last: int) -> None:
+    """The way from the base to node `last` in every lane, as `axis.axis` finds it, and the slopes p' and p'' there.
+
+    They stand at GATHER, the node's state at NODE.
+    """
+    for i in range(9 * LANES):
+        w[GATHER * LANES + i] = 0.0
+    for j in range(last + 1):
+        for i in range(STATE * LANES):
+            w[NODE * LANES + i] = states[j, i]
+        for i in range(6 * LANES):
+            w[SLOPE * LANES + i] = derivatives[j, i]
+        for i in range(LANES):
+            at, was, turned = triple(w, GATHER, i), triple(w, GATHER + 3, i), triple(w, GATHER + 6, i)
+            speed, turn = _slopes(w, i)
+            h = w[STRIDE * LANES + i] if j > 0 else 0.0
+            at = plus(plus(at, 0.5 * h, plus(was, 1.0, speed)), h * h / 12.0, plus(turned, -1.0, turn))
+            put(w, GATHER, i, at)
+            put(w, GATHER + 3, i, speed)
+            put(w, GATHER + 6, i, turn)
+
+
+@inlined
+def _slopes(w: Array, i: int) -> tuple[Triple, Triple]:
+    """Slopes p' and p'' of the line in lane i, by the node's state and its slopes."""
+    d1, d2, d3 = rotation(_orientation(w, i))
+    strain = triple(w, NODE, i)
+    g = plus(triple(w, SLOPE, i), 1.0, cross(triple(w, NODE + 3, i), strain))
+    speed = plus(plus((strain[0] * d1[0], strain[0] * d1[1], strain[0] * d1[2]), strain[1], d2), strain[2], d3)
+    return speed, plus(plus((g[0] * d1[0], g[0] * d1[1], g[0] * d1[2]), g[1], d2), g[2], d3)
+
+
+@inlined
+def _orientation(w: Array, i: int) -> Quaternion:
+    q = (NODE + 12) * LANES + i
+    return w[q], w[q + LANES], w[q + 2 * LANES], w[q + 3 * LANES]
+
+
+@inlined
+def _write_place(w: Array, i: int, at: Triple, own: Quaternion, other: Quaternion, place: Array) -> None:
+    """Place of lane i, moved from the centroid to the axis, and its turn against the orientation `other`."""
+    d1, d2, _ = rotation(own)
+    cx, cy = w[CENTRE * LANES + i], w[(CENTRE + 1) * LANES + i]
+    moved = plus(plus(at, -cx, d1), -cy, d2)
+    place[0, i], place[1, i], place[2, i] = moved[0] + cx, moved[1] + cy, moved[2]
+    a, b, c, e = own
+    a0, b0, c0, e0 = other
+    over = 2.0 / (a0 * a0 + b0 * b0 + c0 * c0 + e0 * e0)
+    place[3, i] = over * (-a * b0 + b * a0 - c * e0 + e * c0)
+    place[4, i] = over * (-a * c0 + c * a0 - e * b0 + b * e0)
+    place[5, i] = over * (-a * e0 + e * a0 - b * c0 + c * b0)
+
+
 @leaf
 def places(w: Array, states: Array, derivatives: Array, tip: Array, place: Array) -> None:
     """Tip (3) and turn (3) of every lane into place (6, 8), as `axis.axis` finds the tip.
@@ -189,36 +244,39 @@ def places(w: Array, states: Array, derivatives: Array, tip: Array, place: Array
     The turn is the rotation vector [rad] in the base frame by which a lane's tip is turned against the state `tip`
     (16,), to first order.
     """
-    n = states.shape[0] - 1
-    for i in range(9 * LANES):
-        w[GATHER * LANES + i] = 0.0
-    for j in range(n + 1):
-        for i in range(STATE * LANES):
-            w[NODE * LANES + i] = states[j, i]
-        for i in range(6 * LANES):
-            w[SLOPE * LANES + i] = derivatives[j, i]
-        for i in range(LANES):
-            q = (NODE + 12) * LANES + i
-            d1, d2, d3 = rotation((w[q], w[q + LANES], w[q + 2 * LANES], w[q + 3 * LANES]))
-            strain = triple(w, NODE, i)
-            g = plus(triple(w, SLOPE, i), 1.0, cross(triple(w, NODE + 3, i), strain))
-            at, was, turned = triple(w, GATHER, i), triple(w, GATHER + 3, i), triple(w, GATHER + 6, i)
-            speed = plus(plus((strain[0] * d1[0], strain[0] * d1[1], strain[0] * d1[2]), strain[1], d2), strain[2], d3)
-            turn = plus(plus((g[0] * d1[0], g[0] * d1[1], g[0] * d1[2]), g[1], d2), g[2], d3)
-            h = w[STRIDE * LANES + i] if j > 0 else 0.0
-            at = plus(plus(at, 0.5 * h, plus(was, 1.0, speed)), h * h / 12.0, plus(turned, -1.0, turn))
-            put(w, GATHER, i, at)
-            put(w, GATHER + 3, i, speed)
-            put(w, GATHER + 6, i, turn)
-    a0, b0, c0, e0 = tip[12], tip[13], tip[14], tip[15]
-    over = 2.0 / (a0 * a0 + b0 * b0 + c0 * c0 + e0 * e0)
+    _gather(w, states, derivatives, states.shape[0] - 1)
     for i in range(LANES):
-        q = (NODE + 12) * LANES + i
-        a, b, c, e = w[q], w[q + LANES], w[q + 2 * LANES], w[q + 3 * LANES]
-        d1, d2, _ = rotation((a, b, c, e))
-        cx, cy = w[CENTRE * LANES + i], w[(CENTRE + 1) * LANES + i]
-        at = plus(plus(triple(w, GATHER, i), -cx, d1), -cy, d2)
-        place[0, i], place[1, i], place[2, i] = at[0] + cx, at[1] + cy, at[2]
-        place[3, i] = over * (-a * b0 + b * a0 - c * e0 + e * c0)
-        place[4, i] = over * (-a * c0 + c * a0 - e * b0 + b * e0)
-        place[5, i] = over * (-a * e0 + e * a0 - b * c0 + c * b0)
+        _write_place(w, i, triple(w, GATHER, i), _orientation(w, i), (tip[12], tip[13], tip[14], tip[15]), place)
+
+
+@leaf
+def section_places(
+    w: Array, states: Array, derivatives: Array, at: float, length: float, x: Array, place: Array
+) -> None:
+    """The same of the section at arc length `at` of every lane, against that of the arm x (2 N + 2, 16) of a length.
+
+    Every lane is interpolated between the same two nodes; where they stand depends on the length of its arm.
+    """
+    n = states.shape[0] - 1
+    last = min(max(int(at * n / length), 0), n - 1)
+    h = length / n
+    other = orientation_between(
+        (x[last, 12], x[last, 13], x[last, 14], x[last, 15]), (x[last, 3], x[last, 4], x[last, 5]),
+        (x[last + 1, 12], x[last + 1, 13], x[last + 1, 14], x[last + 1, 15]),
+        (x[last + 1, 3], x[last + 1, 4], x[last + 1, 5]), at / h - last, h,
+    )  # fmt: skip
+    _gather(w, states, derivatives, last)
+    for i in range(STATE * LANES):
+        w[THIRD * LANES + i] = w[NODE * LANES + i]
+        w[NODE * LANES + i] = states[last + 1, i]
+    for i in range(6 * LANES):
+        w[SLOPE * LANES + i] = derivatives[last + 1, i]
+    for i in range(LANES):
+        h = w[STRIDE * LANES + i]
+        t = at / h - last
+        speed, bend = _slopes(w, i)
+        step = passed_between(triple(w, GATHER + 3, i), triple(w, GATHER + 6, i), speed, bend, t, h)
+        q = (THIRD + 12) * LANES + i
+        before = w[q], w[q + LANES], w[q + 2 * LANES], w[q + 3 * LANES]
+        own = orientation_between(before, triple(w, THIRD + 3, i), _orientation(w, i), triple(w, NODE + 3, i), t, h)
+        _write_place(w, i, plus(triple(w, GATHER, i), 1.0, step), own, other, place)

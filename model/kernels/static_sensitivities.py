@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from model.kernels.arguments import ArmArguments, LaneArguments, TipAnswers
-from model.kernels.axis import place_tip
+from model.kernels.arguments import ArmArguments, LaneArguments, SectionAnswers, TipAnswers
+from model.kernels.axis import place_section, place_tip
 from model.kernels.equilibrium import UNSTABLE, equilibrium
 from model.kernels.jit import kernel
-from model.kernels.lanes import FIRST, Lanes, apply_pressure, apply_tip_load, places
+from model.kernels.lanes import FIRST, Lanes, apply_pressure, apply_tip_load, places, section_places
 from model.kernels.law import Walls
 from model.kernels.layout import LANES
 from model.kernels.shooting import Workspace
@@ -22,11 +22,8 @@ Array = Any
 
 
 @leaf
-def _answers(x: Array, works: Array, workspace: Lanes, steps: Array, by: Array) -> None:
-    """Derivatives (P, 6) of tip and rotation by each change of size steps (P,), after the tangents are solved."""
-    n = workspace.states.shape[2] - 1
-    for p in range(works.shape[0]):
-        places(works[p], workspace.states[0, p], workspace.derivatives[0, p], x[n], workspace.place[p])
+def _answers(works: Array, workspace: Lanes, steps: Array, by: Array) -> None:
+    """Derivatives (P, 6) of places and rotations by each change of size steps (P,), of the places in the workspace."""
     for f in range(steps.shape[0]):
         p, i = (FIRST + f) // LANES, (FIRST + f) % LANES
         for c in range(6):
@@ -34,6 +31,28 @@ def _answers(x: Array, works: Array, workspace: Lanes, steps: Array, by: Array) 
             for k in range(6):
                 total += workspace.shares[0, p, k, i] * (workspace.place[0, c, 1 + k] - workspace.place[0, c, 0])
             by[f, c] = total / steps[f]
+
+
+@leaf
+def _tip_answers(x: Array, works: Array, workspace: Lanes, steps: Array, by: Array) -> None:
+    """Derivatives (P, 6) of tip and rotation, after the tangents are solved."""
+    n = workspace.states.shape[2] - 1
+    for p in range(works.shape[0]):
+        places(works[p], workspace.states[0, p], workspace.derivatives[0, p], x[n], workspace.place[p])
+    _answers(works, workspace, steps, by)
+
+
+@leaf
+def _section_answers(
+    x: Array, length: float, works: Array, workspace: Lanes, steps: Array, at: Array, by: Array
+) -> None:
+    """The same (S, P, 6) of the sections at arc lengths `at` (S,)."""
+    for k in range(at.shape[0]):
+        for p in range(works.shape[0]):
+            section_places(
+                works[p], workspace.states[0, p], workspace.derivatives[0, p], at[k], length, x, workspace.place[p]
+            )
+        _answers(works, workspace, steps, by[k])
 
 
 @kernel
@@ -48,11 +67,12 @@ def static_sensitivities(
     workspace: Lanes,
     tolerance: float,
     answers: TipAnswers,
+    sections: SectionAnswers,
 ) -> None:
-    """One equilibrium per row of pressure (K, W, N, 8), and how its tip answers to each neighbour's change.
+    """One equilibrium per row of pressure (K, W, N, 8); how its tip and sections answer to each neighbour's change.
 
     tip_loads (K, W, 12, 8): what hangs on the lanes' tips beyond the cap, one for each row or for all. steps (P,):
-    sizes of the changes. Fills the answers.
+    sizes of the changes. Fills the answers and those of the sections.
     """
     row, here = np.empty(walls.actuators), arm.tip.copy()
     nothing = np.zeros((lanes.works.shape[0], 1, 1))
@@ -71,6 +91,10 @@ def static_sensitivities(
         answers.good[t], answers.unstable[t] = solved > 0, solved == UNSTABLE
         if solved > 0:
             place_tip(solver.x, arm.length, arm.centre, answers.place, answers.turned, t)
+            for k in range(sections.at.shape[0]):
+                place_section(
+                    solver.x, arm.length, arm.centre, sections.at[k], sections.place[t], sections.turned[t], k
+                )
             if steps.shape[0] > 0:
                 apply_pressure(
                     lanes.works, walls.actuators, lanes.stiffness[r], lanes.rest[q], lanes.per_pressure[r], lanes.frees,
@@ -81,10 +105,15 @@ def static_sensitivities(
                     solver.x, workspace, workspace.states[0], workspace.derivatives[0],
                 )  # fmt: skip
                 if found:
-                    _answers(solver.x, lanes.works, workspace, steps, answers.by[t])
+                    _tip_answers(solver.x, lanes.works, workspace, steps, answers.by[t])
+                    _section_answers(solver.x, arm.length, lanes.works, workspace, steps, sections.at, sections.by[t])
                 else:
                     answers.by[t] = np.nan
+                    sections.by[t] = np.nan
         else:
             answers.place[t] = np.nan
             answers.turned[t] = np.nan
             answers.by[t] = np.nan
+            sections.place[t] = np.nan
+            sections.turned[t] = np.nan
+            sections.by[t] = np.nan
