@@ -23,7 +23,8 @@ import yaml
 from numpy.typing import NDArray
 
 import protocols
-from calibration.identify.parameters import Prior, named
+from calibration.identify.parameter import Prior
+from calibration.identify.parameters import named
 from calibration.identify.setup import Setup
 from calibration.parallel_map import parallel_map
 from calibration.vision.transforms import RigidTransform

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 import protocols
 from calibration.design.information import ErrorBars, error_bars
 from calibration.identify.fit import identify
-from calibration.identify.parameters import Prior, named
+from calibration.identify.parameter import Prior
+from calibration.identify.parameters import named
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, perform_as_planned

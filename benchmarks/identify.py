@@ -20,7 +20,8 @@ import runs
 from calibration.identify import figures
 from calibration.identify.fit import identify
 from calibration.identify.nuisance import stated_values
-from calibration.identify.parameters import Prior, named
+from calibration.identify.parameter import Prior
+from calibration.identify.parameters import named
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import (

@@ -20,7 +20,7 @@ from scipy.stats import beta
 
 from calibration.identify.candidates import Candidate
 from calibration.identify.model_comparison import MIN_DECISIVE, ComparisonFit, fit_all
-from calibration.identify.parameters import Prior
+from calibration.identify.parameter import Prior
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, perform_as_planned

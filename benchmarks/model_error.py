@@ -23,7 +23,8 @@ from calibration.identify.data import SETTLE_S
 from calibration.identify.fit import identify
 from calibration.identify.held_out_prediction import predict
 from calibration.identify.nuisance import stated_values
-from calibration.identify.parameters import Prior, named
+from calibration.identify.parameter import Prior
+from calibration.identify.parameters import named
 from calibration.identify.poses import Poses
 from calibration.identify.pressure_history import pressure_history
 from calibration.identify.setup import Setup

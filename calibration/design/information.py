@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from calibration.design.expected_model_error import added_variances, columns_and_amplitude
 from calibration.identify.information import covariance
 from calibration.identify.least_squares import LeastSquaresProblem
-from calibration.identify.parameters import Parameter, Prior
+from calibration.identify.parameter import Parameter, Prior
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import exact

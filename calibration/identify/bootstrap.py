@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from calibration.identify.least_squares import LeastSquaresProblem
-from calibration.identify.parameters import Prior, named
-from calibration.identify.poses import Poses
+from calibration.identify.orientation import turned_by
+from calibration.identify.parameter import Prior
+from calibration.identify.parameters import named
+from calibration.identify.poses import Poses, section_kind
 from calibration.identify.results import Fit
 from calibration.identify.scaled_parameter import with_own_values
 from calibration.identify.setup import Setup
@@ -60,6 +61,7 @@ class Refit:
     kind: Kind
     predicted: tuple[Array, ...]
     rotation: tuple[Array, ...]
+    sections: tuple[tuple[tuple[Array, Array], ...], ...]
     covariance: tuple[Array, ...]
     seed: int
 
@@ -94,6 +96,7 @@ def bootstrap(
         kind=kind,
         predicted=tuple(run.predicted_m for run in fit.runs),
         rotation=tuple(problem.rotations(fit.solution.z)),
+        sections=tuple(problem.sections(fit.solution.z)),
         covariance=tuple(_covariance(weights.whitener) for weights in fit.solution.weights),
         seed=0,
     )
@@ -113,9 +116,9 @@ def refit(task: Refit) -> Array:
     counts: list[Array] | None = None
     if task.kind == "drawn":
         data = [
-            _drawn(rng, tips, rotation, covariance, poses)
-            for poses, tips, rotation, covariance in zip(
-                task.data, task.predicted, task.rotation, task.covariance, strict=True
+            _drawn(rng, tips, rotation, sections, covariance, poses)
+            for poses, tips, rotation, sections, covariance in zip(
+                task.data, task.predicted, task.rotation, task.sections, task.covariance, strict=True
             )
         ]
     else:
@@ -140,17 +143,34 @@ def _covariance(whitener: Array) -> Array:
     return out
 
 
-def _drawn(rng: np.random.Generator, tips: Array, rotation: Array, covariance: Array, poses: Poses) -> Poses:
-    """Poses with tips (K, 3) and orientations (K, 3, 3) that err as the covariance says; NaN without a measurement."""
+def _drawn(
+    rng: np.random.Generator,
+    tips: Array,
+    rotation: Array,
+    sections: Sequence[tuple[Array, Array]],
+    covariance: Array,
+    poses: Poses,
+) -> Poses:
+    """Poses that err as the covariance says; NaN without a measurement.
+
+    Tips (K, 3) with orientations (K, 3, 3), and the same of each section, are the true ones.
+    """
     values, vectors = np.linalg.eigh(covariance)
     unit = rng.standard_normal(values.shape)
     error: Array = np.asarray(np.einsum("kij,kj->ki", vectors, np.sqrt(np.maximum(values, 0.0)) * unit))
     drawn = replace(poses, tip_m=np.where(poses.has_tip[:, None], tips + error[:, :3], np.nan))
-    if poses.orientation is None:
-        return drawn
-    turned = Rotation.from_rotvec(error[:, 3:]).as_matrix() @ rotation
-    known = poses.has_orientation[:, None, None]
-    return replace(drawn, orientation=replace(poses.orientation, rotation=np.where(known, turned, np.nan)))
+    if poses.orientation is not None:
+        turned = turned_by(poses.orientation, rotation, error[:, 3:6], poses.has_orientation)
+        drawn = replace(drawn, orientation=turned)
+    found = []
+    for own, (point, turn) in zip(poses.sections, sections, strict=True):
+        at = poses.columns(section_kind(own.name))
+        here = replace(own, point_m=np.where(own.seen[:, None], point + error[:, at], np.nan))
+        if own.orientation is not None:
+            by = error[:, at.stop : at.stop + 3]
+            here = replace(here, orientation=turned_by(own.orientation, turn, by, own.oriented))
+        found.append(here)
+    return replace(drawn, sections=tuple(found))
 
 
 def _counts(rng: np.random.Generator, poses: Poses) -> Array:

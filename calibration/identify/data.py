@@ -21,6 +21,7 @@ from calibration.identify.poses import PA_PER_BAR, Poses
 from calibration.identify.pressure_course import PressureCourse, course_rows, mean_around
 from calibration.identify.pressure_history import pressure_history
 from calibration.identify.pressure_smoothing import curve, noise_std, regression_calibrated, smoothed
+from calibration.identify.section_poses import mean_sections, section_poses
 from runs.interpolation import interpolated
 from runs.records import DetectionStatus
 from runs.run import Run
@@ -93,6 +94,7 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
         live_m=_live(np.array([_model_mm(run)[k].mean(axis=0) for k in plateaus])),
         course=_course(run, samples, middle_s, means),
         orientation=mean_orientations(run, plateaus, averaged),
+        sections=mean_sections(run, plateaus),
     )
 
 
@@ -158,6 +160,7 @@ def in_motion(run: Run) -> Poses:
         history=pressure_history(samples.time_s, course, frame_s),
         live_m=_live(live),
         orientation=orientations(run, at),
+        sections=section_poses(run, at),
     )
 
 

@@ -12,11 +12,13 @@ from calibration.identify.errors import NoDataError
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.likelihood import drifting, outlying, whitened
 from calibration.identify.nuisance import nuisance_parameters
-from calibration.identify.parameters import Prior, named
+from calibration.identify.parameter import Prior
+from calibration.identify.parameters import named
 from calibration.identify.poses import Poses
-from calibration.identify.results import NORMAL_95, Estimate, Fit, RunFit, Verdict, with_means_of_runs
+from calibration.identify.results import NORMAL_95, Estimate, Fit, RunFit, SectionFit, Verdict, with_means_of_runs
 from calibration.identify.scaled_parameter import ScaledParameter, with_own_values
 from calibration.identify.search import Progress, initial_point, point_of, search
+from calibration.identify.section_mounts import mount_priors
 from calibration.identify.setup import Setup
 from calibration.identify.undetermined import (
     PRIOR_SPANS,
@@ -71,8 +73,9 @@ def identify(
         raise NoDataError("the runs are of arms with different numbers of actuators")
     parameters = named(free, actuators)
     held = () if stated is None else nuisance_parameters(start, data, parameters)
+    believed = {**mount_priors(data), **(stated or {})}
     given = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
-    known = {p.name: (stated or {})[p.name] for p in held} | given
+    known = {p.name: believed[p.name] for p in held} | given
     every = with_own_values((*parameters, *held), per_run, actuators)
     problem = LeastSquaresProblem(data, start, every, known, substeps=substeps)
     first = initial_point(problem, progress) if initial_values is None else point_of(problem, initial_values)
@@ -84,7 +87,9 @@ def identify(
     wide = posterior.wide
     estimates, covariance = _estimates(problem, solution, joint, fixed, nuisances, wide)
     rates = problem.rates(solution.z)
-    estimates = tuple(replace(e, stated=(stated or {}).get(e.name), prior=known.get(e.name)) for e in estimates)
+    estimates = tuple(
+        replace(e, stated=believed.get(e.name) if stated else None, prior=known.get(e.name)) for e in estimates
+    )
     return Fit(
         setup=with_means_of_runs(problem.setup(solution.z), estimates),
         start=start,
@@ -190,6 +195,7 @@ def _runs(problem: LeastSquaresProblem, solution: Solution) -> tuple[RunFit, ...
                 setup=problem.setup(solution.z, run),
                 before_live=poses.live_m is not None,
                 drifting=poses.in_sequence and drifting(residual),
+                sections=SectionFit.every(poses, gaps[run]),
             )
         )
     return tuple(out)

@@ -13,7 +13,7 @@ from calibration.identify.fit_range import outside
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.model_error import error_inputs
 from calibration.identify.poses import Poses
-from calibration.identify.results import NORMAL_95, Fit, rms
+from calibration.identify.results import NORMAL_95, Fit, SectionFit, rms
 from calibration.identify.scaled_parameter import ScaledParameter
 from calibration.identify.tip_predictor import Predictor
 
@@ -43,6 +43,8 @@ class Prediction:
     before_m: Array
     outside: tuple[str, ...]
     """Where the run leaves the range of the fit."""
+    sections: tuple[SectionFit, ...] = ()
+    """Measured sections of the run and how far they are from their predictions."""
 
     @property
     def error_m(self) -> Array:
@@ -144,6 +146,7 @@ def predict(fit: Fit, poses: Poses) -> Prediction:
         covariance_m2=covariance,
         before_m=np.linalg.norm(poses.tip_m - Predictor(poses, fit.problem.substeps)(fit.start), axis=1),
         outside=outside(fit.problem.data, poses),
+        sections=SectionFit.every(poses, problem.gaps(z)[0]),
     )
 
 

@@ -15,13 +15,12 @@ from calibration.identify.likelihood import (
     Discrepancy,
     Weights,
     apply_frequency_mask,
-    discrepancy,
     frequency_mask,
     huber,
     score_covariance,
     whitened,
 )
-from calibration.identify.parameters import Parameter, Prior
+from calibration.identify.parameter import Parameter, Prior
 from calibration.identify.poses import Poses
 from calibration.identify.scaled_parameter import ScaledParameter
 from calibration.identify.setup import Setup
@@ -103,7 +102,7 @@ class LeastSquaresProblem:
 
     @property
     def measured(self) -> int:
-        """Numbers measured: three per tip, and three per orientation."""
+        """Numbers measured: three per tip or point of a section, and three per orientation."""
         return int(sum(poses.measured.sum() for poses in self.data))
 
     def setup(self, z: Array, run: int | None = None) -> Setup:
@@ -136,6 +135,10 @@ class LeastSquaresProblem:
     def rotations(self, z: Array) -> list[Array]:
         """Orientations (K, 3, 3) of every run."""
         return [predictor.rotations(self.setup(z, run)) for run, predictor in enumerate(self.predictors(z))]
+
+    def sections(self, z: Array) -> list[tuple[tuple[Array, Array], ...]]:
+        """Points (K, 3) and orientations (K, 3, 3) of the sections of every run."""
+        return [predictor.sections(self.setup(z, run)) for run, predictor in enumerate(self.predictors(z))]
 
     def gaps(self, z: Array) -> list[Array]:
         """Measured minus predicted (K, D) of every run; see `Predictor.gap`."""
@@ -228,16 +231,9 @@ class LeastSquaresProblem:
         """The weights of the residuals near z, and the model discrepancy."""
         pressure, gaps = self.pressure_covariances(z), self.gaps(z)
         covariances = [poses.pose_covariance + pressure[run] for run, poses in enumerate(self.data)]
-        # Each kind of numbers determines its part of the unknowns.
-        count = [sum(int(p.measured[:, part].sum()) for p in self.data) for part in (slice(0, 3), slice(3, 6))]
-        sigma = Discrepancy(
-            *(
-                _discrepancy_of(self.data, gaps, covariances, part, fitted * own / max(sum(count), 1)) if own else 0.0
-                for part, own in zip((slice(0, 3), slice(3, 6)), count, strict=True)
-            )
-        )
+        sigma = Discrepancy.estimated(self.data, gaps, covariances, fitted)
         weights = (
-            Weights.of(covariance + sigma.covariance(poses.numbers), poses.measured)
+            Weights.of(covariance + sigma.covariance(poses.kinds), poses.measured)
             for covariance, poses in zip(covariances, self.data, strict=True)
         )
         return tuple(weights), sigma
@@ -377,17 +373,3 @@ class LeastSquaresProblem:
 
     def _count(self, run: int) -> Array:
         return np.ones(len(self.data[run])) if self.entry_weights is None else self.entry_weights[run]
-
-
-def _discrepancy_of(
-    data: Sequence[Poses], gaps: Sequence[Array], covariances: Sequence[Array], part: slice, fitted: float
-) -> float:
-    """The discrepancy of tips or rotations, a part of the numbers."""
-    residuals, stated = [], []
-    for poses, gap, covariance in zip(data, gaps, covariances, strict=True):
-        own = gap[:, part]
-        if own.shape[1]:
-            known = poses.measured[:, part].all(axis=1) & np.isfinite(own).all(axis=1)
-            residuals.append(own[known])
-            stated.append(covariance[known, part, part])
-    return discrepancy(residuals, stated, fitted)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import brentq
 from scipy.special import chdtr, chdtri
 
-from calibration.identify.poses import Poses
+from calibration.identify.poses import TIP, TIP_ROTATION, Poses
 
 Array = NDArray[np.float64]
 
@@ -38,23 +38,62 @@ _DRIFT_RATIO = 5.0
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """Standard deviations per axis of the model error beyond the stated covariances: of tips and of their rotations."""
+    """Standard deviations per axis of the model error beyond the stated covariances: of tips and of their rotations.
+
+    sections: the same of points and rotations of sections, by their kind of `Poses.kinds`.
+    """
 
     tip_m: float
     rotation_rad: float = 0.0
+    sections: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def by_kind(cls, found: Mapping[str, float]) -> Discrepancy:
+        """From standard deviations by kind; zero for a kind that is not there."""
+        sections = {kind: sigma for kind, sigma in found.items() if kind not in (TIP, TIP_ROTATION)}
+        return cls(found.get(TIP, 0.0), found.get(TIP_ROTATION, 0.0), sections)
+
+    @classmethod
+    def estimated(
+        cls, data: Sequence[Poses], gaps: Sequence[Array], covariances: Sequence[Array], fitted: float
+    ) -> Discrepancy:
+        """That of each run's gaps (K, D) with stated covariances (K, D, D), after a fit of so many unknowns.
+
+        Each kind of numbers determines its part of the unknowns.
+        """
+        kinds = dict.fromkeys(kind for poses in data for kind in poses.kinds)
+        residual: dict[str, list[Array]] = {kind: [] for kind in kinds}
+        stated: dict[str, list[Array]] = {kind: [] for kind in kinds}
+        count = dict.fromkeys(kinds, 0)
+        for poses, gap, covariance in zip(data, gaps, covariances, strict=True):
+            for kind in poses.kinds:
+                part = poses.columns(kind)
+                measured = poses.measured[:, part].all(axis=1)
+                count[kind] += 3 * int(measured.sum())
+                known = measured & np.isfinite(gap[:, part]).all(axis=1)
+                residual[kind].append(gap[known, part])
+                stated[kind].append(covariance[known, part, part])
+        share = fitted / max(sum(count.values()), 1)
+        return cls.by_kind({k: discrepancy(residual[k], stated[k], share * count[k]) for k in kinds if count[k]})
+
+    @property
+    def of_kinds(self) -> dict[str, float]:
+        """All standard deviations by kind."""
+        return {TIP: self.tip_m, TIP_ROTATION: self.rotation_rad, **self.sections}
 
     def close_to(self, other: Discrepancy) -> bool:
         """Whether it differs from another by so little that the weights are the same."""
-        pairs = ((self.tip_m, other.tip_m), (self.rotation_rad, other.rotation_rad))
-        return all(abs(one - two) <= _SAME * one for one, two in pairs)
+        there = other.of_kinds
+        return all(abs(one - there.get(kind, math.inf)) <= _SAME * one for kind, one in self.of_kinds.items())
 
     def scaled(self, share: float) -> Discrepancy:
         """A share of it."""
-        return Discrepancy(share * self.tip_m, share * self.rotation_rad)
+        return Discrepancy.by_kind({kind: share * sigma for kind, sigma in self.of_kinds.items()})
 
-    def covariance(self, numbers: int) -> Array:
-        """Covariance (3, 3) or (6, 6) of the numbers of an entry."""
-        out: Array = np.diag(np.square([self.tip_m] * 3 + [self.rotation_rad] * 3)[:numbers])
+    def covariance(self, kinds: Sequence[str]) -> Array:
+        """Covariance (D, D) of the numbers of an entry, three of each kind."""
+        sigma = self.of_kinds
+        out: Array = np.diag(np.square(np.repeat([sigma.get(kind, 0.0) for kind in kinds], 3)))
         return out
 
 

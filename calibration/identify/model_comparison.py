@@ -15,7 +15,8 @@ from calibration.identify.errors import NoDataError
 from calibration.identify.fit import identify
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.nuisance import nuisance_parameters
-from calibration.identify.parameters import Prior, named
+from calibration.identify.parameter import Prior
+from calibration.identify.parameters import named
 from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
 from calibration.identify.tip_predictor import SUBSTEPS, Predictor

@@ -109,7 +109,7 @@ def model_error_posterior(problem: LeastSquaresProblem, solution: Solution, assu
     terms = lacking(problem.start.arm)
     columns, term = effect_columns(problem, solution.z)
     off = solution.discrepancy
-    shares = _NOISE_SHARES if off.tip_m or off.rotation_rad else (0.0,)
+    shares = _NOISE_SHARES if any(off.of_kinds.values()) else (0.0,)
     noises = [off.scaled(share) for share in shares]
     equations = [normal_equations(problem, solution, assumed, columns, noise) for noise in noises]
     scale = np.array([one.scale for one in terms])
@@ -171,7 +171,7 @@ def normal_equations(
         good = poses.has_tip & ~outlying(whitened(poses, gaps[run], solution.weights[run]))
         if not good.any():
             continue
-        covariance = poses.pose_covariance + pressure[run] + noise.covariance(poses.numbers)
+        covariance = poses.pose_covariance + pressure[run] + noise.covariance(poses.kinds)
         weights = Weights.of(covariance, poses.measured & good[:, None])
         # Correlated entries count as fewer independent ones.
         whitener = weights.whitener[good] / math.sqrt(max(solution.correlation[run], 1.0))

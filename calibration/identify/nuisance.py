@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration.identify.memory_parameters import ALL_NAMES, memory_names
-from calibration.identify.parameters import PUSH_GROWTH, TOOL_ROTATION, Parameter, Prior, known, named
+from calibration.identify.parameter import Parameter, Prior
+from calibration.identify.parameters import PUSH_GROWTH, TOOL_ROTATION, known, named
 from calibration.identify.poses import Poses
+from calibration.identify.section_mounts import mount_parameters
 from calibration.identify.setup import Setup
 from model.variants import VARIANTS, variant_named
 
@@ -46,4 +48,5 @@ def nuisance_parameters(setup: Setup, data: Sequence[Poses], free: Sequence[Para
     along = np.abs(gravity) >= _PARALLEL * np.linalg.norm(gravity)
     inert |= {f"gravity_r{axis}_rad" for axis, parallel in zip("xyz", along, strict=True) if parallel}
     inert |= {p.name for p in free}
-    return tuple(p for name, p in known(setup.arm.geometry.actuators).items() if name not in inert)
+    every = (*known(setup.arm.geometry.actuators).values(), *mount_parameters(data))
+    return tuple(p for p in every if p.name not in inert)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,12 @@ class Orientations:
     covariance_rad2: Array
     cross_m_rad: Array
 
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which entries have an orientation (K,)."""
+        found: NDArray[np.bool_] = np.asarray(np.isfinite(self.rotation).all(axis=(1, 2)))
+        return found
+
     def only(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Orientations:
         """A subset of the entries."""
         return Orientations(self.rotation[chosen], self.covariance_rad2[chosen], self.cross_m_rad[chosen])
@@ -49,6 +55,12 @@ class Orientations:
         rotation, covariance, cross = (np.full((count, 3, 3), np.nan) for _ in range(3))
         rotation[rows], covariance[rows], cross[rows] = self.rotation, self.covariance_rad2, self.cross_m_rad
         return Orientations(rotation, covariance, cross)
+
+
+def turned_by(stated: Orientations, rotation: Array, error_rad: Array, known: NDArray[np.bool_]) -> Orientations:
+    """Orientations (K, 3, 3) turned by rotation vectors (K, 3), with stated covariances; NaN where not `known` (K,)."""
+    turned = Rotation.from_rotvec(error_rad).as_matrix() @ rotation
+    return replace(stated, rotation=np.where(known[:, None, None], turned, np.nan))
 
 
 def orientations(run: Run, frames: NDArray[np.intp]) -> Orientations | None:
@@ -82,12 +94,19 @@ def mean_orientations(run: Run, plateaus: Sequence[NDArray[np.intp]], averaged: 
     found = orientations(run, np.concatenate(plateaus))
     if found is None:
         return None
-    rotation, covariance, cross = (np.full((len(plateaus), 3, 3), np.nan) for _ in range(3))
-    scatter, counts = [], []
     ends = np.cumsum([len(k) for k in plateaus])
-    for n, (start, stop) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
-        inside = np.arange(start, stop)
-        inside = inside[np.isfinite(found.rotation[inside]).all(axis=(1, 2))]
+    ranges = [np.arange(stop - len(k), stop) for k, stop in zip(plateaus, ends, strict=True)]
+    return averaged_orientations(found, ranges, averaged)
+
+
+def averaged_orientations(
+    found: Orientations, ranges: Sequence[NDArray[np.intp]], averaged: Array
+) -> Orientations | None:
+    """The mean orientation of each range of entries; averaged: as of `mean_orientations`, one for each range."""
+    rotation, covariance, cross = (np.full((len(ranges), 3, 3), np.nan) for _ in range(3))
+    scatter, counts = [], []
+    for n, entries in enumerate(ranges):
+        inside = entries[found.known[entries]]
         if len(inside) < MIN_FRAMES:
             continue
         every = Rotation.from_matrix(found.rotation[inside])
@@ -98,7 +117,7 @@ def mean_orientations(run: Run, plateaus: Sequence[NDArray[np.intp]], averaged: 
         counts.append(n)
     if not counts:
         return None
-    share = np.ones(len(plateaus))
+    share = np.ones(len(ranges))
     share[counts] = averaged_share(scatter, covariance[counts])
     # Both shares scale the joint covariance as standard deviations do, so that it stays positive.
     return Orientations(rotation, covariance * share[:, None, None], cross * np.sqrt(share * averaged)[:, None, None])

@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.memory_parameters import MemoryNumber, memory_groups, memory_numbers
+from calibration.identify.parameter import MOUNTING_M, MOUNTING_RAD, Parameter, constant
+from calibration.identify.section_mounts import mount_parameter
 from calibration.identify.setup import Setup
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 
-Read = Callable[[Setup], float]
-Write = Callable[[Setup, float], Setup]
-
 # Standard uncertainties of stated values by kind. A mass counts as weighed only where the rig file says so.
-DATA_SHEET_SHARE, LENGTH_M, MOUNTING_M, MOUNTING_RAD, GAIN = 0.05, 5e-4, 2e-3, 0.03, 0.01
+DATA_SHEET_SHARE, LENGTH_M, GAIN = 0.05, 5e-4, 0.01
 # Of a retardation time, which no data sheet states; and of the sensors' times and zeros.
 DAMPING_S, LAG_S, FILTER_S, OFFSET_PA = 0.02, 0.005, 0.002, 500.0
 # Of the growth of the push, which no data sheet states either.
@@ -30,44 +29,6 @@ GROWTH_PER_BAR = 0.1
 PUSH_GROWTH = "push_growth_per_bar"
 # An inner radius is at most this fraction of the outer one.
 _THINNEST_WALL = 0.98
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One number that can be free.
-
-    span: plausible distance from its start; a parameter with a larger uncertainty is not identified. lower, upper:
-    bounds; below: an upper bound by another number of a setup. per_run: each run has its own value, as a sensor offset.
-    reciprocal: the data are linear in its reciprocal, as in a compliance instead of a stiffness; it is positive.
-    decades: range of random starting points in powers of ten. uncertainty: standard uncertainty of a stated value, by
-    the kind of the number, where none is stated with it.
-    """
-
-    name: str
-    unit: str
-    about: str
-    read: Read
-    write: Write
-    span: Callable[[float], float]
-    uncertainty: Callable[[float], float]
-    lower: float
-    upper: float
-    per_run: bool = False
-    reciprocal: bool = False
-    decades: float = 0.0
-    below: Callable[[Setup], float] = lambda _: math.inf
-
-
-@dataclass(frozen=True)
-class Prior:
-    """Normal prior distribution of a parameter."""
-
-    mean: float
-    std: float
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.mean) and math.isfinite(self.std) and self.std > 0):
-            raise ValueError(f"a prior needs a finite mean and a positive deviation, got {self.mean} and {self.std}")
 
 
 class UnknownParameter(ValueError):  # noqa: N818 - the outcome is the name
@@ -85,11 +46,11 @@ def known(actuators: int) -> dict[str, Parameter]:
         _material("density_kg_m3", "kg/m^3", "density of the walls", 100.0, 1e4),
         replace(
             _material("damping_s", "s", "Kelvin-Voigt retardation time", 0.0, 1.0, least=0.02),
-            uncertainty=_constant(DAMPING_S),
+            uncertainty=constant(DAMPING_S),
         ),
         Parameter(
             PUSH_GROWTH, "1/bar", "k, growth of the push pressures", lambda s: s.arm.actuation.growth_per_bar, _grown,
-            lambda x: max(abs(x), 0.2), _constant(GROWTH_PER_BAR), -0.5, 5.0,
+            lambda x: max(abs(x), 0.2), constant(GROWTH_PER_BAR), -0.5, 5.0,
         ),
         *(_remembered(number) for number in memory_numbers()),
         Parameter(
@@ -105,15 +66,15 @@ def known(actuators: int) -> dict[str, Parameter]:
         replace(_geometry("outer_radius_m", "m", "outer radius of the tubes", 0.2), write=_outer),
         Parameter(
             "circle_radius_m", "m", "distance of the first actuator from the axis, the others in proportion", _circle,
-            _circled, lambda x: 0.1 * x, _constant(LENGTH_M), 1e-4, 10.0,
+            _circled, lambda x: 0.1 * x, constant(LENGTH_M), 1e-4, 10.0,
         ),
         Parameter(
             "sensor_lag_s", "s", "delay of the pressure sensors behind the camera", lambda s: s.sensor_lag_s,
-            lambda s, x: replace(s, sensor_lag_s=x), lambda x: 0.05, _constant(LAG_S), -1.0, 1.0,
+            lambda s, x: replace(s, sensor_lag_s=x), lambda x: 0.05, constant(LAG_S), -1.0, 1.0,
         ),
         Parameter(
             "sensor_filter_s", "s", "time constant of the pressure sensors", lambda s: s.sensor_filter_s,
-            lambda s, x: replace(s, sensor_filter_s=x), lambda x: 0.05, _constant(FILTER_S), 0.0, 1.0,
+            lambda s, x: replace(s, sensor_filter_s=x), lambda x: 0.05, constant(FILTER_S), 0.0, 1.0,
         ),
         *_triple("base_translation_m", "base_{}_m", "m", "rod base in the measurements' frame", 0.02, MOUNTING_M, 1.0),
         *_triple(
@@ -175,7 +136,7 @@ def groups(actuators: int) -> dict[str, tuple[str, ...]]:
 
 
 def named(names: Iterable[str], actuators: int) -> tuple[Parameter, ...]:
-    """Parameters by the names of `known` and `groups`.
+    """Parameters by the names of `known` and `groups`, and of the boards of measured sections.
 
     Raises:
         UnknownParameter: with the closest known name, and all known names.
@@ -184,6 +145,9 @@ def named(names: Iterable[str], actuators: int) -> tuple[Parameter, ...]:
     chosen: dict[str, Parameter] = {}
     for name in names:
         for one in several.get(name, (name,)):
+            if (mount := mount_parameter(one)) is not None:
+                chosen[one] = mount
+                continue
             if one not in every:
                 near = difflib.get_close_matches(one, [*every, *several], 1)
                 hint = f"did you mean {near[0]}? " if near else ""
@@ -231,7 +195,7 @@ def _geometry(name: str, unit: str, about: str, share: float) -> Parameter:
         changed: dict[str, Any] = {name: x}
         return replace(setup, arm=replace(setup.arm, geometry=replace(setup.arm.geometry, **changed)))
 
-    return Parameter(name, unit, about, read, write, lambda x: share * abs(x), _constant(LENGTH_M), 1e-6, 10.0)
+    return Parameter(name, unit, about, read, write, lambda x: share * abs(x), constant(LENGTH_M), 1e-6, 10.0)
 
 
 def _grown(setup: Setup, x: float) -> Setup:
@@ -246,10 +210,6 @@ def _remembered(number: MemoryNumber) -> Parameter:
         lambda s, x: replace(s, arm=number.write(s.arm, x)), number.span, number.uncertainty, number.lower,
         number.upper, decades=1.0 if number.scale else 0.0,
     )  # fmt: skip
-
-
-def _constant(std: float) -> Callable[[float], float]:
-    return lambda _: std
 
 
 def _cap_uncertainty(mass_kg: float) -> float:
@@ -299,7 +259,7 @@ def _triple(
             return replace(setup, **changed)
 
         name = pattern.format(axis)
-        return Parameter(name, unit, f"{about}, {axis}", read, write, lambda x: span, _constant(std), -limit, limit)
+        return Parameter(name, unit, f"{about}, {axis}", read, write, lambda x: span, constant(std), -limit, limit)
 
     return [one(k, axis) for k, axis in enumerate("xyz")]
 
@@ -333,7 +293,7 @@ def _own(
         read,
         write,
         lambda x: span,
-        _constant(std),
+        constant(std),
         low,
         upper,
         per_run=attribute == "sensor_offset_pa",

@@ -12,9 +12,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from calibration.identify.parameters import Prior
+from calibration.identify.parameter import Prior
 from calibration.identify.profile_likelihood import LikelihoodProfile
-from calibration.identify.results import Estimate, RunFit
+from calibration.identify.results import Estimate, RunFit, SectionFit
 from calibration.identify.setup import Setup
 from model.actuation import PA_PER_BAR
 
@@ -130,11 +130,19 @@ def content(
                 "rms_before_mm": _MM * run.rms_before_m,
                 "rms_mm": _MM * run.rms_m,
                 **({"oriented_frames": run.oriented, "rms_deg": math.degrees(run.rms_rad)} if run.oriented else {}),
+                **({"sections": [section_facts(one) for one in run.sections]} if run.sections else {}),
                 "residual_mm": _residuals(run),
             }
             for run in fit.runs
         ],
     }
+
+
+def section_facts(one: SectionFit) -> dict[str, object]:
+    """What a file states of a section: where it is, how many frames count, and how far it is from the model."""
+    found: dict[str, object] = {"name": one.name, "at_mm": _MM * one.at_m, "frames": one.frames}
+    found["rms_mm"] = _MM * one.rms_m
+    return found | ({"oriented_frames": one.oriented, "rms_deg": one.rms_deg} if one.oriented else {})
 
 
 def _prior(prior: Prior) -> dict[str, float]:

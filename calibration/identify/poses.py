@@ -11,12 +11,25 @@ from calibration.identify.errors import NoDataError
 from calibration.identify.orientation import Orientations
 from calibration.identify.pressure_course import PressureCourse
 from calibration.identify.pressure_history import PressureHistory
+from calibration.identify.section_poses import SectionPoses
 
 Array = NDArray[np.float64]
 
 PA_PER_BAR = 1e5
 # Fewest entries of a quasi-static motion for which the correlation of neighbours can be estimated.
 MIN_IN_SEQUENCE = 32
+# Kinds of the numbers that a fit compares; those of a section have its name in them.
+TIP, TIP_ROTATION = "tip", "tip rotation"
+
+
+def section_kind(name: str) -> str:
+    """The kind of the point of a section."""
+    return f"section {name}"
+
+
+def section_rotation_kind(name: str) -> str:
+    """The kind of the rotation of a section."""
+    return f"section {name} rotation"
 
 
 @dataclass(frozen=True)
@@ -31,7 +44,8 @@ class Poses:
     plateau it is the end. period_s is zero for static poses. history: of the pressures. live_m (K, 3):
     tips of the model that ran beside the experiment, NaN where there was none; None if there was no such model.
     course: of static poses, for models that remember; None where it is unknown, and each pose has long been held.
-    orientation: of the tips; None if no entry has one.
+    orientation: of the tips; None if no entry has one. sections: measured sections of the arm; they count in entries
+    with a tip.
     """
 
     run_id: str
@@ -50,6 +64,7 @@ class Poses:
     course: PressureCourse | None = None
     orientation: Orientations | None = None
     pressure_mixing: Array | None = None
+    sections: tuple[SectionPoses, ...] = ()
 
     def __len__(self) -> int:
         return len(self.weight_kg)
@@ -75,35 +90,56 @@ class Poses:
         """Which entries have a measured tip with an orientation (K,)."""
         if self.orientation is None:
             return np.zeros(len(self), np.bool_)
-        known: NDArray[np.bool_] = np.asarray(np.isfinite(self.orientation.rotation).all(axis=(1, 2)))
-        return known & self.has_tip
+        return self.orientation.known & self.has_tip
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """What each entry compares in a fit, three numbers of each kind.
+
+        They are the tip and its rotation, then point and rotation of each section; rotations only if some entry has
+        one.
+        """
+        found = [TIP] if self.orientation is None else [TIP, TIP_ROTATION]
+        for one in self.sections:
+            found.append(section_kind(one.name))
+            if one.orientation is not None:
+                found.append(section_rotation_kind(one.name))
+        return tuple(found)
 
     @property
     def numbers(self) -> int:
-        """Numbers of each entry that a fit compares: the tip, and its rotation if some entry has one."""
-        return 3 if self.orientation is None else 6
+        """Numbers of each entry that a fit compares, D."""
+        return 3 * len(self.kinds)
+
+    def columns(self, kind: str) -> slice:
+        """Where the three numbers of a kind stand among them."""
+        first = 3 * self.kinds.index(kind)
+        return slice(first, first + 3)
 
     @property
     def measured(self) -> NDArray[np.bool_]:
         """Which of these numbers (K, D) were measured."""
-        columns = [self.has_tip] if self.orientation is None else [self.has_tip, self.has_orientation]
+        seen = self.has_tip
+        columns = [seen] if self.orientation is None else [seen, self.has_orientation]
+        for one in self.sections:
+            columns.append(one.seen & seen)
+            if one.orientation is not None:
+                columns.append(one.oriented & seen)
         return np.repeat(np.stack(columns, axis=1), 3, axis=1)
 
     @property
     def pose_covariance(self) -> Array:
-        """Covariances (K, D, D) of these numbers; that of a rotation that was not measured is the unit matrix."""
-        if self.orientation is None:
-            return self.covariance_m2
-        known = self.has_orientation[:, None, None]
-        cross = np.where(known, self.orientation.cross_m_rad, 0.0)
-        turning = np.where(known, self.orientation.covariance_rad2, np.eye(3))
-        return np.concatenate(
-            [
-                np.concatenate([self.covariance_m2, cross], axis=2),
-                np.concatenate([np.swapaxes(cross, 1, 2), turning], axis=2),
-            ],
-            axis=1,
-        )
+        """Covariances (K, D, D) of these numbers; that of what was not measured beside a tip is the unit matrix."""
+        out = np.zeros((len(self), self.numbers, self.numbers))
+        out[:, :3, :3] = self.covariance_m2
+        if self.orientation is not None:
+            _fill_rotation(out, 0, self.orientation, self.has_orientation)
+        for one in self.sections:
+            at = self.columns(section_kind(one.name))
+            out[:, at, at] = np.where(one.seen[:, None, None], one.covariance_m2, np.eye(3))
+            if one.orientation is not None:
+                _fill_rotation(out, at.start, one.orientation, one.oriented)
+        return out
 
     @property
     def actuators(self) -> int:
@@ -126,7 +162,16 @@ class Poses:
             live_m=None if self.live_m is None else self.live_m[chosen],
             course=None if self.course is None else self.course.only(chosen),
             orientation=None if self.orientation is None else self.orientation.only(chosen),
+            sections=tuple(one.only(chosen) for one in self.sections),
         )
+
+
+def _fill_rotation(out: Array, first: int, orientation: Orientations, known: NDArray[np.bool_]) -> None:
+    """Covariances of the rotation that follows the point at numbers `first` on, and of both together."""
+    point, turn, seen = slice(first, first + 3), slice(first + 3, first + 6), known[:, None, None]
+    cross = np.where(seen, orientation.cross_m_rad, 0.0)
+    out[:, point, turn], out[:, turn, point] = cross, np.swapaxes(cross, 1, 2)
+    out[:, turn, turn] = np.where(seen, orientation.covariance_rad2, np.eye(3))
 
 
 def split_at(poses: Poses, until_s: float) -> tuple[Poses, Poses]:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 import model
 from calibration.identify.memory_parameters import ALL_NAMES
-from calibration.identify.parameters import Parameter, Prior, named
+from calibration.identify.parameter import Parameter, Prior
+from calibration.identify.parameters import named
 from calibration.identify.setup import Setup
 from model.statics import statics
 

@@ -176,7 +176,26 @@ def _runs(fit: Fit, left_out: Sequence[Prediction]) -> str:
         for p in left_out
         for words in p.outside
     )
-    return f'<h2>Data</h2>\n<div class="scroll">{_table(heads, rows)}</div>{left}'
+    return f'<h2>Data</h2>\n<div class="scroll">{_table(heads, rows)}</div>{_sections(fit, left_out)}{left}'
+
+
+def _sections(fit: Fit, left_out: Sequence[Prediction]) -> str:
+    """The measured sections that count, and those of runs that were left out."""
+    heads = ["run", "section", "at [mm]", "frames", "rms [mm]", "with orientation", "rms [deg]"]
+    rows = [
+        [
+            run,
+            one.name,
+            f"{1e3 * one.at_m:g}",
+            str(one.frames),
+            f"{1e3 * one.rms_m:.3f}",
+            str(one.oriented),
+            f"{one.rms_deg:.2f}" if one.oriented else "",
+        ]
+        for run, sections in (*((r.run_id, r.sections) for r in fit.runs), *((p.run_id, p.sections) for p in left_out))
+        for one in sections
+    ]
+    return f'<h2>Measured sections</h2>\n<div class="scroll">{_table(heads, rows)}</div>' if rows else ""
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.likelihood import Discrepancy
 from calibration.identify.model_error_posterior import ModelErrorPosterior
-from calibration.identify.parameters import Prior, known
+from calibration.identify.parameter import Prior
+from calibration.identify.parameters import known
+from calibration.identify.poses import Poses, section_kind
 from calibration.identify.setup import Setup
 
 Array = NDArray[np.float64]
@@ -97,10 +99,45 @@ def with_means_of_runs(setup: Setup, estimates: Sequence[Estimate]) -> Setup:
 
 
 @dataclass(frozen=True)
+class SectionFit:
+    """Fit of one section of the arm in one run; frames, oriented: camera frames whose point and orientation count.
+
+    rms_m: root mean square distance from measured to predicted points; rms_rad: the same of orientations, NaN without.
+    """
+
+    name: str
+    at_m: float
+    frames: int
+    oriented: int
+    rms_m: float
+    rms_rad: float
+
+    @property
+    def rms_deg(self) -> float:
+        """The rms angle in degrees."""
+        return math.degrees(self.rms_rad)
+
+    @classmethod
+    def every(cls, poses: Poses, gap: Array) -> tuple[SectionFit, ...]:
+        """Of all sections of a run, from gaps (K, D) measured minus predicted."""
+        out = []
+        for one in poses.sections:
+            at = poses.columns(section_kind(one.name))
+            used, turned = one.seen & poses.has_tip, one.oriented & poses.has_tip
+            angle = np.linalg.norm(gap[:, at.stop : at.stop + 3], axis=1) if turned.any() else np.empty(0)
+            frames, oriented = int(poses.frames[used].sum()), int(poses.frames[turned].sum())
+            distance = np.linalg.norm(gap[used, at], axis=1)
+            out.append(
+                cls(one.name, one.at_m, frames, oriented, rms(distance), rms(angle[turned] if len(angle) else angle))
+            )
+        return tuple(out)
+
+
+@dataclass(frozen=True)
 class RunFit:
     """Fit of one run. gap (K, D): measured minus predicted, tips [m] and rotations [rad]; NaN without a measurement.
 
-    oriented: number of frames whose orientation was used.
+    oriented: number of frames whose orientation was used. sections: the same of each measured section.
     """
 
     run_id: str
@@ -119,6 +156,7 @@ class RunFit:
     """`before_m` is of the model that ran beside the experiment."""
     drifting: bool = False
     """The residuals correlate over more than a tenth of the run; error bars include this only as far as it shows."""
+    sections: tuple[SectionFit, ...] = ()
 
     @property
     def residual_m(self) -> Array:
@@ -128,7 +166,7 @@ class RunFit:
     @property
     def angle_rad(self) -> Array:
         """Angles (K,) between measured and predicted orientations, measured entries only."""
-        angle: Array = np.linalg.norm(self.gap[:, 3:], axis=1)
+        angle: Array = np.linalg.norm(self.gap[:, 3:6], axis=1)
         return angle[np.isfinite(angle)] if self.oriented else np.empty(0)
 
     @property

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from calibration.identify.parameters import Parameter, UnknownParameter, named
+from calibration.identify.parameter import Parameter
+from calibration.identify.parameters import UnknownParameter, named
 from calibration.identify.setup import Setup
 
 # Upper bound of a parameter as a fraction of the limit that it must stay below.

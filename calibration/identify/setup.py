@@ -17,6 +17,15 @@ Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
+class SectionMount:
+    """How far the board of a section is from where the rig states it: a point and a rotation vector in its frame."""
+
+    name: str
+    offset_m: Triple = (0.0, 0.0, 0.0)
+    rotation_rad: Triple = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Setup:
     """An arm and how it is mounted and measured.
 
@@ -26,7 +35,8 @@ class Setup:
     the tip frame. `actuator_turn_rad` (N,) moves each actuator about the arm's axis. The rotation vector
     `gravity_turn_rad` turns gravity in the rod-base frame: a base that is not plumb. Sensors read `sensor_gain` (N,)
     times their pressure plus `sensor_offset_pa` (N,), `sensor_lag_s` late as clocks are, and behind a filter of first
-    order with the time constant `sensor_filter_s`.
+    order with the time constant `sensor_filter_s`. A section of the arm is measured as the tip is, with the mount of
+    its own board in `sections` in place of the tool; a section without one is where the rig states it.
     """
 
     arm: model.Arm
@@ -40,6 +50,7 @@ class Setup:
     sensor_gain: tuple[float, ...] = ()
     sensor_lag_s: float = 0.0
     sensor_filter_s: float = 0.0
+    sections: tuple[SectionMount, ...] = ()
 
     def __post_init__(self) -> None:
         n = self.arm.geometry.actuators
@@ -79,16 +90,24 @@ class Setup:
         out: Array = (measured_pa - np.array(self.sensor_offset_pa)) / np.array(self.sensor_gain)
         return out
 
-    def measured(self, tip_m: Array, rotation: Array) -> Array:
-        """Where tips (K, 3) with orientations (K, 3, 3) of the model are measured, (K, 3) [m]."""
-        point = tip_m + rotation @ np.array(self.tool_offset_m)
+    def tool(self) -> SectionMount:
+        """How the measured frame of the tip is mounted."""
+        return SectionMount("", self.tool_offset_m, self.tool_rotation_rad)
+
+    def mount(self, section: str) -> SectionMount:
+        """How the board of a section is mounted."""
+        return next((one for one in self.sections if one.name == section), SectionMount(section))
+
+    def measured(self, point_m: Array, rotation: Array, mount: SectionMount | None = None) -> Array:
+        """Where points (K, 3) with orientations (K, 3, 3) of the model are measured, (K, 3) [m]; by default tips."""
+        point = point_m + rotation @ np.array((mount or self.tool()).offset_m)
         out: Array = Rotation.from_rotvec(self.base_rotation_rad).apply(point) + np.array(self.base_translation_m)
         return out
 
-    def oriented(self, rotation: Array) -> Array:
-        """How orientations (K, 3, 3) of the model are measured, (K, 3, 3)."""
-        base, tool = (Rotation.from_rotvec(own).as_matrix() for own in (self.base_rotation_rad, self.tool_rotation_rad))
-        out: Array = base @ rotation @ tool
+    def oriented(self, rotation: Array, mount: SectionMount | None = None) -> Array:
+        """How orientations (K, 3, 3) of the model are measured, (K, 3, 3); by default those of tips."""
+        base, tool = self.base_rotation_rad, (mount or self.tool()).rotation_rad
+        out: Array = Rotation.from_rotvec(base).as_matrix() @ rotation @ Rotation.from_rotvec(tool).as_matrix()
         return out
 
 

@@ -9,16 +9,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 
 from calibration.identify.fit import identify
 from calibration.identify.memory_parameters import ALL_NAMES, memory_names
-from calibration.identify.orientation import MIN_FRAMES, Orientations
-from calibration.identify.parameters import Prior, known, named
+from calibration.identify.orientation import MIN_FRAMES, Orientations, turned_by
+from calibration.identify.parameter import Prior
+from calibration.identify.parameters import known, named
 from calibration.identify.poses import Poses
 from calibration.identify.pressure_course import PressureCourse
 from calibration.identify.pressure_history import pressure_history
 from calibration.identify.pressure_smoothing import smoothed
+from calibration.identify.section_mounts import mount_parameters
+from calibration.identify.section_poses import SectionPoses
 from calibration.identify.setup import Setup
 from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
 from calibration.parallel_map import Progress, parallel_map
@@ -35,7 +37,8 @@ class MeasurementErrors:
     """What goes wrong in measuring: standard deviations, per axis of the tip and per sensor.
 
     pressure_pa: of the mean of the samples within one frame of a motion. rest_pressure_pa: of a plateau's mean; None if
-    it is the same. rotation_rad: of the orientation about each axis; None if it is not measured.
+    it is the same. rotation_rad: of the orientation about each axis; None if it is not measured. section_m: of the
+    points of measured sections.
     """
 
     tip_m: tuple[float, float, float] = (2e-4, 4e-4, 2e-4)
@@ -43,6 +46,7 @@ class MeasurementErrors:
     offset_pa: float = 200.0
     rotation_rad: float | None = None
     rest_pressure_pa: float | None = None
+    section_m: tuple[float, float, float] = (2e-4, 4e-4, 2e-4)
 
     @property
     def plateau_pa(self) -> float:
@@ -56,8 +60,12 @@ def plan(
     weight_kg: Array | None = None,
     period_s: float = 0.0,
     errors: MeasurementErrors | None = None,
+    sections_m: Mapping[str, float] | None = None,
 ) -> Poses:
-    """An experiment that has not been done: pressures (K, N), weights (K,), tips unknown."""
+    """An experiment that has not been done: pressures (K, N), weights (K,), tips unknown.
+
+    sections_m: arc lengths [m] of measured sections by name.
+    """
     errors, k = errors or MeasurementErrors(), len(pressure_pa)
     time_s = np.arange(k, dtype=np.float64) * (period_s or 1.0)
     return Poses(
@@ -74,6 +82,16 @@ def plan(
         time_s=time_s,
         history=pressure_history(time_s, pressure_pa, time_s),
         orientation=None if errors.rotation_rad is None else _unmeasured(k, errors.rotation_rad),
+        sections=tuple(
+            SectionPoses(
+                name,
+                at_m,
+                np.full((k, 3), np.nan),
+                np.tile(np.diag(np.square(errors.section_m)), (k, 1, 1)),
+                None if errors.rotation_rad is None else _unmeasured(k, errors.rotation_rad),
+            )
+            for name, at_m in (sections_m or {}).items()
+        ),
     )
 
 
@@ -119,7 +137,10 @@ def perform(
         parts = FINE_SUBSTEPS // SUBSTEPS
         steps_s = np.linspace(0.0, end_s, parts * (len(planned) - 1) + 1)
         weight = np.concatenate([planned.weight_kg[:1], np.repeat(planned.weight_kg[1:], parts)])
-        fine = plan(planned.run_id, curve(steps_s), weight, steps_s[1])
+        fine = replace(
+            plan(planned.run_id, curve(steps_s), weight, steps_s[1]),
+            sections=tuple(one.spread(np.arange(0, len(steps_s), parts), len(steps_s)) for one in planned.sections),
+        )
         predictor, rows = Predictor(fine), slice(None, None, parts)
         sampled_s = np.linspace(0.0, end_s, _SAMPLES * (len(planned) - 1) + 1)
         samples = read(curve(sampled_s - truth.sensor_lag_s), errors.pressure_pa * _SAMPLES**0.5)
@@ -140,32 +161,70 @@ def perform(
         course=course,
         tip_m=tips + rng.standard_normal((len(planned), 3)) * np.array(errors.tip_m),
     )
-    if planned.orientation is None or errors.rotation_rad is None:
-        return done
-    turned = Rotation.from_rotvec(rng.normal(0.0, errors.rotation_rad, (len(planned), 3))).as_matrix()
-    rotation = turned @ predictor.rotations(plant)[rows]
-    return replace(done, orientation=replace(planned.orientation, rotation=rotation))
+    orientation = _turned(planned.orientation, predictor.rotations(plant)[rows], rng, errors)
+    sections = tuple(
+        replace(
+            one,
+            point_m=point[rows] + rng.standard_normal((len(planned), 3)) * np.array(errors.section_m),
+            orientation=_turned(one.orientation, rotation[rows], rng, errors),
+        )
+        for one, (point, rotation) in zip(planned.sections, predictor.sections(plant), strict=True)
+    )
+    return replace(done, orientation=orientation, sections=sections)
+
+
+def _turned(
+    planned: Orientations | None, rotation: Array, rng: np.random.Generator, errors: MeasurementErrors
+) -> Orientations | None:
+    """Orientations (K, 3, 3) with errors, where they are measured."""
+    if planned is None or errors.rotation_rad is None:
+        return planned
+    error = rng.normal(0.0, errors.rotation_rad, (len(rotation), 3))
+    return turned_by(planned, rotation, error, np.ones(len(rotation), np.bool_))
 
 
 def perform_as_planned(planned: Poses, truth: Setup, rng: np.random.Generator, errors: MeasurementErrors) -> Poses:
     """As `perform`, but the errors of tips and orientations are drawn from the covariances of the plan, those of the
     pressures from `errors`."""
-    without = replace(errors, tip_m=(0.0, 0.0, 0.0), rotation_rad=None if planned.orientation is None else 0.0)
+    nothing = (0.0, 0.0, 0.0)
+    without = replace(
+        errors, tip_m=nothing, section_m=nothing, rotation_rad=None if planned.orientation is None else 0.0
+    )
     exact = perform(planned, truth, rng, without)
     done = replace(exact, tip_m=exact.tip_m + _drawn(planned.covariance_m2, rng))
-    if exact.orientation is None:
-        return done
-    turned = Rotation.from_rotvec(_drawn(exact.orientation.covariance_rad2, rng)).as_matrix()
-    return replace(done, orientation=replace(exact.orientation, rotation=turned @ exact.orientation.rotation))
+    if exact.orientation is not None:
+        done = replace(done, orientation=_turned_as_planned(exact.orientation, rng))
+    sections = tuple(
+        replace(
+            one,
+            point_m=one.point_m + _drawn(one.covariance_m2, rng),
+            orientation=None if one.orientation is None else _turned_as_planned(one.orientation, rng),
+        )
+        for one in exact.sections
+    )
+    return replace(done, sections=sections)
+
+
+def _turned_as_planned(exact: Orientations, rng: np.random.Generator) -> Orientations:
+    error = _drawn(exact.covariance_rad2, rng)
+    return turned_by(exact, exact.rotation, error, np.ones(len(error), np.bool_))
 
 
 def exact(planned: Poses, truth: Setup) -> Poses:
     """A planned experiment whose tips and orientations are exactly where the model predicts them."""
     predictor = Predictor(planned)
     done = replace(planned, tip_m=predictor(truth))
-    if planned.orientation is None:
-        return done
-    return replace(done, orientation=replace(planned.orientation, rotation=predictor.rotations(truth)))
+    if planned.orientation is not None:
+        done = replace(done, orientation=replace(planned.orientation, rotation=predictor.rotations(truth)))
+    sections = tuple(
+        replace(
+            one,
+            point_m=point,
+            orientation=None if one.orientation is None else replace(one.orientation, rotation=rotation),
+        )
+        for one, (point, rotation) in zip(planned.sections, predictor.sections(truth), strict=True)
+    )
+    return replace(done, sections=sections)
 
 
 def _drawn(covariance: Array, rng: np.random.Generator) -> Array:
@@ -241,7 +300,7 @@ def run_trial(trial: CoverageTrial) -> Array:
     Free are the sensors' zeros, too, if they err; a sensor's delay is believed to be as `LAG_PRIOR` says.
     """
     rng = np.random.default_rng(trial.seed)
-    truth = trial.truth if trial.stated is None else drawn_setup(trial.truth, trial.stated, rng)
+    truth = trial.truth if trial.stated is None else drawn_setup(trial.truth, trial.stated, rng, trial.planned)
     data = [perform(planned, truth, rng, trial.errors) for planned in trial.planned]
     free, priors = list(trial.free), {"sensor_lag_s": LAG_PRIOR}
     if trial.errors.offset_pa:
@@ -259,11 +318,19 @@ def run_trial(trial: CoverageTrial) -> Array:
     return np.array(out)
 
 
-def drawn_setup(setup: Setup, stated: Mapping[str, Prior], rng: np.random.Generator) -> Setup:
-    """A setup whose every number is drawn from what is stated of it, within its bounds; without sensor offsets."""
+def drawn_setup(
+    setup: Setup, stated: Mapping[str, Prior], rng: np.random.Generator, data: Sequence[Poses] = ()
+) -> Setup:
+    """A setup whose every number is drawn from what is stated of it, within its bounds; without sensor offsets.
+
+    data: the boards of their sections are drawn, too.
+    """
     absent = ALL_NAMES - set(memory_names(setup.arm))
     for name, parameter in known(setup.arm.geometry.actuators).items():
         if not parameter.per_run and name not in absent:
             value = rng.normal(stated[name].mean, stated[name].std)
             setup = parameter.write(setup, float(np.clip(value, parameter.lower, parameter.upper)))
+    for parameter in mount_parameters(data):
+        prior = stated.get(parameter.name, Prior(0.0, parameter.uncertainty(0.0)))
+        setup = parameter.write(setup, float(rng.normal(prior.mean, prior.std)))
     return setup

@@ -5,17 +5,18 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import model
+from calibration.identify.mounted_change import ArmAnswers, MountedChange, rotation_between
 from calibration.identify.poses import Poses
 from calibration.identify.pressure_course import PressureCourse
 from calibration.identify.pressure_smoothing import curve
 from calibration.identify.setup import Setup
-from calibration.rotation_vectors import inverse_right_jacobian, left_jacobian
 from model import sensitivities
 from model.dynamics import Dynamics
 from model.sensitivities import Gradients
@@ -23,7 +24,7 @@ from model.variation import TipWrench, Variation
 
 Array = NDArray[np.float64]
 Solved = tuple[Array, Array]
-"""Tips (K, 3) and orientations (K, 3, 3)."""
+"""Points (K, 1 + S, 3) and orientations (K, 1 + S, 3, 3) of the tip and then of the sections of the poses."""
 Key = tuple[object, ...]
 
 # Time steps per camera period: at one step the time scheme's own damping would pass for the material's.
@@ -57,21 +58,36 @@ class Predictor:
 
     def __call__(self, setup: Setup) -> Array:
         """Tips (K, 3) [m] as they would be measured; NaN where the model has no solution."""
-        return setup.measured(*self._shapes(setup))
+        points, rotations = self._shapes(setup)
+        return setup.measured(points[:, 0], rotations[:, 0])
 
     def rotations(self, setup: Setup) -> Array:
         """Orientations (K, 3, 3) as they would be measured; NaN where the model has no solution."""
-        return setup.oriented(self._shapes(setup)[1])
+        return setup.oriented(self._shapes(setup)[1][:, 0])
+
+    def sections(self, setup: Setup) -> tuple[tuple[Array, Array], ...]:
+        """Points (K, 3) and orientations (K, 3, 3) of each section of the poses as they would be measured."""
+        points, rotations = self._shapes(setup)
+        mounts = [setup.mount(one.name) for one in self.poses.sections]
+        return tuple(
+            (setup.measured(points[:, k], rotations[:, k], mount), setup.oriented(rotations[:, k], mount))
+            for k, mount in enumerate(mounts, start=1)
+        )
 
     def gap(self, setup: Setup) -> Array:
-        """Measured minus predicted (K, D) [m, rad]: tips, and the rotation vectors between orientations.
+        """Measured minus predicted (K, D) [m, rad]: points, and the rotation vectors between orientations.
 
         NaN where there is no measurement or no solution.
         """
-        tips, orientation = self.poses.tip_m - self(setup), self.poses.orientation
-        if orientation is None:
-            return tips
-        return np.concatenate([tips, rotation_between(orientation.rotation, self.rotations(setup))], axis=1)
+        poses = self.poses
+        measured = [(poses.tip_m, poses.orientation), *((one.point_m, one.orientation) for one in poses.sections)]
+        predicted = [(self(setup), self.rotations(setup)), *self.sections(setup)]
+        out = []
+        for (point, orientation), (own, rotation) in zip(measured, predicted, strict=True):
+            out.append(point - own)
+            if orientation is not None:
+                out.append(rotation_between(orientation.rotation, rotation))
+        return np.concatenate(out, axis=1)
 
     def _shapes(self, setup: Setup) -> Solved:
         if (course := self._course(setup)) is not None:
@@ -132,27 +148,18 @@ class Predictor:
         if poses.moving:
             found = _dynamic_sensitivities(setup, rows, changes, poses, self.substeps, wrench)
         else:
-            found = sensitivities.statics(setup.turned_arm, rows, changes, poses.weight_kg, wrench)
-        lever = found.tip_rotation @ np.array(setup.tool_offset_m)
-        base = Rotation.from_rotvec(setup.base_rotation_rad).as_matrix()
-        out = np.zeros((len(poses), poses.numbers, len(perturbed)))
-        turned = out[:, 3:]
-        turned[:, :, new] = (base @ found.turn_by)[:, : turned.shape[1]]
-        out[:, :3, new] = base @ (found.tip_by + np.cross(found.turn_by, lever[:, :, None], axis=1))
-        point = (found.tip_m + lever) @ base.T
-        for k, (other, step) in enumerate(zip(perturbed, steps, strict=True)):
-            shift, turn, tool, tool_turn = (
-                (np.array(getattr(other, name)) - np.array(getattr(setup, name))) / step
-                for name in ("base_translation_m", "base_rotation_rad", "tool_offset_m", "tool_rotation_rad")
+            found = sensitivities.statics(
+                setup.turned_arm, rows, changes, poses.weight_kg, wrench, sections_m=_at_m(poses)
             )
-            turn = left_jacobian(np.array(setup.base_rotation_rad)) @ turn
-            tool_turn = left_jacobian(np.array(setup.tool_rotation_rad)) @ tool_turn
-            out[:, :3, k] += shift + np.cross(turn, point) + (found.tip_rotation @ tool) @ base.T
-            turned[:, :, k] += (turn + (found.tip_rotation @ tool_turn) @ base.T)[:, : turned.shape[1]]
-        if poses.orientation is not None:
-            apart = rotation_between(poses.orientation.rotation, setup.oriented(found.tip_rotation))
-            out[:, 3:] = inverse_right_jacobian(np.nan_to_num(apart)) @ turned
-        return out
+        changed = MountedChange(setup, perturbed, steps, new)
+        tip = ArmAnswers(found.tip_m, found.tip_rotation, found.tip_by, found.turn_by)
+        parts = [changed.slopes(tip, poses.orientation, Setup.tool)]
+        for k, one in enumerate(poses.sections):
+            section = ArmAnswers(
+                found.section_m[:, k], found.section_rotation[:, k], found.section_by[:, k], found.section_turn_by[:, k]
+            )
+            parts.append(changed.slopes(section, one.orientation, partial(Setup.mount, section=one.name)))
+        return np.concatenate(parts, axis=1)
 
     def _course(self, setup: Setup) -> PressureCourse | None:
         """The course that leads to the poses, where the arm remembers it."""
@@ -186,11 +193,20 @@ class Predictor:
         if poses.weight_kg.any() or poses.wrench.any():
             more = 1.0 + _LOAD_STEP
             heavier = Predictor(replace(poses, weight_kg=poses.weight_kg * more, wrench=poses.wrench * more))
-            by_load[:, :3] = heavier(setup) - still(setup)
-            if poses.orientation is not None:
-                by_load[:, 3:] = rotation_between(heavier.rotations(setup), still.rotations(setup))
-            by_load = np.nan_to_num(by_load / _LOAD_STEP)
+            by_load = np.nan_to_num(heavier._moved_from(still, setup) / _LOAD_STEP)
         return PushResponse(by_pressure[nearest], by_load[nearest])
+
+    def _moved_from(self, other: Predictor, setup: Setup) -> Array:
+        """By how much (K, D) the predictions of the numbers differ from those of another predictor."""
+        own = [(self(setup), self.rotations(setup)), *self.sections(setup)]
+        others = [(other(setup), other.rotations(setup)), *other.sections(setup)]
+        oriented = [self.poses.orientation, *(one.orientation for one in self.poses.sections)]
+        out = []
+        for (point, rotation), (from_point, from_rotation), orientation in zip(own, others, oriented, strict=True):
+            out.append(point - from_point)
+            if orientation is not None:
+                out.append(rotation_between(rotation, from_rotation))
+        return np.concatenate(out, axis=1)
 
     def _at_rest(self) -> tuple[Predictor, NDArray[np.intp]]:
         """A predictor of some poses as equilibria, and the number (K,) of the nearest of them for each pose."""
@@ -222,6 +238,7 @@ def _as_motion(poses: Poses, course: PressureCourse) -> Poses:
         live_m=None,
         course=None,
         orientation=None if poses.orientation is None else poses.orientation.spread(course.at, count),
+        sections=tuple(one.spread(course.at, count) for one in poses.sections),
     )
 
 
@@ -234,14 +251,16 @@ def _by_pressure(still: Predictor, setup: Setup) -> Array:
     return out
 
 
-def rotation_between(one: Array, other: Array) -> Array:
-    """Rotation vectors (K, 3) [rad] in the outer frame that turn the orientations `other` into `one`; NaN as these."""
-    relative = one @ np.swapaxes(other, 1, 2)
-    known = np.isfinite(relative).all(axis=(1, 2))
-    out = np.full((len(relative), 3), np.nan)
-    if known.any():
-        out[known] = Rotation.from_matrix(relative[known]).as_rotvec()
-    return out
+def _at_m(poses: Poses) -> list[float]:
+    return [one.at_m for one in poses.sections]
+
+
+def _with_tip(found: Gradients) -> Solved:
+    """Points and orientations of tip and sections."""
+    return (
+        np.concatenate([found.tip_m[:, None], found.section_m], axis=1),
+        np.concatenate([found.tip_rotation[:, None], found.section_rotation], axis=1),
+    )
 
 
 def _loads(arm: model.Arm, weight_kg: float) -> model.Loads | None:
@@ -267,15 +286,18 @@ def _repeat_rows(rows: Array, repeats: int) -> Array:
 
 
 def _solve_static(setup: Setup, pressure_pa: Array, poses: Poses, _: int) -> Solved:
-    found = sensitivities.statics(setup.turned_arm, pressure_pa, (), poses.weight_kg, _tip_wrench(setup, poses))
-    return found.tip_m, found.tip_rotation
+    wrench = _tip_wrench(setup, poses)
+    return _with_tip(
+        sensitivities.statics(setup.turned_arm, pressure_pa, (), poses.weight_kg, wrench, sections_m=_at_m(poses))
+    )
 
 
 def _solve_dynamic(setup: Setup, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
-    if not poses.wrench.any() and substeps > 1:
+    if not poses.wrench.any() and not poses.sections and substeps > 1:
         return _time_stepping(setup.turned_arm, pressure_pa, poses, substeps)
-    found = _dynamic_sensitivities(setup, pressure_pa, (), poses, substeps, _tip_wrench(setup, poses, substeps))
-    return found.tip_m, found.tip_rotation
+    return _with_tip(
+        _dynamic_sensitivities(setup, pressure_pa, (), poses, substeps, _tip_wrench(setup, poses, substeps))
+    )
 
 
 def _dynamic_sensitivities(
@@ -287,7 +309,9 @@ def _dynamic_sensitivities(
     wrench: TipWrench | None,
 ) -> Gradients:
     weight, dt_s = _repeat_rows(poses.weight_kg, substeps), poses.period_s / substeps
-    return sensitivities.motion(setup.turned_arm, pressure_pa, dt_s, changes, weight, substeps, pull=wrench)
+    return sensitivities.motion(
+        setup.turned_arm, pressure_pa, dt_s, changes, weight, substeps, pull=wrench, sections_m=_at_m(poses)
+    )
 
 
 def _time_stepping(arm: model.Arm, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
@@ -297,7 +321,7 @@ def _time_stepping(arm: model.Arm, pressure_pa: Array, poses: Poses, substeps: i
     try:
         shape = dynamics.start(pressure_pa[0], _loads(arm, weight[0]))
     except model.NotConverged:
-        return tips, turned
+        return tips[:, None], turned[:, None]
     tips[0], turned[0] = shape.tip_m, shape.tip_rotation
     changes = np.flatnonzero(np.diff(weight)) + 1
     for start, stop in itertools.pairwise(sorted({1, *changes.tolist(), len(poses)})):
@@ -308,4 +332,4 @@ def _time_stepping(arm: model.Arm, pressure_pa: Array, poses: Poses, substeps: i
         good = motion.ok[substeps - 2 :: substeps]
         tips[start:stop][good] = motion.tip_m[substeps - 2 :: substeps][good]
         turned[start:stop][good] = motion.tip_rotation[substeps - 2 :: substeps][good]
-    return tips, turned
+    return tips[:, None], turned[:, None]

@@ -13,10 +13,10 @@ from calibration.identify.findings import Findings, findings
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.model_comparison import ComparisonRow
 from calibration.identify.notation import Scale, interval, quantity, rounded
-from calibration.identify.parameters_document import Baseline, content
+from calibration.identify.parameters_document import Baseline, content, section_facts
 from calibration.identify.profile_likelihood import LikelihoodProfile
 from calibration.identify.residual_dependence import Dependence
-from calibration.identify.results import Estimate, Fit, RunFit
+from calibration.identify.results import Estimate, Fit, RunFit, SectionFit
 from rig.cli.column_table import ColumnTable
 from rig.cli.console import console
 from rig.cli.json_output import print_json
@@ -103,6 +103,7 @@ def _prediction_facts(found: Prediction) -> dict[str, object]:
         "std_mm": 1e3 * found.std_m,
         "share_in_95": dict(zip(("x", "y", "z", "ellipsoid"), found.share_in_95.tolist(), strict=True)),
         "outside_fit": list(found.outside),
+        **({"sections": [section_facts(one) for one in found.sections]} if found.sections else {}),
         "time_s": found.time_s.tolist(),
         "measured_mm": (1e3 * found.measured_m).tolist(),
         "predicted_mm": (1e3 * found.predicted_m).tolist(),
@@ -221,6 +222,17 @@ def _residuals(run: RunFit) -> None:
     if run.oriented:
         text += f"; orientation of the tip used in {run.oriented} of {run.frames} frames: rms {run.rms_deg:.2f} deg"
     console().print(text, soft_wrap=True)
+    if run.sections:
+        console().print(f"{run.run_id}: sections used: {_sections(run.sections)}", soft_wrap=True)
+
+
+def _sections(sections: Sequence[SectionFit]) -> str:
+    """How many frames of each section count, and how far they are from the model."""
+    words = []
+    for one in sections:
+        text = f"{one.name} at {1e3 * one.at_m:g} mm in {one.frames} frames, rms {1e3 * one.rms_m:.3f} mm"
+        words.append(f"{text} and {one.rms_deg:.2f} deg" if one.oriented else text)
+    return "; ".join(words)
 
 
 def failure(fit: Fit) -> None:
@@ -272,6 +284,8 @@ def _prediction_errors(found: Sequence[Prediction], beside_json: bool) -> None:
         if one.unsolved:
             errors += f"; {one.unsolved} of {len(one.error_m)} frames have no prediction and are excluded"
         results([f"{one.run_id} (left out{how}): {errors}"], beside_json)
+        if one.sections:
+            results([f"{one.run_id} (left out): sections: {_sections(one.sections)}"], beside_json)
         results([f"{one.run_id} leaves the range of the fit: {words}" for words in one.outside], beside_json)
 
 

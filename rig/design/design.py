@@ -20,7 +20,8 @@ from calibration.design.information import (
     of_interest,
 )
 from calibration.identify.nuisance import nuisance_parameters
-from calibration.identify.parameters import DAMPING_S, Prior, named
+from calibration.identify.parameter import Prior
+from calibration.identify.parameters import DAMPING_S, named
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, exact

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.parameters import Parameter, named
+from calibration.identify.parameter import Parameter
+from calibration.identify.parameters import named
 from calibration.identify.parameters_document import write
 from calibration.identify.results import NORMAL_95, Estimate, RunFit, Verdict
 from calibration.identify.setup import Setup

@@ -11,10 +11,12 @@ from calibration.identify.data import poses_of, quasi_static_poses
 from calibration.identify.fit import identify
 from calibration.identify.memory_parameters import memory_names
 from calibration.identify.nuisance import nuisance_parameters, stated_values
-from calibration.identify.parameters import Prior, UnknownParameter, named
+from calibration.identify.parameter import Prior
+from calibration.identify.parameters import UnknownParameter, named
 from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
 from calibration.identify.search import Progress as SearchProgress
+from calibration.identify.section_mounts import offset_names, rotation_names
 from calibration.identify.setup import Setup
 from protocols import BadInputError, Problem
 from rig.config.arm_model import model_arm
@@ -149,6 +151,18 @@ def rig_uncertainties(config: RigConfig, start: Setup) -> dict[str, Prior]:
     tool = {name: std for name, std in mounted.items() if std}
     found = stated_values(start, {**offsets, **tool, **config.uncertainties.stated()})
     found["sensor_filter_s"] = Prior(SENSOR_FILTER_S, found["sensor_filter_s"].std)
+    return found | _section_priors(config)
+
+
+def _section_priors(config: RigConfig) -> dict[str, Prior]:
+    """Priors of the boards of the measured sections, where the rig states how well they are placed."""
+    found: dict[str, Prior] = {}
+    for name, section in config.sections.items():
+        placed = section.board.placement
+        if placed.translation_std_mm:
+            found |= dict.fromkeys(offset_names(name), Prior(0.0, placed.translation_std_mm * 1e-3))
+        if placed.rotation_std_deg:
+            found |= dict.fromkeys(rotation_names(name), Prior(0.0, math.radians(placed.rotation_std_deg)))
     return found
 
 

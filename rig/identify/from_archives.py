@@ -11,7 +11,7 @@ import numpy as np
 
 from calibration.identify import split_at
 from calibration.identify.held_out_prediction import Prediction, predict
-from calibration.identify.parameters import Prior
+from calibration.identify.parameter import Prior
 from calibration.identify.parameters_document import Baseline
 from calibration.identify.poses import Poses
 from calibration.identify.results import Fit

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from calibration.identify.candidates import candidates
 from calibration.identify.model_comparison import ModelComparison, compare_models, compared
-from calibration.identify.parameters import Prior
+from calibration.identify.parameter import Prior
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from rig.config.schema import RigConfig

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
-from calibration.identify.parameters import PUSH_GROWTH, Prior
+from calibration.identify.parameter import Prior
+from calibration.identify.parameters import PUSH_GROWTH
 from calibration.identify.recursive_estimator import RecursiveEstimator
 from calibration.identify.setup import Setup
 from model.statics import statics

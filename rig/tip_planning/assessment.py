@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.memory_parameters import ALL_NAMES
-from calibration.identify.parameters import Parameter, groups, known
+from calibration.identify.parameter import Parameter
+from calibration.identify.parameters import groups, known
 from calibration.identify.setup import Setup
 from model import batch, sensitivities
 from model.variation import Variation
