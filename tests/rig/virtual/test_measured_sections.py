@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import rig.config.loader
 import runs
+from calibration.identify.data import in_motion
 from rig.cli.app import main
 from rig.experiment.replay import replay
 from rig.hardware.cameras.base import FrameSet
@@ -162,3 +164,28 @@ def test_a_replay_has_the_sections_of_its_rig(run: Run, tmp_path: Path, rig_name
     assert run.sections is not None
     stored = np.isin(run.tip.frame, found.tip.frame)
     np.testing.assert_allclose(found.sections.measured_mm, run.sections.measured_mm[stored], atol=0.1)
+
+
+def test_identification_reads_the_sections_with_their_covariances(run: Run) -> None:
+    poses, sections = in_motion(run), run.sections
+    assert sections is not None
+    assert [one.name for one in poses.sections] == ["middle", "lower"]
+    middle, lower = poses.sections
+    assert (middle.at_m, lower.at_m) == pytest.approx((0.085, 0.125))
+    frame = int(np.flatnonzero(lower.seen & lower.oriented)[-1])
+    row = int(np.flatnonzero(run.tip.frame - run.tip.frame[0] == frame)[0])
+    np.testing.assert_allclose(lower.point_m[frame], sections.measured_mm[row, 1] * 1e-3, atol=1e-12)
+    np.testing.assert_allclose(lower.covariance_m2[frame], sections.covariance_mm2[row, 1] * 1e-6, atol=1e-18)
+    assert lower.orientation is not None
+    vector = Rotation.from_matrix(lower.orientation.rotation[frame]).as_rotvec(degrees=True)
+    np.testing.assert_allclose(vector, sections.orientation_deg[row, 1], atol=1e-9)
+    assert poses.numbers == 18
+
+
+def test_rig_identify_says_which_sections_it_used(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["identify", "fit", str(run.path), "--free", "a1_per_n", "--starts", "1"])
+    assert ended.value.code in (0, None)
+    printed = capsys.readouterr().out
+    assert "sections used: middle at 85 mm in " in printed
+    assert "; lower at 125 mm in " in printed
