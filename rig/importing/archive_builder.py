@@ -24,7 +24,7 @@ from rig.experiment.provenance import git_state, versions
 from rig.importing.columns import ColumnReader
 from rig.importing.gravity import gravity_calibration, measured_gravity, warn_if_opposite
 from rig.importing.mapping import Mapping, load
-from rig.importing.pressure_columns import delayed, pressures, setpoints
+from rig.importing.pressure_columns import AppliedDelay, delayed, pressure_delay, pressures, setpoints
 from rig.importing.tables import read as read_table
 from rig.importing.timestamps import RowTimes, times
 from rig.importing.tracker_frames import PlacedTips, placed, wrench
@@ -89,6 +89,8 @@ def import_table(
         notes="; ".join(filter(None, (notes, f"imported from {source}"))),
     )
     made_of = f"{len(found.samples)} rows from {source}, by mapping {mapping_file.name}"
+    if found.delay.delay_s:
+        made_of += f"; pressures delayed by {found.delay.delay_s:.3f} s ({found.delay.source})"
     journal = JournalWriter(folder / f"{header.run_id}{SUFFIX}", header)
     journal.samples(found.samples)
     journal.observations(found.observations)
@@ -108,6 +110,7 @@ class _Measurement:
     samples: NDArray[np.void]
     observations: NDArray[np.void]
     ambient_pa: Floats
+    delay: AppliedDelay
     gravity: GravityDirection | None
 
 
@@ -118,8 +121,9 @@ def _read(data: Path, columns: ColumnReader, mapping: Mapping, document: Documen
     read = times(columns, mapping)
     t_ns = read.t_ns
     gauge_pa, ambient_pa = pressures(columns, mapping)
-    gauge_pa = delayed(t_ns, gauge_pa, mapping.pressures.delay_s)
     tips = placed(columns, mapping)
+    delay = pressure_delay(columns, mapping, document, (t_ns - t_ns[0]) * 1e-9, gauge_pa, tips.tip_m)
+    gauge_pa = delayed(t_ns, gauge_pa, delay.delay_s)
     setpoint_pa, valve_v, weight_kg = setpoints(columns, mapping), _valves(columns, mapping), _weight(columns, mapping)
     pull = wrench(columns, mapping)
     gravity = measured_gravity(columns, mapping, document, (t_ns - t_ns[0]) * 1e-9, weight_kg)
@@ -133,7 +137,7 @@ def _read(data: Path, columns: ColumnReader, mapping: Mapping, document: Documen
     samples = _samples(t_ns, _frames(columns, t_ns), setpoint_pa, gauge_pa, valve_v)
     observations = _observations(samples, tips, weight_kg)
     observations["force_n"], observations["moment_n_m"] = pull[:, :3], pull[:, 3:]
-    return _Measurement(rig, started_utc_ns, samples, observations, ambient_pa, gravity)
+    return _Measurement(rig, started_utc_ns, samples, observations, ambient_pa, delay, gravity)
 
 
 def _header(found: _Measurement, columns: ColumnReader, mapping: Mapping, document: Document) -> RunHeader:
@@ -166,7 +170,7 @@ def _header(found: _Measurement, columns: ColumnReader, mapping: Mapping, docume
         versions=versions(),
         git_commit=commit,
         git_diff=diff,
-        quantities=_quantities(mapping, mapping_file, found.ambient_pa, found.gravity),
+        quantities=_quantities(mapping, mapping_file, found),
         control_hz=rate_hz,
         camera_hz=rate_hz,
     )
@@ -293,22 +297,20 @@ def _weight(columns: ColumnReader, mapping: Mapping) -> Floats:
     return weight
 
 
-def _quantities(
-    mapping: Mapping, file: Path, ambient_pa: Floats, gravity: GravityDirection | None
-) -> tuple[Quantity, ...]:
+def _quantities(mapping: Mapping, file: Path, measured: _Measurement) -> tuple[Quantity, ...]:
     """Every number that the import used."""
     source = f"mapping {file.name}"
-    stated, place = mapping.pressures, mapping.frame
+    stated, place, gravity, delay = mapping.pressures, mapping.frame, measured.gravity, measured.delay
     found = [
         Quantity("calibration", "frame_translation", place.translation_mm, "mm", source, place.translation_std_mm),
         Quantity("calibration", "frame_rotation", place.rotation_deg, "deg", source, place.rotation_std_deg),
     ]
     if stated.reading == "absolute":
         how = f"mean of the first {stated.ambient_rows} rows" if stated.ambient_rows else source
-        ambient = tuple(float(p) / PA_PER_BAR for p in ambient_pa)
+        ambient = tuple(float(p) / PA_PER_BAR for p in measured.ambient_pa)
         found.append(Quantity("calibration", "ambient_pressure", ambient, "bar", how))
-    if stated.delay_s:
-        found.append(Quantity("calibration", "pressure_delay", (stated.delay_s,), "s", source))
+    if delay.delay_s:
+        found.append(Quantity("calibration", "pressure_delay", (delay.delay_s,), "s", delay.source, delay.std_s))
     if mapping.tip is not None and mapping.tip.offset_mm is not None:
         found.append(Quantity("calibration", "tip_offset", mapping.tip.offset_mm, "mm", source))
     if gravity is not None:

@@ -112,8 +112,10 @@ class PressureColumnsSection(Section):
     reading: Literal["absolute", "gauge"]
     ambient_rows: Count | SkipJsonSchema[None] = Field(default=None, description="first rows, with the arm vented")
     ambient_bar: AmbientBar | SkipJsonSchema[None] = Field(default=None, description="of all columns, or of each")
-    delay_s: Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False, strict=True)] = Field(
-        default=0.0, description="time by which the columns lead the tip, as of another logger or long tubes"
+    delay_s: Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False, strict=True)] | Literal["measured"] = Field(
+        default=0.0,
+        description="time by which the columns lead the tip, as of another logger or long tubes; measured: as the "
+        "changes of pressures and tip in the table show it",
     )
 
     @model_validator(mode="after")

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
 from protocols.problems import Problem
+from protocols.source_positions import Document
 from rig.importing.columns import ColumnReader
 from rig.importing.mapping import Mapping
+from rig.importing.pressure_delay import measured_delay
 from rig.importing.units import PASCALS, PressureUnit
 from rig.sections.quantities import PA_PER_BAR
 from rig.valves.iso6358 import ATMOSPHERE_PA
@@ -19,9 +25,45 @@ AMBIENT_BAR = (0.5, 1.1)
 """Plausible ambient pressures."""
 NOISE_PA = 5e3
 """Tolerance for sensor noise below the lowest pressure."""
+NOTABLE_DELAY_S = 0.06
+"""A delay beside the stated one that is worth a warning."""
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class AppliedDelay:
+    """Time by which the pressures lead the tip, its standard uncertainty (NaN: stated without one) and its source."""
+
+    delay_s: float
+    std_s: float
+    source: str
+
+
+def pressure_delay(
+    columns: ColumnReader, mapping: Mapping, document: Document, time_s: Floats, gauge_pa: Floats, tip_m: Floats
+) -> AppliedDelay:
+    """The delay that the mapping states or asks to measure; a stated one that the table contradicts is a warning."""
+    stated = mapping.pressures.delay_s
+    by_mapping = AppliedDelay(0.0 if stated == "measured" else stated, math.nan, f"mapping {Path(document.file).name}")
+    if columns.problems:
+        return by_mapping
+    found = measured_delay(time_s, gauge_pa, tip_m)
+    if stated == "measured":
+        if found is None:
+            mark = document.position(("pressures", "delay_s"))
+            expected = "a delay in seconds: the table does not show by how much the tip follows the pressures"
+            place = "pressures: delay_s"
+            columns.problems.append(Problem(document.file, mark.line, mark.column, place, "measured", expected))
+            return by_mapping
+        return AppliedDelay(found.delay_s, found.std_s, f"changes of pressures and tip, {found.share:.0%} explained")
+    if found is not None and abs(found.delay_s - stated) > max(NOTABLE_DELAY_S, 3 * found.std_s):
+        columns.warn(
+            f"the tip follows the pressures by {found.delay_s:.2f} +- {found.std_s:.2f} s, the mapping says {stated:g} "
+            "s: for quasi-static identification state pressures: delay_s: measured"
+        )
+    return by_mapping
 
 
 def delayed(t_ns: Ints, gauge_pa: Floats, delay_s: float) -> Floats:
