@@ -151,9 +151,13 @@ def predict(fit: Fit, poses: Poses) -> Prediction:
 
 
 def _new_run_variance(fit: Fit, unknown: ScaledParameter, z: float) -> float:
-    """Mean square error of z, in squared spans, if the value of a new run is drawn from the prior of the unknown."""
-    expected = fit[unknown.parameter.name].expected
-    value = unknown.at(z)
-    if expected is None:
-        return (unknown.parameter.uncertainty(value) / unknown.rate(z)) ** 2
-    return (expected.std**2 + (value - expected.mean) ** 2) / unknown.rate(z) ** 2
+    """Mean square error of z, in squared spans, of the value of a new run.
+
+    Such values are drawn from the prior of the unknown. Without a prior they scatter about z, the mean of the fitted
+    runs, by the stated uncertainty: the data, not the statement, tell where they lie.
+    """
+    estimate, value, rate = fit[unknown.parameter.name], unknown.at(z), unknown.rate(z)
+    if (prior := estimate.prior) is not None:
+        return (prior.std**2 + (value - prior.mean) ** 2) / rate**2
+    std = unknown.parameter.uncertainty(value) if estimate.stated is None else estimate.stated.std
+    return float(std / rate) ** 2

@@ -73,6 +73,15 @@ def test_a_new_run_is_expected_at_the_mean_mounting_with_the_stated_uncertainty_
     assert predict(own, replace(RUNS[0], run_id="monday again")).std_m < 3e-4
 
 
+def test_a_new_run_scatters_about_the_runs_of_the_fit_not_about_a_stated_place_far_away() -> None:
+    away = replace(START, base_translation_m=(0.02, 0.0, -0.01))
+    fit = identify(RUNS, away, ["law", *BASE], per_run=["base_translation"], stated=stated_values(away, {}))
+    new = predict(fit, run("later"))
+    assert new.rms_m < 5e-3
+    assert new.share_in_95[:3].min() == 1.0
+    assert new.std_m < 6e-3
+
+
 def test_a_mounting_that_is_not_free_differs_between_the_runs_within_its_prior() -> None:
     stated = {name: Prior(p.mean, 1e-9) for name, p in stated_values(START, {}).items()}
     stated |= {name: Prior(0.0, 3e-3) for name in BASE}
