@@ -149,7 +149,9 @@ def named(names: Iterable[str], actuators: int) -> tuple[Parameter, ...]:
                 chosen[one] = mount
                 continue
             if one not in every:
-                near = difflib.get_close_matches(one, [*every, *several], 1)
+                names = [*several, *every]
+                begun = [name for name in names if name.startswith(f"{one}_")]
+                near = begun or difflib.get_close_matches(one, names, 1)
                 hint = f"did you mean {near[0]}? " if near else ""
                 raise UnknownParameter(
                     f"there is no parameter {one}; {hint}known are the groups {', '.join(several)} "

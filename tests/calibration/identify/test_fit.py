@@ -246,8 +246,9 @@ def test_the_result_is_a_file_that_reads_back(tmp_path: Path) -> None:
 
 
 def test_invalid_requests_are_refused() -> None:
-    with pytest.raises(UnknownParameter, match="did you mean a1_per_n"):
-        named(["a1_per_m"], 3)
+    for misspelt in ("a1_per_m", "a1"):
+        with pytest.raises(UnknownParameter, match="did you mean a1_per_n"):
+            named([misspelt], 3)
     with pytest.raises(NoDataError):
         identify(PLANNED, START, ["law"])
     with pytest.raises(ValueError, match="positive deviation"):
