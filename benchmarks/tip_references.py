@@ -21,7 +21,6 @@ import argparse
 import json
 import tempfile
 import time
-from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -31,16 +30,13 @@ from numpy.typing import NDArray
 
 import protocols
 from benchmarks.random_tip_paths import SHAPES, drawn_rig, stated_rig, tip_step
+from benchmarks.virtual_tip_run import perform
 from protocols import BadInputError, SetPointTrajectory
 from rig.config.schema import RigConfig
-from rig.execution.plan import NullOperator, RunPlan
 from rig.experiment.preflight import check
 from rig.sections.quantities import PA_PER_BAR
-from rig.simulator.mock_camera import Exposure
 from rig.tip_planning.inverse import RigTipInverse
-from rig.virtual import executor
-from rig.virtual.frame_pipeline import FrameResult, FrameSamples, FrameStages
-from runs.records import Event, Level, Picture, Status
+from runs.records import Level, Status
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -50,74 +46,10 @@ NEAR_RMS_MM, NEAR_MM = 2.0, 5.0
 ROUNDING = 1e-9
 
 
-class KeptRecord:
-    """A recorder that keeps cycles, frames and events in memory."""
-
-    stalled_s = 0.0
-
-    def __init__(self) -> None:
-        self.cycles: list[NDArray[np.void]] = []
-        self.frames: list[NDArray[np.void]] = []
-        self.events: list[Event] = []
-        self.unsolved = 0
-
-    def samples(self, rows: NDArray[np.void]) -> None:
-        """Keep control cycles."""
-        self.cycles.append(rows.copy())
-
-    def observations(self, rows: NDArray[np.void]) -> None:
-        """Keep frames."""
-        self.frames.append(rows.copy())
-
-    def plans(self, rows: NDArray[np.void]) -> None:
-        """Count the plans without a solution."""
-        self.unsolved += int(np.count_nonzero(rows["status"]))
-
-    def event(self, event: Event) -> None:
-        """Keep an event."""
-        self.events.append(event)
-
-    def adaptations(self, rows: NDArray[np.void]) -> None:
-        """Nothing is estimated online."""
-
-    def streamed(self, rows: NDArray[np.void]) -> None:
-        """No other program sends set-points."""
-
-    def picture(self, picture: Picture) -> None:
-        """There is no camera."""
-
-
-class SameProcess:
-    """A frame pipeline that measures at once in this process: there are no pictures to render beside control."""
-
-    def __init__(self, stages: FrameStages, cameras: int, shape: tuple[int, int]) -> None:
-        self._stages = stages
-        self._results: deque[FrameResult] = deque()
-
-    def __enter__(self) -> SameProcess:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    @property
-    def in_flight(self) -> int:
-        """Frame sets whose results have not been returned."""
-        return len(self._results)
-
-    def submit(self, index: int, due_ns: int, exposures: Sequence[Exposure | None], samples: FrameSamples) -> None:
-        """Measure a frame set."""
-        self._results.append(self._stages.measure(self._stages.render(index, due_ns, exposures), samples))
-
-    def result(self) -> FrameResult:
-        """The result of the oldest frame set."""
-        return self._results.popleft()
-
-
 def steps_of(tip: Row) -> list[Row]:
-    """The protocol's steps: rest, the tip path, and back to no pressure."""
-    ramp = {"actuators": [1, 2, 3], "to_bar": 0, "duration_s": 2, "shape": "smooth"}
-    return [{"hold": {"duration_s": 0.5}}, {"tip": tip}, {"ramp": ramp}, {"hold": {"duration_s": 0.5}}]
+    """The protocol's steps: a moment of rest, the tip path, and back to no pressure close to the rate limit."""
+    ramp = {"actuators": [1, 2, 3], "to_bar": 0, "duration_s": 1.1, "shape": "smooth"}
+    return [{"hold": {"duration_s": 0.1}}, {"tip": tip}, {"ramp": ramp}]
 
 
 def judged(k: int, seed: int, config: RigConfig, inverse: RigTipInverse) -> Row:
@@ -140,9 +72,7 @@ def judged(k: int, seed: int, config: RigConfig, inverse: RigTipInverse) -> Row:
 
 def followed(config: RigConfig, trajectory: SetPointTrajectory, seed: int) -> Row:
     """Run a trajectory on a simulated rig in virtual time; how it ended, and how far the tip was from its path."""
-    record = KeptRecord()
-    plan = RunPlan(config, Path("drawn.yaml"), trajectory, config.model.variant, seed, (), "horizon")
-    outcome = executor.run(plan, lambda t_ns: record, NullOperator())
+    record, outcome = perform(config, trajectory, seed)
     cycles, frames = np.concatenate(record.cycles), np.concatenate(record.frames)
     (motion,) = trajectory.tip.motions
     setpoint, axes = cycles["setpoint_pa"], list(motion.coordinates)
@@ -227,7 +157,6 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=int, nargs="+", help="run these paths and print their lines")
     args = parser.parse_args()
-    executor.FramePipeline = SameProcess  # type: ignore[misc,assignment]
     config = RigConfig.model_validate(stated_rig())
     inverse = RigTipInverse(config)
     if args.only:

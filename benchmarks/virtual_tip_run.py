@@ -1,0 +1,116 @@
+"""Tip paths on a simulated rig in virtual time, without archive and pictures, for the benchmarks of tip control.
+
+Control loop, interlocks, tip controller, valves and chambers are those of `rig run --fast`; a simulated tracker
+measures the tip in place of the camera.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols import SetPointTrajectory
+from rig.config.schema import RigConfig
+from rig.execution.plan import NullOperator, Outcome, RunPlan
+from rig.simulator.mock_camera import Exposure
+from rig.tip_control.horizon import HorizonControl
+from rig.tip_control.interface import TipControlSettings
+from rig.virtual import executor
+from rig.virtual.frame_pipeline import FrameResult, FrameSamples, FrameStages
+from runs.records import Event, Picture
+
+
+class KeptRecord:
+    """A recorder that keeps cycles, frames and events in memory."""
+
+    stalled_s = 0.0
+
+    def __init__(self) -> None:
+        self.cycles: list[NDArray[np.void]] = []
+        self.frames: list[NDArray[np.void]] = []
+        self.events: list[Event] = []
+        self.unsolved = 0
+
+    def samples(self, rows: NDArray[np.void]) -> None:
+        """Keep control cycles."""
+        self.cycles.append(rows.copy())
+
+    def observations(self, rows: NDArray[np.void]) -> None:
+        """Keep frames."""
+        self.frames.append(rows.copy())
+
+    def plans(self, rows: NDArray[np.void]) -> None:
+        """Count the plans without a solution."""
+        self.unsolved += int(np.count_nonzero(rows["status"]))
+
+    def event(self, event: Event) -> None:
+        """Keep an event."""
+        self.events.append(event)
+
+    def adaptations(self, rows: NDArray[np.void]) -> None:
+        """Nothing is estimated online."""
+
+    def streamed(self, rows: NDArray[np.void]) -> None:
+        """No other program sends set-points."""
+
+    def picture(self, picture: Picture) -> None:
+        """There is no camera."""
+
+
+class SameProcess:
+    """A frame pipeline that measures at once in this process: there are no pictures to render beside control."""
+
+    def __init__(self, stages: FrameStages, cameras: int, shape: tuple[int, int]) -> None:
+        self._stages = stages
+        self._results: deque[FrameResult] = deque()
+
+    def __enter__(self) -> SameProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    @property
+    def in_flight(self) -> int:
+        """Frame sets whose results have not been returned."""
+        return len(self._results)
+
+    def submit(self, index: int, due_ns: int, exposures: Sequence[Exposure | None], samples: FrameSamples) -> None:
+        """Measure a frame set."""
+        self._results.append(self._stages.measure(self._stages.render(index, due_ns, exposures), samples))
+
+    def result(self) -> FrameResult:
+        """The result of the oldest frame set."""
+        return self._results.popleft()
+
+
+_BUILT: dict[str, HorizonControl] = {}
+
+
+class SharedHorizon(HorizonControl):
+    """The horizon controller, built once for each settings: it is a pure function, and its maps take time."""
+
+    def __new__(cls, settings: TipControlSettings) -> Any:
+        """The controller of equal settings, if there is one."""
+        key = repr(settings)
+        if key not in _BUILT:
+            _BUILT[key] = HorizonControl(settings)
+        return _BUILT[key]
+
+
+SHARED_HORIZON = f"{__name__}:{SharedHorizon.__name__}"
+
+
+def perform(
+    config: RigConfig, trajectory: SetPointTrajectory, seed: int, controller: str = SHARED_HORIZON
+) -> tuple[KeptRecord, Outcome]:
+    """Run a trajectory in this process; what was recorded, and how it ended."""
+    executor.FramePipeline = SameProcess  # type: ignore[misc,assignment]
+    record = KeptRecord()
+    plan = RunPlan(config, Path("drawn.yaml"), trajectory, config.model.variant, seed, (), controller)
+    return record, executor.run(plan, lambda t_ns: record, NullOperator())
