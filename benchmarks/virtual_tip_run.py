@@ -106,11 +106,16 @@ class SharedHorizon(HorizonControl):
 SHARED_HORIZON = f"{__name__}:{SharedHorizon.__name__}"
 
 
+def in_this_process() -> None:
+    """Let runs in virtual time measure their frames in this process."""
+    executor.FramePipeline = SameProcess  # type: ignore[misc,assignment]
+
+
 def perform(
     config: RigConfig, trajectory: SetPointTrajectory, seed: int, controller: str = SHARED_HORIZON
 ) -> tuple[KeptRecord, Outcome]:
     """Run a trajectory in this process; what was recorded, and how it ended."""
-    executor.FramePipeline = SameProcess  # type: ignore[misc,assignment]
+    in_this_process()
     record = KeptRecord()
     plan = RunPlan(config, Path("drawn.yaml"), trajectory, config.model.variant, seed, (), controller)
     return record, executor.run(plan, lambda t_ns: record, NullOperator())

@@ -164,18 +164,22 @@ def test_an_arm_unlike_the_model_follows_far_better_than_by_feedforward() -> Non
     assert 0.5 < nis.mean() < 4.5
 
 
+# The slow circle shows the payload least: there its camera noise costs 2 g, the soft arm of the test about 1 g.
+# benchmarks.tip_payload gives the share of runs within 3 g.
 @pytest.mark.parametrize(
-    ("frequency_hz", "radius_m", "seed"), [(0.25, 0.02, 2), (0.4, 0.02, 3), (0.5, 0.025, 4), (0.3, 0.03, 5)]
+    ("frequency_hz", "radius_m", "seed", "within_kg"),
+    [(0.25, 0.02, 2, 0.0035), (0.4, 0.02, 3, 0.0015), (0.5, 0.025, 4, 0.0015), (0.3, 0.03, 5, 0.0015)],
 )
-def test_an_unknown_payload_is_weighed_and_compensated(frequency_hz: float, radius_m: float, seed: int) -> None:
+def test_an_unknown_payload_is_weighed_and_compensated(
+    frequency_hz: float, radius_m: float, seed: int, within_kg: float
+) -> None:
     task = _task(frequency_hz, 8.0, radius_m)
     rng = np.random.default_rng(seed)
     truth = Truth(OTHER, 1 + 0.03 * rng.standard_normal(3), payload_kg=0.05, payload_at_s=5.0)
     run = simulate(SETTINGS, HorizonControl(SETTINGS), truth, task, seed)
     before = next(p for p in reversed(run.plans) if p.times_s[0] < 5.0).estimate
     after = next(p for p in run.plans if p.times_s[0] > 7.0).estimate
-    # benchmarks.tip_payload gives the share of runs within 3 g.
-    assert after.payload_kg - before.payload_kg == pytest.approx(0.05, abs=0.004)
+    assert after.payload_kg - before.payload_kg == pytest.approx(0.05, abs=within_kg)
     assert after.change_kg == pytest.approx(after.payload_kg - before.payload_kg, abs=5e-4)
     assert abs(after.change_kg - 0.05) < 2 * after.change_std_kg < 0.02
     off = np.linalg.norm(run.tip_m - run.reference_m, axis=1)
