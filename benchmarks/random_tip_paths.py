@@ -20,6 +20,7 @@ Step = dict[str, Any]
 NOISE_MM = 0.1
 """Standard deviation of each coordinate of the measured tip."""
 FRAME_HZ = 30
+DELAY_MS = 2.0
 LEAD_IN_S = (1.0, 3.0)
 FEWER_COORDINATES = (["x", "y"], ["x", "z"], ["y", "z"])
 SPLINE_STEP_S = 0.02
@@ -114,10 +115,14 @@ SHAPES: dict[str, Callable[[np.random.Generator, Path], Step]] = {
 
 
 def stated_rig() -> dict[str, Any]:
-    """The rig file of mock-3, with a simulated tracker in place of its camera: a picture is not needed."""
+    """The rig file of mock-3, with a simulated tracker in place of its camera: a picture is not needed.
+
+    The delay of the tracker is stated, because the exposure times of a camera are known, too.
+    """
     data: dict[str, Any] = yaml.safe_load(loader.text("mock-3"))
     del data["cameras"], data["board"], data["simulator"]["scene"]
     data["trackers"] = {"pose": {"driver": "mock", "rate_hz": float(FRAME_HZ), "noise_mm": NOISE_MM}}
+    data["trackers"]["pose"] |= {"delay_ms": DELAY_MS, "true_delay_ms": DELAY_MS}
     return data
 
 

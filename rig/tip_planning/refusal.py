@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import count
 
 import numpy as np
@@ -11,9 +12,9 @@ from numpy.typing import NDArray
 
 from model.inverse.reachable import ReachablePoint, nearest_reachable
 from protocols.tip_inverse import TipRefusedError, TipRequest
-from protocols.tip_paths import length_m
+from protocols.tip_paths import TipPath, length_m
 from rig.sections.quantities import PA_PER_BAR
-from rig.tip_planning.path_follower import PathFollower, TimedFollowing
+from rig.tip_planning.path_follower import NO_SOLUTION, FirstPeriods, PathFollower, TimedFollowing
 
 Array = NDArray[np.float64]
 
@@ -30,6 +31,11 @@ LEAD_IN_FELT_S = 0.5
 BINDING_S = 0.15
 """How far from the first excess a limit counts as its cause."""
 AT_LIMIT_PA = 20.0
+SHORTEST_LEAD_IN_S, LONGEST_LEAD_IN_S = 0.2, 20.0
+LEAD_IN_RESOLUTION = 0.1
+"""A lead-in that is shorter by more than this share is not long enough."""
+METRES_M, METRES_SAMPLES = 1e-3, 50
+"""No arm has its tip so close to its base: a path all within this is given in metres."""
 
 
 def refusal(follower: PathFollower, request: TipRequest, found: TimedFollowing) -> TipRefusedError:
@@ -65,10 +71,12 @@ def _nearest(follower: PathFollower, request: TipRequest, target_m: Array) -> Re
 
 
 def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_reach: bool, worst_m: float) -> str:
-    if t_s < 0 and not out_of_reach:
-        return "a longer lead_in_s may do"
+    if out_of_reach and _in_metres(request.path):
+        return "are these metres? this step has mm"
+    if not out_of_reach and (t_s < 0 or length_m(request.path) == 0):
+        return _lead_in(follower, request)
     if length_m(request.path) == 0:
-        return "give a point within its reach" if out_of_reach else "a longer lead_in_s may do"
+        return "give a point within its reach"
     found = []
     tolerance_m = request.tolerance_m
     speed = 0.0 if out_of_reach else largest_share(lambda s: follower.worst_m(request, s, 1.0), worst_m, tolerance_m)
@@ -82,6 +90,34 @@ def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_re
     if not found:
         return f"neither {SMALLEST:g} of its speed nor {SMALLEST:g} of its size makes it possible"
     return f"largest possible: {', or '.join(found)}"
+
+
+def _in_metres(path: TipPath) -> bool:
+    """Whether the whole path is so close to the rod base that its coordinates are in metres."""
+    times = np.linspace(0.0, path.duration_s, METRES_SAMPLES)
+    return bool((np.abs(path.positions_m(times)) < METRES_M).all())
+
+
+def _lead_in(follower: PathFollower, request: TipRequest) -> str:
+    """The shortest lead-in that is long enough for the beginning of the path, by doubling and bisection."""
+    path = FirstPeriods(request.path, min(request.path.duration_s, LEAD_IN_FELT_S))
+
+    def enough(lead_in_s: float) -> bool:
+        longer = replace(request, path=path, lead_in_s=lead_in_s)
+        try:
+            return follower.within(longer, follower.follow(longer, path, enough_m=request.tolerance_m))
+        except NO_SOLUTION:
+            return False
+
+    low, high = request.lead_in_s, max(2 * request.lead_in_s, SHORTEST_LEAD_IN_S)
+    while not enough(high):
+        low, high = high, 2 * high
+        if high > LONGEST_LEAD_IN_S:
+            return f"a lead_in_s of {low:.3g} is not long enough either"
+    while high - low > LEAD_IN_RESOLUTION * high:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if enough(middle) else (middle, high)
+    return f"a lead_in_s of {math.ceil(100 * high) / 100:g} is long enough"
 
 
 def largest_share(worst_m: Callable[[float], float], at_full_m: float, tolerance_m: float) -> float:
@@ -151,5 +187,5 @@ def _valve(follower: PathFollower, valve: int, where: str) -> str:
 
 
 def _point(point_m: Array, coordinates: tuple[int, ...]) -> str:
-    numbers = ", ".join(f"{'xyz'[axis]} {MM * point_m[axis]:.2f}" for axis in coordinates)
+    numbers = ", ".join(f"{'xyz'[axis]} {round(MM * point_m[axis], 2) + 0.0:.2f}" for axis in coordinates)
     return f"({numbers}) mm"

@@ -93,7 +93,24 @@ def test_a_path_that_is_too_fast_is_refused_with_speed_and_size_that_are_possibl
 def test_a_lead_in_that_is_too_short_is_named_as_the_reason() -> None:
     problem = refused(circle(20, 4, lead_in_s="0.2"))
     assert "in the lead-in" in problem.value
-    assert "a longer lead_in_s may do" in problem.expected
+    number = re.search(r"a lead_in_s of ([\d.]+) is long enough", problem.expected)
+    assert number is not None
+    assert expanded(circle(20, 4, lead_in_s=number[1])).tip
+    with pytest.raises(BadInputError):
+        expanded(circle(20, 4, lead_in_s=f"{0.85 * float(number[1]):.3f}"))
+
+
+def test_a_held_point_that_is_approached_too_fast_is_refused_with_a_lead_in_that_is_long_enough() -> None:
+    problem = refused("{hold: {at_mm: [40, 0, 195], duration_s: 2}, lead_in_s: 0.05}")
+    number = re.search(r"a lead_in_s of ([\d.]+) is long enough", problem.expected)
+    assert number is not None
+    assert expanded(f"{{hold: {{at_mm: [40, 0, 195], duration_s: 2}}, lead_in_s: {number[1]}}}").tip
+
+
+def test_coordinates_in_metres_are_recognised() -> None:
+    problem = refused("{hold: {at_mm: [0.02, 0, 0.19], duration_s: 2}}")
+    assert "are these metres? this step has mm" in problem.expected
+    assert "-0.00" not in problem.expected
 
 
 def test_a_rig_with_two_valves_controls_two_coordinates() -> None:
