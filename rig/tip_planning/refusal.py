@@ -31,7 +31,9 @@ LEAD_IN_FELT_S = 0.5
 BINDING_S = 0.15
 """How far from the first excess a limit counts as its cause."""
 AT_LIMIT_PA = 20.0
-SHORTEST_LEAD_IN_S, LONGEST_LEAD_IN_S = 0.2, 20.0
+SHORTEST_LEAD_IN_S, LONGEST_LEAD_IN_S = 0.2, 10.0
+USUAL_LEAD_IN_S = 3.0
+"""Lead-in with which speed and size are sought for a path that no lead-in makes possible."""
 LEAD_IN_RESOLUTION = 0.1
 """A lead-in that is shorter by more than this share is not long enough."""
 METRES_M, METRES_SAMPLES = 1e-3, 50
@@ -73,11 +75,17 @@ def _nearest(follower: PathFollower, request: TipRequest, target_m: Array) -> Re
 def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_reach: bool, worst_m: float) -> str:
     if out_of_reach and _in_metres(request.path):
         return "are these metres? this step has mm"
-    if not out_of_reach and (t_s < 0 or length_m(request.path) == 0):
-        return _lead_in(follower, request)
-    if length_m(request.path) == 0:
+    still = length_m(request.path) == 0
+    if out_of_reach and still:
         return "give a point within its reach"
-    found = []
+    if not out_of_reach and (t_s < 0 or still):
+        if lead_in_s := _long_enough_lead_in_s(follower, request):
+            return f"a lead_in_s of {lead_in_s:g} is long enough"
+        if still:
+            return f"a lead_in_s of {LONGEST_LEAD_IN_S:g} is not long enough either"
+        request = replace(request, lead_in_s=max(request.lead_in_s, USUAL_LEAD_IN_S))
+        worst_m = follower.worst_m(request, 1.0, 1.0)
+    found, longer = [], f"with a lead_in_s of {request.lead_in_s:g} " if t_s < 0 and not out_of_reach else ""
     tolerance_m = request.tolerance_m
     speed = 0.0 if out_of_reach else largest_share(lambda s: follower.worst_m(request, s, 1.0), worst_m, tolerance_m)
     if speed:
@@ -88,8 +96,8 @@ def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_re
     if size:
         found.append(f"{size:.2f} of this size about {_point(request.path.centre_m(), request.coordinates)}")
     if not found:
-        return f"neither {SMALLEST:g} of its speed nor {SMALLEST:g} of its size makes it possible"
-    return f"largest possible: {', or '.join(found)}"
+        return f"{longer}neither {SMALLEST:g} of its speed nor {SMALLEST:g} of its size makes it possible"
+    return f"largest possible {longer}".rstrip() + f": {', or '.join(found)}"
 
 
 def _in_metres(path: TipPath) -> bool:
@@ -98,8 +106,8 @@ def _in_metres(path: TipPath) -> bool:
     return bool((np.abs(path.positions_m(times)) < METRES_M).all())
 
 
-def _lead_in(follower: PathFollower, request: TipRequest) -> str:
-    """The shortest lead-in that is long enough for the beginning of the path, by doubling and bisection."""
+def _long_enough_lead_in_s(follower: PathFollower, request: TipRequest) -> float:
+    """The shortest lead-in with which the path can be begun, by doubling and bisection; 0 if none is long enough."""
     path = FirstPeriods(request.path, min(request.path.duration_s, LEAD_IN_FELT_S))
 
     def enough(lead_in_s: float) -> bool:
@@ -113,11 +121,11 @@ def _lead_in(follower: PathFollower, request: TipRequest) -> str:
     while not enough(high):
         low, high = high, 2 * high
         if high > LONGEST_LEAD_IN_S:
-            return f"a lead_in_s of {low:.3g} is not long enough either"
+            return 0.0
     while high - low > LEAD_IN_RESOLUTION * high:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if enough(middle) else (middle, high)
-    return f"a lead_in_s of {math.ceil(100 * high) / 100:g} is long enough"
+    return math.ceil(100 * high) / 100
 
 
 def largest_share(worst_m: Callable[[float], float], at_full_m: float, tolerance_m: float) -> float:

@@ -107,6 +107,17 @@ def test_a_held_point_that_is_approached_too_fast_is_refused_with_a_lead_in_that
     assert expanded(f"{{hold: {{at_mm: [40, 0, 195], duration_s: 2}}, lead_in_s: {number[1]}}}").tip
 
 
+def test_no_lead_in_helps_a_path_that_is_too_fast_itself() -> None:
+    problem = refused("{points: {at_mm: [[20, 0, 190], [0, 40, 190]], speed_mm_per_s: 200}, lead_in_s: 0.3}")
+    found = re.search(r"largest possible with a lead_in_s of 3: ([\d.]+) of this speed", problem.expected)
+    assert found is not None
+    speed = 200 * float(found[1])
+    points = "points: {at_mm: [[20, 0, 190], [0, 40, 190]], speed_mm_per_s: "
+    assert expanded(f"{{{points}{speed}}}, lead_in_s: 3}}").tip
+    with pytest.raises(BadInputError):
+        expanded(f"{{{points}{1.1 * speed}}}, lead_in_s: 3}}")
+
+
 def test_coordinates_in_metres_are_recognised() -> None:
     problem = refused("{hold: {at_mm: [0.02, 0, 0.19], duration_s: 2}}")
     assert "are these metres? this step has mm" in problem.expected
