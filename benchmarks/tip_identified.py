@@ -85,12 +85,12 @@ def rig_of(truth: Truth) -> Row:
 
 def identified(rig: RigFile, folder: Path, seed: int) -> RigFile:
     """The rig with the parameters that `rig identify` finds in one run of it."""
-    in_this_process()
     protocol = protocols.from_steps("to identify", TO_IDENTIFY, folder)
     request = RunRequest(
         protocol, rig, True, seed, folder, rig.config.model.variant, report=False, controller="feed-forward"
     )
-    done = experiment.run(request, experiment.plan(request), NullOperator())
+    with in_this_process():
+        done = experiment.run(request, experiment.plan(request), NullOperator())
     if done.archive is None:
         raise RuntimeError("; ".join(done.warnings))
     found = identify([done.archive])
@@ -115,7 +115,7 @@ def errors_mm(config: RigConfig, seed: int) -> Row:
                 frames = np.concatenate(record.frames)
                 at = frames["protocol_s"]
                 counted = frames[(at > motion.path_s + 2 / frequency_hz) & (at < motion.stop_s)]
-                apart = counted["truth_m"] - motion.positions_m(counted["protocol_s"])
+                apart = counted["truth_m"] - counted["reference_m"]
                 rms = 1e3 * float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
                 found[f"{path}, {frequency_hz:g} Hz, {name}"] = round(rms, 4)
     return found

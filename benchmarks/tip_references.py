@@ -81,7 +81,7 @@ def followed(config: RigConfig, trajectory: SetPointTrajectory, seed: int) -> Ro
     beyond = (setpoint < -ROUNDING) | (setpoint > limit * (1 + ROUNDING))
     at = frames["protocol_s"]
     on_path = frames[(at > motion.path_s) & (at < motion.stop_s)]
-    apart = on_path["truth_m"] - motion.positions_m(on_path["protocol_s"])
+    apart = on_path["truth_m"] - on_path["reference_m"]
     off = 1e3 * np.linalg.norm(apart[:, axes], axis=1)
     times = cycles["protocol_s"]
     on = (times[:-1] > motion.path_s) & (times[:-1] < motion.stop_s)

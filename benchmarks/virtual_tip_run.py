@@ -7,7 +7,8 @@ measures the tip in place of the camera.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -106,16 +107,22 @@ class SharedHorizon(HorizonControl):
 SHARED_HORIZON = f"{__name__}:{SharedHorizon.__name__}"
 
 
-def in_this_process() -> None:
+@contextmanager
+def in_this_process() -> Iterator[None]:
     """Let runs in virtual time measure their frames in this process."""
+    usual = executor.FramePipeline
     executor.FramePipeline = SameProcess  # type: ignore[misc,assignment]
+    try:
+        yield
+    finally:
+        executor.FramePipeline = usual  # type: ignore[misc]
 
 
 def perform(
     config: RigConfig, trajectory: SetPointTrajectory, seed: int, controller: str = SHARED_HORIZON
 ) -> tuple[KeptRecord, Outcome]:
     """Run a trajectory in this process; what was recorded, and how it ended."""
-    in_this_process()
     record = KeptRecord()
     plan = RunPlan(config, Path("drawn.yaml"), trajectory, config.model.variant, seed, (), controller)
-    return record, executor.run(plan, lambda t_ns: record, NullOperator())
+    with in_this_process():
+        return record, executor.run(plan, lambda t_ns: record, NullOperator())

@@ -264,7 +264,8 @@ class _VirtualRun:
         samples = FrameSamples(cycles.tobytes(), protocol_s, weight_kg, frame_set.reading, dropped)
         self._pipeline.submit(frame_set.index, frame_set.t_ns, (), samples)
         if self._tip_control is not None:
-            self._exposed.append((frame_set.t_ns, protocol_s))
+            since_s = (history["t_ns"] - frame_set.t_ns) * 1e-9
+            self._exposed.append((frame_set.t_ns, float(np.interp(0.0, since_s, history["protocol_s"]))))
 
     def _exposures(self, now: int) -> Iterator[FrameExposures]:
         """Expose the frames that are due, in the order of cycles."""

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import protocols
 import runs
+from benchmarks import virtual_tip_run
+from benchmarks.random_tip_paths import stated_rig
 from rig.cli.app import app
 from rig.config import loader
+from rig.config.schema import RigConfig
+from rig.tip_control.session import TipControlSession
+from rig.tip_planning.inverse import RigTipInverse
 from runs.records import Status
 from runs.report.page import page
 from runs.run import Run
@@ -77,6 +84,24 @@ def test_a_controlled_run_in_virtual_time_is_repeatable_bit_for_bit(controlled: 
     first, second = controlled["horizon"], controlled["horizon again"]
     np.testing.assert_array_equal(first.pressure.measured_bar, second.pressure.measured_bar)
     np.testing.assert_array_equal(first.pressure.valve_v, second.pressure.valve_v)
+
+
+def test_the_controller_gets_the_protocol_time_at_which_a_tracker_saw_the_tip(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = RigConfig.model_validate(stated_rig())
+    step, errors_s = TipControlSession.step, []
+
+    def spied(self: TipControlSession, row: np.void, frame_protocol_s: float, samples: np.ndarray) -> Any:
+        since_s = (samples["t_ns"] - row["t_ns"]) * 1e-9
+        errors_s.append(frame_protocol_s - np.interp(0.0, since_s, samples["protocol_s"]))
+        return step(self, row, frame_protocol_s, samples)
+
+    monkeypatch.setattr(TipControlSession, "step", spied)
+    tip = {"hold": {"at_mm": [5, 0, 185], "duration_s": 0.3}, "lead_in_s": 0.5}
+    protocol = protocols.from_steps("t", [{"hold": {"duration_s": 0.1}}, {"tip": tip}])
+    virtual_tip_run.perform(config, protocol.expand(3, RigTipInverse(config)), 0)
+    assert len(errors_s) > 20
+    # A cycle takes 5 ms: at 0.1 m/s this is 0.5 mm of the path.
+    assert np.abs(errors_s).max() < 1e-6
 
 
 def test_an_unknown_controller_is_one_message(tmp_path: Path) -> None:
