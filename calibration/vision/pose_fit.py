@@ -191,7 +191,9 @@ def fit_covariance(
             for j in range(unknowns):
                 total += inverse[i, j] * jacobian[row, j]
             gain[i, row] = total
-    seen = 2 * counts.sum()
+    seen = 0
+    for count in counts:  # counts.sum() would load numba's compiler and SciPy
+        seen += 2 * count
     for i in range(unknowns):
         for j in range(unknowns):
             from_pictures = from_known = 0.0

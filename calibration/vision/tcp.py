@@ -11,6 +11,8 @@ from calibration.vision.transforms import RigidTransform
 
 Floats = NDArray[np.float64]
 
+_UNIT = np.eye(3)
+
 
 def tip_in_base(
     pose: Pose, board_in_tip: RigidTransform, camera_in_base: RigidTransform
@@ -23,6 +25,7 @@ def tip_in_base(
     tip_in_camera = pose.rigid @ board_in_tip.inverse()
     lever_m = tip_in_camera.translation_m - pose.translation_m
     turn = left_jacobian(pose.rotation_vector)
-    by_pose = np.block([[-cross_matrix(lever_m) @ turn, np.eye(3)], [turn, np.zeros((3, 3))]])
+    by_pose = np.zeros((6, 6))
+    by_pose[:3, :3], by_pose[:3, 3:], by_pose[3:, :3] = -cross_matrix(lever_m) @ turn, _UNIT, turn
     covariance = by_pose @ pose.covariance @ by_pose.T + board_in_tip.error_covariance(lever_m)
     return camera_in_base.transport_pose(tip_in_camera, covariance)

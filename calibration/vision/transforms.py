@@ -12,6 +12,8 @@ from calibration.rotation_vectors import cross_matrix
 
 Floats = NDArray[np.float64]
 
+_UNIT = np.eye(3)
+
 
 @dataclass(frozen=True)
 class RigidTransform:
@@ -66,19 +68,20 @@ class RigidTransform:
 
         Covariances are of the translation [m] and of a small rotation [rad] about the axes of the outer frame.
         """
-        turn = np.kron(np.eye(2), self.rotation)
+        turn = np.zeros((6, 6))
+        turn[:3, :3] = turn[3:, 3:] = self.rotation
         own = self.error_covariance(self.rotation @ pose.translation_m)
         return self @ pose, np.asarray(turn @ covariance @ turn.T + own)
 
     def error_covariance(self, arm_m: Floats) -> Floats:
         """Covariances (.., 6, 6) that the own uncertainty gives poses at the end of levers (.., 3) from the origin."""
-        cross = cross_matrix(arm_m)
-        lever = np.concatenate([-cross, np.broadcast_to(np.eye(3), cross.shape)], axis=-2)
+        lever = np.empty((*arm_m.shape[:-1], 6, 3))
+        lever[..., :3, :], lever[..., 3:, :] = -cross_matrix(arm_m), _UNIT
         covariance = self.rotation_std_rad**2 * lever @ np.swapaxes(lever, -1, -2)
-        covariance[..., :3, :3] += self.translation_std_m**2 * np.eye(3)
+        covariance[..., :3, :3] += self.translation_std_m**2 * _UNIT
         return np.asarray(covariance)
 
     def _own_covariance(self, arm_m: Floats) -> Floats:
         """Cross-product matrix [a] of the lever times its transpose is |a|^2 I - a a^T."""
-        lever = np.dot(arm_m, arm_m) * np.eye(3) - np.outer(arm_m, arm_m)
-        return np.asarray(self.translation_std_m**2 * np.eye(3) + self.rotation_std_rad**2 * lever)
+        lever = np.dot(arm_m, arm_m) * _UNIT - np.outer(arm_m, arm_m)
+        return np.asarray(self.translation_std_m**2 * _UNIT + self.rotation_std_rad**2 * lever)
