@@ -25,6 +25,8 @@ class CardConfig(Section):
 
     writes_digital: ClassVar[bool] = False
     """True for a driver whose cards are `DigitalOutputCard`s."""
+    signal_units: ClassVar[tuple[str, ...] | None] = ("V",)
+    """Units of the inputs and outputs; None for a card that takes every unit."""
 
     @property
     def is_mock(self) -> bool:
@@ -77,6 +79,7 @@ class MockCardConfig(SampledCardConfig):
 
     driver: Literal["mock"]
     writes_digital: ClassVar[bool] = True
+    signal_units: ClassVar[tuple[str, ...] | None] = None
     one_opener: bool = Field(default=False, description="let one process in at a time, as some drivers do")
 
     def setup_options(self) -> dict[str, Any]:
@@ -92,6 +95,7 @@ class SerialCardConfig(CardConfig):
     """A pressure controller on a serial port."""
 
     driver: Literal["serial"]
+    signal_units: ClassVar[tuple[str, ...] | None] = ("bar",)
     baud: Literal[115_200, 230_400, 460_800, 500_000, 921_600, 1_000_000] = 500_000
     sampling_hz: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False, strict=True)] = 250.0
 
@@ -119,6 +123,7 @@ class UninstalledCardConfig(CardConfig):
 
     model_config = ConfigDict(extra="ignore")
     writes_digital: ClassVar[bool] = True
+    signal_units: ClassVar[tuple[str, ...] | None] = None
 
 
 _KEPT = "outputs keep their values; the watchdog writes the safe state"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from protocols.problems import closest
 from protocols.validation import ValidationFault
-from rig.config import section_consistency, trigger_consistency
+from rig.config import section_consistency, trigger_consistency, unit_consistency
 
 if TYPE_CHECKING:
     from rig.config.arm_sections import ArmConfig
@@ -46,6 +46,7 @@ def check(parts: Mapping[str, Any]) -> list[ValidationFault]:
         (_valve_channels, ("cards", "valves")),
         (_input_channels, ("cards", "sensors", "inputs")),
         (_stop_channels, ("cards", "emergency_stops")),
+        (unit_consistency.check, ("cards", "valves", "sensors", "inputs")),
         (_input_values, ("inputs", "control", "simulator")),
         (_actuators, ("arm", "valves", "sensors")),
         (_valves, ("valves",)),

@@ -325,10 +325,10 @@ def test_the_devices_of_a_mock_rig_are_not_examined() -> None:
 def test_a_card_that_the_doctor_cannot_check_is_named() -> None:
     text = rig.config.loader.text("pci1716")
     card = "{driver: comedi, device: /dev/comedi0, sampling_hz: 1000, inputs: 16, outputs: 2}"
-    serial = "{driver: serial, device: /dev/ttyACM0, inputs: 16, outputs: 2}"
-    said, *_ = rig_devices(rig.config.loader.parse(text.replace(card, serial), "rig.yaml"))
+    other = "{driver: nidaqmx, device: Dev1, inputs: 16, outputs: 2}"
+    said, *_ = rig_devices(rig.config.loader.parse(text.replace(card, other), "rig.yaml"))
     assert (said.topic, said.verdict) == ("rig's card daq", "note")
-    assert "driver serial of softrig" in said.found
+    assert "driver nidaqmx of softrig" in said.found
     assert "rig test-driver" in said.remedy
 
 

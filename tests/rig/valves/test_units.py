@@ -77,6 +77,35 @@ def test_what_makes_no_sense_without_a_voltage_is_refused(text: str, says: str) 
     assert says in str(refused.value)
 
 
+SERIAL = "cards:\n  daq: {driver: serial, device: /dev/ttyACM0, inputs: 4, outputs: 2}\n"
+
+
+def _on_a_real_card(text: str, card: str) -> str:
+    """The rig with another card and without simulation and cameras."""
+    text = text[: text.index("simulator:\n")]
+    text = text[: text.index("cameras:\n")] + text[text.index("arm:\n") :]
+    return re.sub(r"cards:\n.*\n", card, text)
+
+
+def test_regulators_and_sensors_in_bar_fit_a_serial_card() -> None:
+    assert loader.parse(_on_a_real_card(bus_text(), SERIAL), "bus.yaml").cards["daq"].driver == "serial"
+
+
+def test_a_card_in_volts_refuses_set_points_in_bar() -> None:
+    """Its driver would write 0.7 bar as 0.7 V."""
+    with pytest.raises(BadInputError) as refused:
+        loader.parse(_on_a_real_card(bus_text(), SERIAL.replace("serial", "comedi")), "bus.yaml")
+    assert str(refused.value).count("card 'daq' (comedi) has no signals in bar") == 5
+
+
+def test_a_card_in_bar_refuses_voltages() -> None:
+    """Its driver would write 10 V as 10 bar."""
+    text = _on_a_real_card(loader.text("mock"), SERIAL)
+    with pytest.raises(BadInputError) as refused:
+        loader.parse(text, "serial.yaml")
+    assert str(refused.value).count("one with signals in bar: card 'daq' (serial) has no signals in V") == 5
+
+
 def test_a_rig_on_a_bus_survives_its_dump() -> None:
     """`rig vent` reads the rig of a running experiment from its dump."""
     config = bus_rig()
