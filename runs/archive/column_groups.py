@@ -152,6 +152,7 @@ def _field(journal: Journal, column: Column, rows: RowTable) -> Field:
         finite=column.finite,
         limits=column.limits,
         among=column.among,
+        since=column.since,
     )
 
 

@@ -9,6 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from runs.columns.declaration import OLDEST_LAYOUT
+
 CHUNK_ROWS = 16384
 """Rows of a chunk of a dataset, and rows that are held at once."""
 QUANTITY_GROUPS = {
@@ -46,8 +48,9 @@ class ComputedColumn:
 class Field:
     """One dataset. `scales` names the dataset of the same group that labels each dimension.
 
-    The last four are what a reader may rely on. `any_length`: a scale whose length is the run's own, as that of the
-    cameras' names. `finite`: no value is NaN. `limits`: smallest and largest value. `among`: all values that there are.
+    `since` is the layout that it came with. The others are what a reader may rely on. `any_length`: a scale whose
+    length is the run's own, as that of the cameras' names. `finite`: no value is NaN. `limits`: smallest and largest
+    value. `among`: all values that there are.
     """
 
     name: str
@@ -61,6 +64,7 @@ class Field:
     finite: bool = False
     limits: tuple[float, float] | None = None
     among: tuple[str | int, ...] = ()
+    since: int = OLDEST_LAYOUT
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runs import columns
 from runs.archive import column_groups, provenance
 from runs.archive.fields import ComputedColumn, Field, Group, Pictures, named, row_chunks
 from runs.columns import COUNT, SECONDS
@@ -20,8 +21,8 @@ from runs.journal.journal import Journal
 from runs.journal.stored_rows import StoredPicture, StoredPictures
 from runs.records import Event, Level, Status
 
-VERSION = 2
-"""Increased when a field moves or changes its meaning; readers refuse every other version."""
+VERSION = max(column.since for table in columns.TABLES for column in table.columns())
+"""Layout of the archives that are written: that of the newest column."""
 
 MOST_CHANNELS = 4096
 """Most actuators, or valves, of an archive."""

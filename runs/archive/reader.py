@@ -32,7 +32,7 @@ from runs.columns import (
     TriggerPulse,
 )
 from runs.columns.conversions import PA_PER_BAR
-from runs.columns.declaration import Table, Values
+from runs.columns.declaration import Column, Table, Values
 from runs.records import (
     AuxiliaryChannel,
     Event,
@@ -272,9 +272,7 @@ class ArchiveReader:
         g = self._group(f"entry/{kind.group}")
         if not g:
             return {}
-        # Only the columns per camera may be missing.
-        none = np.empty((len(g["time"]), 0))
-        return {c.name: c.read(g[c.dataset] if c.dataset in g else none.astype(c.dtype)) for c in kind.columns()}
+        return {c.name: c.read(g[c.dataset] if c.dataset in g else _unset(c, g)) for c in kind.columns()}
 
     def _group(self, path: str, without: str = "") -> dict[str, Any]:
         """Return the datasets of a group by name: arrays, texts and numbers; empty if the group is missing."""
@@ -294,6 +292,12 @@ class ArchiveReader:
                     value = tuple(float(v) for v in np.atleast_1d(archive.value(field.path)))
                     unit, source, uncertainty = archive.about(field.path)
                     yield Quantity(room, name, value, unit, source, uncertainty)
+
+
+def _unset(column: Column, group: dict[str, Any]) -> Values:
+    """Return a column that an archive lacks: one per camera without cameras, or one of a newer layout."""
+    shape = (len(group["time"]), *(len(group.get(axis, ())) for axis in column.axes))
+    return np.full(shape, column.unset, column.dtype)
 
 
 def _auxiliary(g: dict[str, Any]) -> tuple[AuxiliaryChannel, ...]:

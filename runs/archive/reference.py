@@ -8,19 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from runs.columns import (
-    ADAPTATIONS,
-    AUXILIARY,
-    AXES,
-    OBSERVATIONS,
-    SAMPLES,
-    SECTIONS,
-    STREAMED,
-    TIP_CONTROL,
-    TRACKED,
-    TRIGGER_PULSES,
-    TRIGGERED,
-)
+from runs.columns import AXES, TABLES
 from runs.columns.declaration import Table
 
 
@@ -43,8 +31,7 @@ def page(text: str) -> str:
     Raises:
         ValueError: the page has no place for a table.
     """
-    observed = (*OBSERVATIONS, *TRACKED, *TRIGGERED, *SECTIONS, *TRIGGER_PULSES)
-    for kind in (*SAMPLES, *AUXILIARY, *observed, *ADAPTATIONS, *TIP_CONTROL, *STREAMED):
+    for kind in TABLES:
         before, after = f"<!-- columns: {kind.group} -->\n", "<!-- end -->"
         found = text.count(before)
         if found != 1:

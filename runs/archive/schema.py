@@ -17,6 +17,7 @@ import numpy as np
 from runs.archive import checksum, layout
 from runs.archive.fields import QUANTITY_GROUPS, ComputedColumn, Field, Group, Pictures
 from runs.columns.conversions import LARGEST
+from runs.columns.declaration import OLDEST_LAYOUT
 from runs.journal.journal import Journal, observations_of
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
 from runs.records import (
@@ -57,6 +58,7 @@ class ExpectedDataset:
     finite: bool = False
     limits: tuple[float, float] | None = None
     among: tuple[str | int, ...] = ()
+    since: int = OLDEST_LAYOUT
 
     @property
     def name(self) -> str:
@@ -143,6 +145,7 @@ def _datasets(group: Group, required: set[str], first_of: dict[int, str]) -> Ite
             finite=item.finite,
             limits=limits,
             among=tuple(item.value) if fixed and isinstance(item.value, list | np.ndarray) else item.among,
+            since=item.since,
         )
 
 

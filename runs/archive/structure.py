@@ -12,6 +12,7 @@ import numpy as np
 
 from runs.archive import layout
 from runs.archive.schema import ExpectedDataset, GroupSchema, kind_of, name_of, schema
+from runs.columns.declaration import OLDEST_LAYOUT
 
 FREE_BYTES = 64 << 20
 """Allowed uncompressed size of any archive; larger ones may have at most `INFLATED` times their file size."""
@@ -39,10 +40,11 @@ class StructureCheck:
         self._file_bytes = int(file.id.get_filesize())
         self._shapes: dict[str, tuple[int, ...]] = {}
         self._declared_bytes = 0
+        self._layout = layout.VERSION
 
     def everything(self, wanted: frozenset[str] | None) -> Fields:
         """Check all datasets, or only the wanted ones."""
-        _check_attributes(self._file)
+        self._layout = _layout_of(self._file)
         actuators, valves = self._channels("entry/actuators"), self._channels("entry/valves")
         found = {}
         for group in schema(actuators, valves):
@@ -75,7 +77,7 @@ class StructureCheck:
                 self._declared_bytes += _check_storage(dataset, self._file_bytes)
                 self._shapes[one.path] = dataset.shape
                 yield one.name, known
-            elif one.required:
+            elif one.required and one.since <= self._layout:
                 raise SchemaViolationError("nothing", name_of(one.kind))
 
     def _channels(self, path: str) -> int:
@@ -93,7 +95,8 @@ class StructureCheck:
         return number
 
 
-def _check_attributes(file: h5py.File) -> None:
+def _layout_of(file: h5py.File) -> int:
+    """Check the attributes of a file; return the version of its layout."""
     for name in ("layout_version", "content_sha256"):
         if name not in file.attrs:
             raise SchemaViolationError(
@@ -102,12 +105,12 @@ def _check_attributes(file: h5py.File) -> None:
     version = file.attrs["layout_version"]
     if not isinstance(version, np.integer | int):
         raise SchemaViolationError(shown(version), "an integer", ", @layout_version")
-    if version != layout.VERSION:
+    if not OLDEST_LAYOUT <= version <= layout.VERSION:
         made = "a newer" if version > layout.VERSION else "an older"
-        raise SchemaViolationError(
-            f"layout {version}", f"{layout.VERSION}: {made} softrig made it", ", @layout_version"
-        )
+        known = f"{OLDEST_LAYOUT}" if OLDEST_LAYOUT == layout.VERSION else f"{OLDEST_LAYOUT} to {layout.VERSION}"
+        raise SchemaViolationError(f"layout {version}", f"{known}: {made} softrig made it", ", @layout_version")
     text_of(file.attrs["content_sha256"], ", @content_sha256")
+    return int(version)
 
 
 def _present(group: GroupSchema, node: h5py.Group, wanted: frozenset[str] | None) -> Iterator[ExpectedDataset]:

@@ -31,6 +31,7 @@ __all__ = [
     "SECONDS",
     "SECTIONS",
     "STREAMED",
+    "TABLES",
     "TIP_CONTROL",
     "TRACKED",
     "TRIGGERED",
@@ -84,3 +85,15 @@ ADAPTATIONS: tuple[type[Table], ...] = (Adaptation,)
 TIP_CONTROL: tuple[type[Table], ...] = (TipControl,)
 STREAMED: tuple[type[Table], ...] = (StreamedSetPoints,)
 """The tables of each record."""
+TABLES = (
+    *SAMPLES,
+    *AUXILIARY,
+    *OBSERVATIONS,
+    *TRACKED,
+    *TRIGGERED,
+    *SECTIONS,
+    *TRIGGER_PULSES,
+    *ADAPTATIONS,
+    *TIP_CONTROL,
+    *STREAMED,
+)

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 Values = NDArray[Any]
 
+OLDEST_LAYOUT = 2
+"""The oldest layout of archives that is read. Increased when a field moves or changes its meaning."""
+
 
 def _same(values: Values) -> Values:
     return values
@@ -26,6 +29,7 @@ class Column:
     stored values. `missing` is the value of a field that is not set; an integer is 0.
 
     `dataset` is by default the name of the attribute. `among`, `limits` and `finite` are what a reader may rely on.
+    `since` is the layout that the column came with: in an archive of an earlier one its values are `missing`.
     """
 
     record: str = ""
@@ -42,6 +46,7 @@ class Column:
     among: tuple[int, ...] = ()
     limits: tuple[float, float] | None = None
     finite: bool = False
+    since: int = OLDEST_LAYOUT
     name: str = field(default="", init=False)
     """The attribute."""
 
@@ -55,6 +60,11 @@ class Column:
     def __get__(self, table: Table, owner: type[Table]) -> Values: ...
     def __get__(self, table: Table | None, owner: type[Table]) -> Column | Values:
         return self if table is None else table.values[self.name]
+
+    @property
+    def unset(self) -> float:
+        """The value of a row without one, as the archive stores it."""
+        return self.missing if np.dtype(self.dtype).kind == "f" else 0
 
     def stored(self, rows: NDArray[np.void]) -> Values:
         """Return the values that the archive stores of records (n,)."""

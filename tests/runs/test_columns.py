@@ -12,7 +12,7 @@ import pytest
 
 import runs
 import tests.support.synthetic_runs as made_up
-from runs.archive import schema
+from runs.archive import layout, schema
 from runs.archive.writer import ArchiveError, finalise
 from runs.columns import ADAPTATIONS, AUXILIARY, OBSERVATIONS, SAMPLES, Tip
 from runs.columns.declaration import Column
@@ -31,6 +31,15 @@ def humidity(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     schema.schema.cache_clear()
     yield
     schema.schema.cache_clear()
+
+
+@pytest.fixture
+def newer_humidity(humidity: None, monkeypatch: pytest.MonkeyPatch) -> int:
+    """The column came with a layout after the present one, which softrig now writes."""
+    newer = layout.VERSION + 1
+    monkeypatch.setattr(Tip.humidity_percent, "since", newer)
+    monkeypatch.setattr(layout, "VERSION", newer)
+    return newer
 
 
 def written(folder: Path, humidity_percent: float) -> Path:
@@ -54,6 +63,25 @@ def test_a_declared_column_reaches_archive_reader_and_exports(tmp_path: Path) ->
     tables = {path.name: path for path in export(archive, "csv", tmp_path)}
     rows = list(csv.DictReader(tables["run-tip.csv"].read_text().splitlines()))
     assert [row["humidity_percent_%"] for row in rows] == ["43.5", "43.5", "43.5", ""]
+
+
+def test_an_archive_from_before_a_column_reads_it_as_missing(tmp_path: Path, newer_humidity: int) -> None:
+    archive = written(tmp_path, 43.5)
+    with h5py.File(archive, "r+") as file:
+        file.attrs["layout_version"] = newer_humidity - 1
+        del file["entry/tip/humidity_percent"]
+    found = runs.open(archive).tip
+    np.testing.assert_array_equal(found.values["humidity_percent"], [np.nan] * 4)
+    assert found.model_mm.shape == (4, 3)
+
+
+def test_an_archive_of_the_columns_layout_must_have_it(tmp_path: Path, newer_humidity: int) -> None:
+    archive = written(tmp_path, 43.5)
+    with h5py.File(archive, "r+") as file:
+        assert file.attrs["layout_version"] == newer_humidity
+        del file["entry/tip/humidity_percent"]
+    with pytest.raises(ArchiveError, match="entry/tip/humidity_percent: found nothing"):
+        runs.open(archive)
 
 
 @pytest.mark.usefixtures("humidity")
