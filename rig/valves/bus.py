@@ -11,7 +11,7 @@ from rig.sections.control import Control, Limits
 from rig.sections.quantities import PA_PER_BAR, BarSpan
 from rig.valves.base import Faults, SimulatedValve, ValveTruth
 from rig.valves.iso6358 import ATMOSPHERE_PA
-from rig.valves.pressure import PressureRegulator, RegulatingValve, range_faults
+from rig.valves.regulating import PressureRegulator, RegulatingValve, range_faults
 
 
 class BusValve(RegulatingValve):

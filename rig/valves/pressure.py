@@ -4,61 +4,14 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
-from typing import Annotated, Literal
-
-from pydantic import Field
-from pydantic.json_schema import SkipJsonSchema
+from typing import Literal
 
 from protocols.validation import ValidationFault
 from rig.sections.control import Control, Limits
-from rig.sections.quantities import PA_PER_BAR, Bar, BarSpan, VoltSpan
-from rig.valves.base import Faults, Regulator, RegulatorState, SimulatedValve, ValveSection, ValveTruth, VoltageValve
+from rig.sections.quantities import PA_PER_BAR, BarSpan, VoltSpan
+from rig.valves.base import Faults, SimulatedValve, ValveTruth, VoltageValve
 from rig.valves.iso6358 import ATMOSPHERE_PA
-
-
-@dataclass(frozen=True)
-class PressureRegulator(Regulator):
-    """Converts the set-point to a voltage: `low_pa` to `high_pa` (gauge) over `low_v` to `high_v`."""
-
-    low_pa: float
-    high_pa: float
-    low_v: float
-    high_v: float
-
-    def command(
-        self, integral_pa_s: float, dt_s: float, measured_pa: float, reference_pa: float, reference_rate_pa_s: float
-    ) -> RegulatorState:
-        """The voltage of the set-point; no feedback."""
-        fraction = (reference_pa - self.low_pa) / (self.high_pa - self.low_pa)
-        volts = self.low_v + min(max(fraction, 0.0), 1.0) * (self.high_v - self.low_v)
-        return RegulatorState(reference_pa, 0.0, reference_rate_pa_s, volts)
-
-
-class RegulatingValve(ValveSection):
-    """A valve that holds the pressure by itself, between those of its two supplies."""
-
-    supply_bar: Bar | SkipJsonSchema[None] = Field(
-        default=None, description="gauge pressure at the supply port; default: high enough for the limits"
-    )
-    vacuum_bar: Annotated[float, Field(ge=-1, le=0, allow_inf_nan=False, strict=True)] = Field(
-        default=0.0, description="gauge pressure of the vacuum supply; 0: the exhaust is the atmosphere"
-    )
-
-    def supply_faults(self, limits: Limits) -> Faults:
-        """Supplies that do not reach the limits of the pressure."""
-        if self.supply_bar is not None and self.supply_bar <= limits.pressure_bar:
-            expected = f"more than limits, pressure_bar ({limits.pressure_bar:g} bar): the valve cannot fill that far"
-            yield ValidationFault(("supply_bar",), expected)
-        if limits.lowest_pressure_bar < self.vacuum_bar:
-            expected = f"at most limits, lowest_pressure_bar ({limits.lowest_pressure_bar:g} bar): the vacuum supply"
-            yield ValidationFault(("vacuum_bar",), expected)
-
-    def held(self, truth: ValveTruth) -> ValveTruth:
-        """The simulated valve with the pressures of its supplies."""
-        highest_pa = math.inf if self.supply_bar is None else self.supply_bar * PA_PER_BAR + ATMOSPHERE_PA
-        return replace(truth, lowest_pa=self.vacuum_bar * PA_PER_BAR + ATMOSPHERE_PA, highest_pa=highest_pa)
+from rig.valves.regulating import PressureRegulator, RegulatingValve, range_faults
 
 
 class PressureValve(VoltageValve, RegulatingValve):
@@ -99,13 +52,3 @@ class PressureValve(VoltageValve, RegulatingValve):
         """A span that does not include the permitted pressures, and supplies that do not reach them."""
         yield from range_faults("span_bar", self.span_bar, limits)
         yield from self.supply_faults(limits)
-
-
-def range_faults(key: str, span_bar: tuple[float, float], limits: Limits) -> Faults:
-    """A range of set-points that does not include the permitted pressures; `key` is its place in the section."""
-    if not span_bar[0] <= limits.lowest_pressure_bar < limits.pressure_bar <= span_bar[1]:
-        lowest = "0"
-        if limits.lowest_pressure_bar < 0:
-            lowest = f"limits, lowest_pressure_bar ({limits.lowest_pressure_bar:g} bar)"
-        expected = f"a range from {lowest} to limits, pressure_bar ({limits.pressure_bar:g} bar) at least"
-        yield ValidationFault((key,), expected)

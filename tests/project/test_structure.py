@@ -8,8 +8,15 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+from typing import get_args
 
 import pytest
+
+from model.variants import VARIANTS
+from protocols.schema import Step
+from protocols.steps.base import LeafStep
+from rig.arm_effects.registry import ARM_EFFECTS
+from rig.valves.registry import VALVE_TYPES
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "explanation" / "architecture.md"
@@ -21,18 +28,26 @@ BELOW = {
     "runs": set(),
 }
 """The rooms that a room may import."""
+
+
+def leaf_steps(annotation: object) -> Iterator[type[LeafStep]]:
+    """The kinds of step in the annotation of a field."""
+    if isinstance(annotation, type) and issubclass(annotation, LeafStep):
+        yield annotation
+    for part in get_args(annotation):
+        yield from leaf_steps(part)
+
+
 KINDS = {
-    "rig.valves.registry": ("rig.valves.bus", "rig.valves.flow", "rig.valves.pressure"),
-    "rig.arm_effects.registry": tuple(
-        f"rig.arm_effects.{name}" for name in ("coupling", "creep", "gains", "hysteresis", "push", "softening")
-    ),
-    "model.variants": ("model.laws.constant_modulus", "model.laws.quadratic_compliance"),
-    "protocols.schema": tuple(
-        f"protocols.steps.{name}"
-        for name in ("csv_file", "hold", "prompt", "ramp", "sine", "staircase", "stream", "tip")
-    ),
+    registry: {kind.__module__ for kind in kinds}
+    for registry, kinds in {
+        "rig.valves.registry": VALVE_TYPES,
+        "rig.arm_effects.registry": ARM_EFFECTS,
+        "model.variants": [type(law) for one in VARIANTS.values() for law in (one.law, *one.rules.values())],
+        "protocols.schema": [kind for field in Step.model_fields.values() for kind in leaf_steps(field.annotation)],
+    }.items()
 }
-"""Registries with the modules of the kinds that they register."""
+"""Registries with the modules of the kinds that they register, also of kinds that are added."""
 
 
 def modules() -> dict[str, ast.Module]:
