@@ -61,7 +61,6 @@ class HarmonicPath(TipPath):
         return found
 
     def centre_m(self) -> Array:
-        """The centre."""
         return self.centre
 
     def _angles(self, t_s: Array) -> tuple[Array, Array]:
@@ -163,7 +162,6 @@ class ScaledPath(TipPath):
         return self.size * self.speed * self.path.velocities_m_s(t_s * self.speed)
 
     def centre_m(self) -> Array:
-        """The centre of the path."""
         return self.path.centre_m()
 
 

@@ -29,12 +29,10 @@ class CharucoBoard(SquareGrid, MarkerBoard):
 
     @property
     def description(self) -> str:
-        """Its squares and its markers."""
         return f"ChArUco board of {self.squares_x}x{self.squares_y} squares with markers {self.dictionary}"
 
     @cached_property
     def markers(self) -> Markers:
-        """One in each white square."""
         rows, columns = np.nonzero(~self.squares.dark)
         edge = self.marker_m / self.square_m
         ids = self.first_marker + np.arange(len(rows))
@@ -43,7 +41,6 @@ class CharucoBoard(SquareGrid, MarkerBoard):
 
     @property
     def ground(self) -> PrintedCells:
-        """The squares."""
         return self.squares
 
     @property

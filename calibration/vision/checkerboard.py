@@ -40,17 +40,14 @@ class Checkerboard(SquareGrid):
 
     @property
     def description(self) -> str:
-        """Its inner corners."""
         return f"board of {self.squares_x - 1}x{self.squares_y - 1} inner corners"
 
     @property
     def remedy(self) -> str:
-        """Squares are counted by mistake."""
         return "count the inner corners, not the squares"
 
     @property
     def printed(self) -> PrintedCells:
-        """The squares."""
         return self.squares
 
     @property

@@ -27,12 +27,10 @@ class SquareGrid(Board):
 
     @property
     def unit_m(self) -> float:
-        """One square."""
         return self.square_m
 
     @property
     def extent(self) -> tuple[float, float]:
-        """Squares across and down."""
         return self.squares_x, self.squares_y
 
     @property

@@ -37,7 +37,6 @@ class TagGrid(MarkerBoard):
 
     @property
     def unit_m(self) -> float:
-        """One tag."""
         return self.tag_m
 
     @property
@@ -48,7 +47,6 @@ class TagGrid(MarkerBoard):
 
     @property
     def description(self) -> str:
-        """Its tags."""
         return f"grid of {self.tags_x}x{self.tags_y} tags {self.dictionary}"
 
     @cached_property
@@ -58,7 +56,6 @@ class TagGrid(MarkerBoard):
 
     @cached_property
     def markers(self) -> Markers:
-        """The tags."""
         rows, columns = (index.ravel() for index in np.indices((self.tags_y, self.tags_x)))
         ids = self.first_marker + np.arange(len(rows))
         top_left = np.stack([columns, rows], axis=1) * (1 + self.white)

@@ -25,7 +25,6 @@ class Hold(MotionStep):
         return self
 
     def play(self, builder: TrajectoryBuilder) -> None:
-        """One segment."""
         if self.actuators is None or self.level_bar is None:
             builder.stand("hold", self.label or "hold", (), self.duration_s)
             return

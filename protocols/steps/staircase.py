@@ -48,5 +48,4 @@ class Staircase(MotionStep):
 
     @property
     def most_segments(self) -> tuple[int, tuple[str, ...]]:
-        """Two for each level."""
         return 2 * stair_count(self.start_bar, self.stop_bar, self.step_bar), ("step_bar",)

@@ -81,5 +81,4 @@ class TipStep(MotionStep):
 
     @property
     def most_segments(self) -> tuple[int, tuple[str, ...]]:
-        """The lead-in and the path."""
         return 2, ()

@@ -151,7 +151,6 @@ class Points(TipShape):
         return self
 
     def path(self, data: Any) -> TipPath:
-        """The way and the dwells."""
         points = np.array(self.at_mm) * MM
         if self.periods is not None:
             points = closed_polyline(list(points)) if (points[0] != points[-1]).any() else points
@@ -179,7 +178,6 @@ class HeldPoint(TipShape):
     duration_s: Seconds
 
     def path(self, data: Any) -> TipPath:
-        """The point."""
         point = np.array(self.at_mm) * MM
         return PiecewisePath(np.array([0.0, self.duration_s]), np.array([point, point]), smooth=True)
 
@@ -194,7 +192,6 @@ class PathFile(TipShape):
     periods: Positive | SkipJsonSchema[None] = None
 
     def path(self, data: Any) -> TipPath:
-        """The rows."""
         times, points = data
         return PiecewisePath(times, points, smooth=False, repeats=self.periods)
 

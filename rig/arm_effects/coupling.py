@@ -16,7 +16,6 @@ class CouplingSection(ArmEffectSection):
     share: Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False, strict=True)]
 
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
-        """It has no state."""
         return CouplingEffect(self.share)
 
 

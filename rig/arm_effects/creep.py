@@ -25,7 +25,6 @@ class CreepSection(ArmEffectSection):
     branches: Annotated[tuple[CreepBranch, ...], Field(min_length=1, max_length=8)]
 
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
-        """The chain at rest."""
         return CreepEffect(actuators, step_s, [(branch.amount, branch.time_s) for branch in self.branches])
 
 

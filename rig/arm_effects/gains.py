@@ -20,11 +20,9 @@ class GainsSection(ArmEffectSection):
     gains: tuple[Gain, ...]
 
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
-        """It has no state."""
         return GainsEffect(self.gains)
 
     def actuator_faults(self, actuators: int) -> Iterator[ValidationFault]:
-        """One gain for each actuator."""
         if len(self.gains) != actuators:
             yield ValidationFault(("gains",), f"{actuators} of them, one for each actuator")
 
@@ -36,5 +34,4 @@ class GainsEffect(ArmEffect):
         self._gains = gains
 
     def advance(self, pressure_bar: list[float]) -> list[float]:
-        """Scale each pressure."""
         return [gain * pressure for gain, pressure in zip(self._gains, pressure_bar, strict=True)]

@@ -17,7 +17,6 @@ class PushSection(ArmEffectSection):
     pressure: Literal["own", "sum"] = "own"
 
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
-        """It has no state."""
         return OwnPressurePushEffect(self.per_bar) if self.pressure == "own" else SumPressurePushEffect(self.per_bar)
 
 
@@ -28,7 +27,6 @@ class OwnPressurePushEffect(ArmEffect):
         self._per_bar = per_bar
 
     def advance(self, pressure_bar: list[float]) -> list[float]:
-        """Scale each pressure by itself."""
         return [pressure * (1.0 + self._per_bar * pressure) for pressure in pressure_bar]
 
 

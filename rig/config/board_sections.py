@@ -88,24 +88,20 @@ class CheckerboardPattern(BoardPattern):
     square_mm: Positive
 
     def board(self) -> Board:
-        """The board, in SI units."""
         from calibration.vision.checkerboard import Checkerboard
 
         return Checkerboard(self.corners[0] + 1, self.corners[1] + 1, self.square_mm * 1e-3)
 
     @property
     def corner_count(self) -> int:
-        """Inner corners."""
         return self.corners[0] * self.corners[1]
 
     @property
     def lengths_mm(self) -> dict[str, float]:
-        """The edge of a square."""
         return {"square": self.square_mm}
 
     @property
     def pattern(self) -> CheckerboardPattern:
-        """Itself."""
         return self
 
 
@@ -118,19 +114,16 @@ class CheckerboardConfig(BoardConfig):
     square_mm: LengthMm
 
     def board(self) -> Board:
-        """The board, in SI units."""
         from calibration.vision.checkerboard import Checkerboard
 
         return Checkerboard(self.squares_x, self.squares_y, self.square_mm * 1e-3)
 
     @property
     def corner_count(self) -> int:
-        """Inner corners."""
         return (self.squares_x - 1) * (self.squares_y - 1)
 
     @property
     def lengths_mm(self) -> dict[str, float]:
-        """The edge of a square."""
         return {"square": self.square_mm}
 
     @property
@@ -157,7 +150,6 @@ class CharucoPattern(BoardPattern):
     first_marker: Index = 0
 
     def board(self) -> Board:
-        """The board, in SI units."""
         from calibration.vision.charuco import CharucoBoard
 
         return CharucoBoard(
@@ -171,7 +163,6 @@ class CharucoPattern(BoardPattern):
 
     @property
     def corner_count(self) -> int:
-        """Inner corners."""
         return (self.squares_x - 1) * (self.squares_y - 1)
 
     @property
@@ -215,7 +206,6 @@ class TagGridPattern(BoardPattern):
     first_marker: Index = 0
 
     def board(self) -> Board:
-        """The board, in SI units."""
         from calibration.vision.tag_grid import TagGrid
 
         return TagGrid(
@@ -224,7 +214,6 @@ class TagGridPattern(BoardPattern):
 
     @property
     def corner_count(self) -> int:
-        """Four of each tag."""
         return 4 * self.tags_x * self.tags_y
 
     @property

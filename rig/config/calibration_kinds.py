@@ -74,12 +74,10 @@ class LensOverlay(CalibrationOverlay[CameraFile]):
     """The lens of a camera."""
 
     def subjects(self) -> Iterator[Subject]:
-        """Yield the lens."""
         name = self.found.camera.name
         yield Subject(("camera", "name"), ("lens", name), f"the lens of camera '{name}'")
 
     def apply(self, data: dict[str, Any], config: RigConfig) -> None:
-        """Replace the lens."""
         data["cameras"][self.found.camera.name]["lens"] = self.found.lens.model_dump(mode="json")
 
     def cameras(self) -> Iterator[tuple[YamlPath, CameraIdentity]]:
@@ -87,7 +85,6 @@ class LensOverlay(CalibrationOverlay[CameraFile]):
         yield ("camera",), self.found.camera
 
     def lenses(self) -> dict[str, LensConfig]:
-        """Return the lens."""
         return {self.found.camera.name: self.found.lens}
 
 
@@ -95,18 +92,15 @@ class PlacementOverlay(CalibrationOverlay[DLTFile]):
     """The places of cameras."""
 
     def subjects(self) -> Iterator[Subject]:
-        """Yield each camera's place."""
         for i, item in enumerate(self.found.cameras):
             name = item.camera.name
             yield Subject(("cameras", i, "camera", "name"), ("place", name), f"the place of camera '{name}'")
 
     def apply(self, data: dict[str, Any], config: RigConfig) -> None:
-        """Replace the placements."""
         for camera in self.found.cameras:
             _place_camera(data, config, camera.camera.name, camera.placement)
 
     def cameras(self) -> Iterator[tuple[YamlPath, CameraIdentity]]:
-        """Yield each camera."""
         for i, item in enumerate(self.found.cameras):
             yield ("cameras", i, "camera"), item.camera
 
@@ -132,7 +126,6 @@ class BoardOverlay(CalibrationOverlay[ToolFile]):
     """The board on the tip."""
 
     def subjects(self) -> Iterator[Subject]:
-        """Yield the board."""
         yield Subject(("kind",), ("tool", ""), "the board on the tip")
 
     def apply(self, data: dict[str, Any], config: RigConfig) -> None:
@@ -227,7 +220,6 @@ class GravityOverlay(CalibrationOverlay[GravityFile]):
     """The direction of gravity."""
 
     def subjects(self) -> Iterator[Subject]:
-        """Yield the direction."""
         yield Subject(("direction",), ("gravity", ""), "the direction of gravity")
 
     def apply(self, data: dict[str, Any], config: RigConfig) -> None:

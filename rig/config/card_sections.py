@@ -57,7 +57,6 @@ class SampledCardConfig(CardConfig):
     reference: Literal["ground", "differential"] = Field(default="ground", description="how the inputs are wired")
 
     def setup_options(self) -> dict[str, Any]:
-        """Acquisition and wiring."""
         return {"acquisition": self.acquisition, "differential": self.reference == "differential"}
 
 
@@ -114,7 +113,6 @@ class NidaqmxCardConfig(CardConfig):
     reference: Literal["ground", "differential"] = Field(default="ground", description="how the inputs are wired")
 
     def setup_options(self) -> dict[str, Any]:
-        """The wiring."""
         return {"differential": self.reference == "differential"}
 
 

@@ -30,7 +30,6 @@ class FunctionOperator(NullOperator):
         self._shown = progress.prompt
 
     def report(self, event: Event) -> None:
-        """Keep an event."""
         self.events.append(event)
 
     def answered(self) -> bool:

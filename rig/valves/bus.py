@@ -28,7 +28,6 @@ class BusValve(RegulatingValve):
 
     @property
     def output_unit(self) -> str:
-        """The set-point is in bar."""
         return "bar"
 
     @property
@@ -52,7 +51,6 @@ class BusValve(RegulatingValve):
         return PressureRegulator(*self._filter(limits, control), low * PA_PER_BAR, high * PA_PER_BAR, low, high)
 
     def simulated(self, truth: SimulatedValve) -> ValveTruth:
-        """The pressure is the set-point."""
         return self.held(ValveTruth(pa_at_zero_v=ATMOSPHERE_PA, pa_per_v=PA_PER_BAR))
 
     def faults(self) -> Faults:

@@ -131,7 +131,6 @@ class FlowValve(VoltageValve):
 
     @property
     def metering(self) -> FlowMetering:
-        """The flow curve as stated."""
         return FlowMetering(
             closed_v=self.closed_V,
             low_v=self.range_V[0],

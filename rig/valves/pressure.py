@@ -36,7 +36,6 @@ class PressureValve(VoltageValve, RegulatingValve):
         )
 
     def simulated(self, truth: SimulatedValve) -> ValveTruth:
-        """The stated characteristic."""
         (low_v, high_v), (low_bar, high_bar) = self.span_V, self.span_bar
         pa_per_v = (high_bar - low_bar) / (high_v - low_v) * PA_PER_BAR
         pa_at_zero_v = low_bar * PA_PER_BAR - low_v * pa_per_v + ATMOSPHERE_PA

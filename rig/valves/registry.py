@@ -42,20 +42,16 @@ class UninstalledValve(ValveSection):
 
     @property
     def output_range(self) -> tuple[float, float]:
-        """Unknown. Raises PluginError."""
         raise PluginError(f"valve type {self.type} is not installed: this rig can be read and not driven")
 
     @property
     def vent_v(self) -> float:
-        """Unknown. Raises PluginError."""
         raise PluginError(f"valve type {self.type} is not installed: this rig can be read and not driven")
 
     def regulator(self, limits: Limits, control: Control) -> Regulator:
-        """Unknown. Raises PluginError."""
         raise PluginError(f"valve type {self.type} is not installed: this rig can be read and not driven")
 
     def simulated(self, truth: SimulatedValve) -> ValveTruth:
-        """Unknown. Raises PluginError."""
         raise PluginError(f"valve type {self.type} is not installed: this rig can be read and not simulated")
 
 

@@ -31,7 +31,6 @@ class PressureRange(ActuatorInterlock):
         return cls(sensor.actuator, lowest_bar * PA_PER_BAR, highest_bar * PA_PER_BAR)
 
     def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
-        """Compare the pressure."""
         if self.lowest_pa <= w.pressure_pa <= self.highest_pa:
             return None
         below = w.pressure_pa < self.lowest_pa
@@ -53,7 +52,6 @@ class PressureRate(ActuatorInterlock):
         return cls(sensor.actuator, (limits.rate_bar_per_s + limits.rate_margin_bar_per_s) * PA_PER_BAR)
 
     def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
-        """Compare the rate."""
         if not abs(w.rate_pa_s) > self.limit_pa_s:
             return None
         what = f"actuator {self.actuator} changes by"
