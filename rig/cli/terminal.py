@@ -5,17 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from enum import IntEnum
 from types import TracebackType
 from typing import IO, TextIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.columns import Columns
-from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
-from rich.measure import Measurement
 from rich.progress_bar import ProgressBar
 from rich.table import Column, Table
 from rich.text import Text
@@ -28,60 +25,8 @@ from rig.sections.quantities import PA_PER_BAR
 from runs.records import DetectionStatus, Event, Level, Quantity
 
 LINE_EVERY_S = 2.0
-UNBOUNDED = 1000
 
 
-class DisplayPriority(IntEnum):
-    """Priority of a block on a small screen; the lowest is shortened first."""
-
-    HINT = 0
-    TIMING = 1
-    ESTIMATES = 2
-    PRESSURES = 3
-    TIP = 4
-    TITLE = 5
-    ALL = 6
-
-
-@dataclass(frozen=True)
-class DisplayBlock:
-    """One part of the screen in several forms, the longest first."""
-
-    forms: tuple[RenderableType, ...]
-    keep: DisplayPriority = DisplayPriority.ALL
-
-
-class FittedDisplay:
-    """A column of blocks, shortened to the height of the terminal; forms wider than the terminal are excluded."""
-
-    def __init__(self, blocks: Sequence[DisplayBlock]) -> None:
-        self._blocks = blocks
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Render the chosen forms."""
-        forms = [_wide_enough(console, options, block.forms) for block in self._blocks]
-        heights = [[len(console.render_lines(form, options)) for form in row] for row in forms]
-        chosen = [0] * len(forms)
-        while sum(row[i] for row, i in zip(heights, chosen, strict=True)) >= options.size.height:
-            shorter = [n for n, row in enumerate(forms) if chosen[n] + 1 < len(row)]
-            if not shorter:
-                break
-            # Every block uses its second form before any block uses its third.
-            chosen[min(shorter, key=lambda n: (chosen[n], self._blocks[n].keep))] += 1
-        for row, i in zip(forms, chosen, strict=True):
-            yield row[i]
-
-
-def _wide_enough(
-    console: Console, options: ConsoleOptions, forms: tuple[RenderableType, ...]
-) -> tuple[RenderableType, ...]:
-    """Return the forms that fit the width without wrapping; the last one always."""
-    unbounded = options.update_width(UNBOUNDED)  # a measurement never exceeds its width limit
-    fits = [f for f in forms[:-1] if Measurement.get(console, unbounded, f).minimum <= options.max_width]
-    return (*fits, forms[-1])
-
-
-NOTHING = Group()
 _STYLE = {Level.INFO: "dim", Level.WARNING: "yellow", Level.FAULT: "bold red"}
 
 
@@ -174,7 +119,7 @@ def _bar(pascal: float) -> str:
 
 
 def _point(metres: NDArray[np.float64]) -> str:
-    return " ".join(f"{1e3 * x:8.2f}" for x in metres)
+    return " ".join(f"{1e3 * x:.2f}" for x in metres)
 
 
 def _clock(seconds: float) -> str:
@@ -219,41 +164,31 @@ def _losses(progress: Progress) -> str:
     return deadlines if progress.dropped is None else f"{deadlines}, frames dropped {progress.dropped}"
 
 
-def _screen(title: str, progress: Progress) -> FittedDisplay:
-    """Return the screen of a run, each part with its shorter forms."""
+def _screen(title: str, progress: Progress) -> Group:
+    """Return the screen of a run, the most important first: a small terminal cuts off the end."""
     sample, observation = progress.sample, progress.observation
-    blocks = [DisplayBlock((Text(printable(title), "bold"), NOTHING), DisplayPriority.TITLE)]
-    # Prompts come first, because the end of a screen that is too long is cut off.
+    parts: list[RenderableType] = [Text(printable(title), "bold")]
     if progress.held:
-        blocks.append(DisplayBlock((Text("PAUSED: p resumes", "bold yellow"),)))
+        parts.append(Text("PAUSED: p resumes", "bold yellow"))
     if progress.prompt is not None:
-        blocks.append(DisplayBlock((Text(f"{printable(progress.prompt)}, then press Enter", "bold yellow"),)))
-    if sample is not None:
-        blocks.append(DisplayBlock((_pressures(sample), _pressures_short(sample)), DisplayPriority.PRESSURES))
-        if inputs := _auxiliary(progress):
-            blocks.append(DisplayBlock((_cells(inputs),), DisplayPriority.PRESSURES))
-    if observation is not None and observation["seen"] == DetectionStatus.NO_CAMERA:
-        blocks.append(DisplayBlock((_prediction(observation),), DisplayPriority.TIP))
-    elif observation is not None:
-        error = Text(f"error {_error_mm(progress):.2f} mm", "bold cyan")
-        short = Text.assemble(error, ("" if observation["model_ok"] else ", model not solved", "yellow"))
-        short = Text.assemble(short, f", tip {_tip(observation)}")
-        blocks.append(DisplayBlock((_positions(progress, observation), short, error), DisplayPriority.TIP))
-    if sample is not None:
-        late = f"control late by {sample['lateness_ns'] / 1e3:.0f} us, {_losses(progress)}"
-        style = "yellow" if progress.missed or progress.dropped else "dim"
-        blocks.append(DisplayBlock((Text(late, style), NOTHING), DisplayPriority.TIMING))
+        parts.append(Text(f"{printable(progress.prompt)}, then press Enter", "bold yellow"))
     clock = f"{_clock(progress.protocol_s)} of {_clock(progress.duration_s)}"
     way = Table.grid(Column(max_width=50), Column(no_wrap=True), padding=(0, 1))
     way.add_row(ProgressBar(total=progress.duration_s, completed=progress.protocol_s), clock)
-    blocks.append(DisplayBlock((way, Text(clock))))
-    blocks.append(DisplayBlock((Text("p pauses, Ctrl-C stops", "dim"), NOTHING), DisplayPriority.HINT))
+    parts.append(way)
+    if sample is not None:
+        parts += [Text("actuator: set-point / measured [bar]", "bold"), _cells(_pressures(sample))]
+        if inputs := _auxiliary(progress):
+            parts.append(_cells(inputs))
+    if observation is not None:
+        parts += _tip(progress, observation)
     if progress.adaptation is not None:
-        found = _estimates(progress.adapted, progress.adaptation)
-        blocks.append(
-            DisplayBlock((*found, Text("the estimates need a larger terminal", "yellow")), DisplayPriority.ESTIMATES)
-        )
-    return FittedDisplay(blocks)
+        parts += [Text("estimates", "bold"), _cells(_estimates(progress.adapted, progress.adaptation))]
+    if sample is not None:
+        late = f"control late by {sample['lateness_ns'] / 1e3:.0f} us, {_losses(progress)}"
+        parts.append(Text(late, "yellow" if progress.missed or progress.dropped else "dim"))
+    parts.append(Text("p pauses, Ctrl-C stops", "dim"))
+    return Group(*parts)
 
 
 def _auxiliary(progress: Progress) -> list[str]:
@@ -264,71 +199,40 @@ def _auxiliary(progress: Progress) -> list[str]:
     return [f"{one.name} {value:.4g} {one.unit}" for one, value in zip(progress.auxiliary, values, strict=True)]
 
 
-def _pressures(sample: NDArray[np.void]) -> Table:
-    table = Table(box=None, padding=(0, 1, 0, 0))
-    for head in ("actuator", "set-point [bar]", "measured [bar]", "difference [bar]"):
-        table.add_column(head, justify="right", overflow="fold", min_width=7)
-    for i, (setpoint, measured) in enumerate(zip(sample["setpoint_pa"], sample["measured_pa"], strict=True), 1):
-        table.add_row(str(i), _bar(setpoint), _bar(measured), f"{(measured - setpoint) / PA_PER_BAR:+.3f}")
-    return table
-
-
-def _pressures_short(sample: NDArray[np.void]) -> Group:
+def _pressures(sample: NDArray[np.void]) -> list[str]:
     pairs = zip(sample["setpoint_pa"], sample["measured_pa"], strict=True)
-    cells = [f"{i}: {_bar(s).strip()} / {_bar(m).strip()}" for i, (s, m) in enumerate(pairs, 1)]
-    return Group(Text("actuator: set-point / measured [bar]", "bold"), _cells(cells))
-
-
-def _positions(progress: Progress, observation: NDArray[np.void]) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for head in ("tip", "x y z [mm]", "+- [mm]"):
-        table.add_column(head, justify="right", overflow="fold", min_width=8)
-    if observation["seen"] == DetectionStatus.MEASURED:
-        std = np.sqrt(np.diagonal(observation["covariance_m2"]))
-        table.add_row("measured", _point(observation["measured_m"]), _uncertainty(std))
-    else:
-        table.add_row("measured", Text(f"none: {_unseen(observation)}", "yellow"), "")
-    table.add_row("model", _point(observation["model_m"]), "" if observation["model_ok"] else "not solved")
-    table.add_row("error", Text(f"{_error_mm(progress):.2f} mm", "bold cyan"), "")
-    return table
+    return [f"{i}: {_bar(s).strip()} / {_bar(m).strip()}" for i, (s, m) in enumerate(pairs, 1)]
 
 
 def _uncertainty(std_m: NDArray[np.float64]) -> str:
     """Return standard uncertainties [mm] with two significant digits: a small one is not zero."""
-    return " ".join(f"{1e3 * value:#7.2g}" for value in std_m)
+    return " ".join(f"{1e3 * value:#.2g}" for value in std_m)
 
 
-def _prediction(observation: NDArray[np.void]) -> Text:
-    """Return the model's tip of a rig without cameras, which has no error."""
+def _tip(progress: Progress, observation: NDArray[np.void]) -> list[Text]:
+    """Return the tips of measurement and model, and their distance."""
+    seen = DetectionStatus(int(observation["seen"]))
     solved = "" if observation["model_ok"] else ", model not solved"
-    point = " ".join(_point(observation["model_m"]).split())
-    return Text.assemble(f"tip of the model {point} mm", (solved, "yellow"), "; not measured: the rig has no camera")
+    model = Text.assemble(f"model tip {_point(observation['model_m'])} mm", (solved, "yellow"))
+    if seen is DetectionStatus.NO_CAMERA:
+        return [Text.assemble(model, "; not measured: the rig has no camera")]
+    if seen is not DetectionStatus.MEASURED:
+        return [Text(f"tip not measured: {seen.words}", "yellow"), model]
+    std_mm = _uncertainty(np.sqrt(np.diagonal(observation["covariance_m2"])))
+    return [
+        Text(f"error {_error_mm(progress):.2f} mm", "bold cyan"),
+        Text(f"measured tip {_point(observation['measured_m'])} mm, +- {std_mm} mm"),
+        model,
+    ]
 
 
-def _tip(observation: NDArray[np.void]) -> str:
-    if observation["seen"] != DetectionStatus.MEASURED:
-        return f"not measured: {_unseen(observation)}"
-    return f"{' '.join(_point(observation['measured_m']).split())} mm"
-
-
-def _unseen(observation: NDArray[np.void]) -> str:
-    return DetectionStatus(int(observation["seen"])).words
-
-
-def _estimates(adapted: Sequence[Quantity], row: NDArray[np.void]) -> tuple[RenderableType, RenderableType]:
-    """Return the current estimates in two forms: beside their initial values, and alone."""
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for head in ("parameter", "estimate", "+-", "began with", "+-", "unit"):
-        # Only names may wrap, because a wrapped number can be misread.
-        table.add_column(head, justify="left" if head in ("parameter", "unit") else "right", no_wrap=True)
-    table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"
+def _estimates(adapted: Sequence[Quantity], row: NDArray[np.void]) -> list[str]:
+    """Return the current estimates with their standard uncertainties."""
     std = np.sqrt(np.diagonal(row["covariance"]))
-    cells = []
-    for quantity, value, deviation in zip(adapted, row["value"], std, strict=True):
-        initial = f"{quantity.value[0]:.5g}", f"{quantity.uncertainty:.2g}"
-        table.add_row(quantity.name, f"{value:.5g}", f"{deviation:.2g}", *initial, quantity.unit)
-        cells.append(f"{quantity.name} {value:.5g} +- {deviation:.2g} {quantity.unit}".rstrip())
-    return table, Group(Text("estimates", "bold"), _cells(cells))
+    return [
+        f"{quantity.name} {value:.5g} +- {deviation:.2g} {quantity.unit}".rstrip()
+        for quantity, value, deviation in zip(adapted, row["value"], std, strict=True)
+    ]
 
 
 def _cells(texts: Sequence[str]) -> Columns:
