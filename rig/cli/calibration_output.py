@@ -20,6 +20,7 @@ from rig.calibrate.tool import ToolCalibration
 from rig.cli.console import console
 from rig.cli.json_output import print_json
 from rig.config import calibration_schema
+from rig.config.calibration_files import read
 from rig.config.optics import placement_of
 
 _WORST_SHOWN = 5
@@ -38,10 +39,15 @@ def _print_file(file: Path, simulated: bool) -> None:
     typer.echo(f"{file}{' (simulated: nothing real was measured)' if simulated else ''}")
 
 
+def _file_facts(file: Path) -> dict[str, Any]:
+    """Return the content of a calibration file for scripts, and where it lies."""
+    return {"file": str(file), **read(file).found.model_dump(mode="json", exclude_none=True)}
+
+
 def cameras(done: Sequence[CalibratedCamera], *, of_a_rig: bool, as_json: bool) -> None:
     """Print the calibration of each camera; `of_a_rig`: a rig was named for them."""
     if as_json:
-        facts = {one.name: _camera_facts(one) for one in done}
+        facts = {one.name: {**_file_facts(one.file), "picture": str(one.figure)} for one in done}
         print_json(facts[done[0].name] if len(done) == 1 else {"cameras": facts})
         return
     for one in done:
@@ -50,29 +56,6 @@ def cameras(done: Sequence[CalibratedCamera], *, of_a_rig: bool, as_json: bool) 
         typer.echo(one.figure)
         if not of_a_rig:
             typer.echo("to use it, name the camera with NAME=VIEWS and put the file under `calibrations:` of a rig")
-
-
-def _camera_facts(one: CalibratedCamera) -> dict[str, Any]:
-    """Return a camera's intrinsics for scripts."""
-    found = one.found
-    fx, fy, cx, cy, *distortion = (float(p) for p in found.parameters)
-    return {
-        "file": str(one.file),
-        "picture": str(one.figure),
-        "width_px": found.width_px,
-        "height_px": found.height_px,
-        "fx_px": fx,
-        "fy_px": fy,
-        "cx_px": cx,
-        "cy_px": cy,
-        "distortion": distortion,
-        "standard_uncertainty": dict(zip(PARAMETERS, map(float, found.std), strict=True)),
-        "rms_px": found.rms_px,
-        "coverage": found.coverage.share,
-        "views": {view.name: {"rms_px": view.rms_px, "sha256": view.sha256} for view in found.views},
-        "skipped": {view.name: view.reason for view in found.skipped},
-        "advice": found.advice,
-    }
 
 
 def _print_camera(found: CameraCalibration, name: str) -> None:
@@ -117,7 +100,7 @@ def _pairs(result: DLTCalibrationResult) -> list[dict[str, Any]]:
 def dlt(done: DLTCalibration, *, as_json: bool) -> None:
     """Print coefficients, poses, residuals and cross-validation error of a DLT."""
     if as_json:
-        print_json(_dlt_facts(done))
+        print_json({**_file_facts(done.file), "pairs": _pairs(done.result)})
         return
     found, screen = done.content, console()
     values = table("", *(c.camera.name for c in found.cameras), title="coefficients (world in mm, undistorted px)")
@@ -145,27 +128,6 @@ def dlt(done: DLTCalibration, *, as_json: bool) -> None:
     for left in found.left_out:
         screen.print(Text(f"not used: {left.name}: {left.reason}", "yellow"), soft_wrap=True)
     _print_file(done.file, done.simulated)
-
-
-def _dlt_facts(done: DLTCalibration) -> dict[str, object]:
-    found = done.content
-    return {
-        "file": str(done.file),
-        "world": found.world,
-        "world_view": found.world_view,
-        "cameras": {
-            camera.camera.name: {
-                "coefficients_px_mm": camera.coefficients_px_mm,
-                "rms_px": camera.rms_px,
-                "lens": None if camera.lens is None else camera.lens.model_dump(),
-                "placement": camera.placement.model_dump(),
-            }
-            for camera in found.cameras
-        },
-        "pairs": _pairs(done.result),
-        "test_error": None if found.test_error is None else found.test_error.model_dump(exclude_none=True),
-        "skipped": {out.name: out.reason for out in found.left_out},
-    }
 
 
 def _worst_points(found: calibration_schema.DLTFile) -> Table:
@@ -200,7 +162,7 @@ def tool(done: ToolCalibration, *, as_json: bool) -> None:
     """Print the board's pose in the tip frame beside the stated one."""
     found, screen = done.found, console()
     if as_json:
-        print_json(_tool_facts(done))
+        print_json(_file_facts(done.file))
         return
     std = np.sqrt(np.diag(found.covariance))
     now, before = placement_of(found.board_in_tip), placement_of(done.stated)
@@ -225,28 +187,11 @@ def tool(done: ToolCalibration, *, as_json: bool) -> None:
     _print_file(done.file, done.simulated)
 
 
-def _tool_facts(done: ToolCalibration) -> dict[str, object]:
-    std = np.sqrt(np.diag(done.found.covariance))
-    return {
-        "file": str(done.file),
-        "placement": placement_of(done.found.board_in_tip).model_dump(),
-        "std_mm": (std[:3] * 1e3).tolist(),
-        "std_deg": np.rad2deg(std[3:]).tolist(),
-        "views": {
-            v.name: {"turned_deg": float(np.rad2deg(v.angle_rad)), "residual_mm": v.residual_m * 1e3}
-            for v in done.found.views
-        },
-        "skipped": {name: why for name, why, _ in done.found.left_out},
-    }
-
-
 def pressure(done: PressureCalibration, *, as_json: bool) -> None:
     """Print sensor scales and valve parameters beside the stated ones."""
     config, sensors, valves, screen = done.config, done.content.sensors, done.content.valves, console()
     if as_json:
-        facts = {"sensors": [s.model_dump(mode="json") for s in sensors],
-                 "valves": [v.model_dump(mode="json") for v in valves]}  # fmt: skip
-        print_json({"file": str(done.file), **facts})
+        print_json(_file_facts(done.file))
         return
     if sensors:
         made = table("sensor", "bar per V", "+-", "offset [bar]", "+-", "rms [bar]", "the rig's file")

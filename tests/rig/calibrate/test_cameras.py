@@ -37,13 +37,13 @@ def test_real_views_leave_a_dated_file_with_covariance_hashes_and_a_picture(here
     done = rig("calibrate", "camera", f"front={views}", "--corners", "9x6", "--square-mm", "25", "--json")
     assert done.exit_code == 0, done.output
     facts = json.loads(done.stdout)
-    assert facts["fx_px"] == pytest.approx(535.92, rel=0.01)
+    assert facts["lens"]["fx_px"] == pytest.approx(535.92, rel=0.01)
     assert facts["rms_px"] <= 0.3
     found = read(here / facts["file"]).found
     assert found.kind == "camera"
     assert found.camera.name == "front"
     assert [view.name for view in found.views] == sorted(p.name for p in views.glob("*.jpg"))
-    assert found.covariance[0][0] ** 0.5 == pytest.approx(facts["standard_uncertainty"]["fx"], rel=1e-3)
+    assert facts["covariance"][0][0] == found.covariance[0][0] > 0
     picture = cv2.imread(str(here / facts["picture"]))
     assert picture.shape[0] > 500
     assert picture.std() > 10
@@ -405,6 +405,6 @@ def test_one_cameras_real_views_give_coefficients_and_a_test_error(here: Path) -
     done = rig("calibrate", "dlt", f"left={views}", "--corners", "9x6", "--square-mm", "25", "--json")
     assert done.exit_code == 0, done.output
     facts = json.loads(done.stdout)
-    assert facts["cameras"]["left"]["rms_px"] < 0.3
+    assert facts["cameras"][0]["rms_px"] < 0.3
     assert facts["test_error"]["rms_px"] < 0.3
     assert facts["world"] == "board"

@@ -19,7 +19,6 @@ from rig.config import loader
 from rig.simulator.registers import Registers
 from runs.records import DetectionStatus
 from scripts.rig_process import write_rig
-from tests.support.shared_data import shared_data
 
 SHORT = "title: Short\nsteps:\n  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 1}\n"
 
@@ -308,15 +307,6 @@ def test_export_writes_tables_with_the_unit_in_every_header(recorded: Path, monk
     head = pressure.read_text().splitlines()[0].split(",")
     assert "time_s" in head
     assert any(name.startswith("measured") and name.endswith("bar") for name in head)
-
-
-@pytest.mark.usefixtures("here")
-def test_calibrate_camera_gives_the_published_focal_length_of_real_views(capsys: pytest.CaptureFixture[str]) -> None:
-    views = shared_data("chessboard")
-    assert inside("calibrate", "camera", views, "--corners", "9x6", "--square-mm", "25", "--json") == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["fx_px"] == pytest.approx(535.92, rel=0.01)
-    assert facts["rms_px"] < 0.3
 
 
 def test_recover_makes_an_archive_of_an_orphaned_journal(
