@@ -14,7 +14,7 @@ from rig.config.calibration_files import LoadedCalibration, read
 from rig.config.loader import load
 from rig.config.schema import RigConfig
 
-MOST_CORNERS = 100
+MOST_CORNERS = 99
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ def shown_board(corners: str, square_mm: float, rig: RigConfig | None) -> BoardP
     """The board in the views: the checkerboard that the options state, else the rig's board."""
     if not corners and not square_mm and rig is not None and rig.board is not None:
         return rig.board
-    stated = corners_of(corners)
-    return CheckerboardPattern(corners=stated, square_mm=checked_square(square_mm))
+    across, down = corners_of(corners)
+    return CheckerboardPattern(squares_x=across + 1, squares_y=down + 1, square_mm=checked_square(square_mm))
 
 
 def corners_of(text: str) -> tuple[int, int]:
@@ -53,8 +53,8 @@ def corners_of(text: str) -> tuple[int, int]:
 
 def checked_square(square_mm: float) -> float:
     """Edge of a square [mm]."""
-    if not 0 < square_mm < 1e4:
-        raise bad_input("--square-mm", f"{square_mm:g}", "the edge of one square in mm, more than 0")
+    if not 0.01 <= square_mm <= 1e4:
+        raise bad_input("--square-mm", f"{square_mm:g}", "the edge of one square in mm, 0.01 or more")
     return square_mm
 
 

@@ -13,7 +13,7 @@ from calibration.vision.marker_families import MARKERS, MarkerFamily
 from protocols.validation import ValidationFault, faults
 from rig.config.sections import Placement
 from rig.sections.base import Section
-from rig.sections.quantities import Count, Index, LengthMm, Positive
+from rig.sections.quantities import Index, LengthMm
 
 if TYPE_CHECKING:
     from calibration.vision.board import Board
@@ -46,9 +46,10 @@ class BoardPattern(Section):
         """What was measured on the print, by name."""
 
     @property
-    @abstractmethod
     def pattern(self) -> BoardPattern:
         """The print alone, as calibration files state it."""
+        kind = next(kind for kind in PATTERN_KINDS if isinstance(self, kind))
+        return kind.model_validate(self.model_dump(include=set(kind.model_fields)))
 
     @property
     def markers(self) -> tuple[str, range]:
@@ -80,38 +81,23 @@ class BoardConfig(BoardPattern):
     placement: Placement
 
 
-class CheckerboardPattern(BoardPattern):
-    """Any checkerboard: inner corners across and down, and the edge of a square."""
+class SquaresPattern(BoardPattern):
+    """A pattern of squares, dark and white in turn."""
 
-    kind: Literal["checkerboard"] = "checkerboard"
-    corners: tuple[Count, Count]
-    square_mm: Positive
-
-    def board(self) -> Board:
-        from calibration.vision.checkerboard import Checkerboard
-
-        return Checkerboard(self.corners[0] + 1, self.corners[1] + 1, self.square_mm * 1e-3)
-
-    @property
-    def corner_count(self) -> int:
-        return self.corners[0] * self.corners[1]
-
-    @property
-    def lengths_mm(self) -> dict[str, float]:
-        return {"square": self.square_mm}
-
-    @property
-    def pattern(self) -> CheckerboardPattern:
-        return self
-
-
-class CheckerboardConfig(BoardConfig):
-    """A checkerboard; the square at the top left is dark."""
-
-    kind: Literal["checkerboard"] = "checkerboard"
     squares_x: Squares
     squares_y: Squares
     square_mm: LengthMm
+
+    @property
+    def corner_count(self) -> int:
+        """Inner corners."""
+        return (self.squares_x - 1) * (self.squares_y - 1)
+
+
+class CheckerboardPattern(SquaresPattern):
+    """Any checkerboard."""
+
+    kind: Literal["checkerboard"] = "checkerboard"
 
     def board(self) -> Board:
         from calibration.vision.checkerboard import Checkerboard
@@ -119,17 +105,12 @@ class CheckerboardConfig(BoardConfig):
         return Checkerboard(self.squares_x, self.squares_y, self.square_mm * 1e-3)
 
     @property
-    def corner_count(self) -> int:
-        return (self.squares_x - 1) * (self.squares_y - 1)
-
-    @property
     def lengths_mm(self) -> dict[str, float]:
         return {"square": self.square_mm}
 
-    @property
-    def pattern(self) -> CheckerboardPattern:
-        """The print alone, as calibration files state it."""
-        return CheckerboardPattern(corners=(self.squares_x - 1, self.squares_y - 1), square_mm=self.square_mm)
+
+class CheckerboardConfig(CheckerboardPattern, BoardConfig):
+    """The checkerboard on the end cap; the square at the top left is dark."""
 
     @model_validator(mode="after")
     def _odd_by_even(self) -> CheckerboardConfig:
@@ -138,13 +119,10 @@ class CheckerboardConfig(BoardConfig):
         return self
 
 
-class CharucoPattern(BoardPattern):
+class CharucoPattern(SquaresPattern):
     """A checkerboard with a marker in every white square; the square at the top left is dark."""
 
     kind: Literal["charuco"]
-    squares_x: Squares
-    squares_y: Squares
-    square_mm: LengthMm
     marker_mm: LengthMm
     dictionary: MarkerFamily = "4X4_50"
     first_marker: Index = 0
@@ -162,10 +140,6 @@ class CharucoPattern(BoardPattern):
         )
 
     @property
-    def corner_count(self) -> int:
-        return (self.squares_x - 1) * (self.squares_y - 1)
-
-    @property
     def lengths_mm(self) -> dict[str, float]:
         """The edges of a square and of a marker."""
         return {"square": self.square_mm, "marker": self.marker_mm}
@@ -174,11 +148,6 @@ class CharucoPattern(BoardPattern):
     def markers(self) -> tuple[str, range]:
         """Family and numbers of the markers."""
         return self.dictionary, range(self.first_marker, self.first_marker + self.squares_x * self.squares_y // 2)
-
-    @property
-    def pattern(self) -> CharucoPattern:
-        """The print alone, as calibration files state it."""
-        return CharucoPattern.model_validate(self.model_dump(include=set(CharucoPattern.model_fields)))
 
     @model_validator(mode="after")
     def _fits(self) -> CharucoPattern:
@@ -225,11 +194,6 @@ class TagGridPattern(BoardPattern):
     def markers(self) -> tuple[str, range]:
         """Family and numbers of the markers."""
         return self.dictionary, range(self.first_marker, self.first_marker + self.tags_x * self.tags_y)
-
-    @property
-    def pattern(self) -> TagGridPattern:
-        """The print alone, as calibration files state it."""
-        return TagGridPattern.model_validate(self.model_dump(include=set(TagGridPattern.model_fields)))
 
     @model_validator(mode="after")
     def _fits(self) -> TagGridPattern:

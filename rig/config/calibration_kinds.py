@@ -250,9 +250,7 @@ def _differs(has: object, wants: object) -> bool:
 
 
 def _short(value: object) -> str:
-    """A pair of counts as 9x6, a length without needless digits."""
-    if isinstance(value, tuple):
-        return "x".join(map(str, value))
+    """A length without needless digits."""
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 

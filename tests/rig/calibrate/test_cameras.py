@@ -296,7 +296,7 @@ kind: camera
 made: '2026-11-21T10:00:00+00:00'
 software: {versions: {softrig: 0.1.0}}
 camera: {name: NAME, width_px: 640, height_px: 480}
-board: {corners: [9, 6], square_mm: 25.0}
+board: {squares_x: 10, squares_y: 7, square_mm: 25.0}
 lens: {fx_px: 700, fy_px: 705, cx_px: 322, cy_px: 238, distortion: [-0.12, 0.08, 0.0004, -0.0003, 0.0]}
 covariance: COVARIANCE
 rms_px: 0.1

@@ -43,7 +43,7 @@ def camera_file(**changed: Any) -> calibration_schema.CameraFile:
         "camera": calibration_schema.CameraIdentity(
             name="front", driver="mock", device="mock0", width_px=640, height_px=480
         ),
-        "board": CheckerboardPattern(corners=(9, 6), square_mm=16.0),
+        "board": CheckerboardPattern(squares_x=10, squares_y=7, square_mm=16.0),
         "lens": LensConfig(fx_px=621.5, fy_px=620.5, cx_px=319.5, cy_px=241.0, distortion=(-0.12, 0.08, 0.0, 0.0, 0.0)),
         "covariance": _matrix(9),
         "rms_px": 0.05,
@@ -61,7 +61,7 @@ def tool_file(**changed: Any) -> calibration_schema.ToolFile:
         "camera": calibration_schema.CameraIdentity(
             name="front", driver="mock", device="mock0", width_px=640, height_px=480
         ),
-        "board": CheckerboardPattern(corners=(6, 5), square_mm=8.0),
+        "board": CheckerboardPattern(squares_x=7, squares_y=6, square_mm=8.0),
         "placement": Placement(translation_mm=(0.1, 0.2, 35.3), rotation_deg=(-60.2, 0.0, 0.1)),
         "covariance": _matrix(6),
         "views": (
@@ -255,16 +255,16 @@ def _identity(**changed: Any) -> calibration_schema.CameraIdentity:
         (camera_file(camera=_identity(driver="opencv")), "camera, driver", "opencv", "another camera's calibration"),
         (camera_file(camera=_identity(device="mock1")), "camera, device", "mock1", "mock0"),
         (
-            tool_file(board=CheckerboardPattern(corners=(6, 5), square_mm=9.0)),
+            tool_file(board=CheckerboardPattern(squares_x=7, squares_y=6, square_mm=9.0)),
             "board, square_mm",
             "9",
             "8",
         ),
         (
-            tool_file(board=CheckerboardPattern(corners=(9, 6), square_mm=8.0)),
-            "board, corners",
-            "9x6",
-            "6x5",
+            tool_file(board=CheckerboardPattern(squares_x=10, squares_y=6, square_mm=8.0)),
+            "board, squares_x",
+            "10",
+            "7",
         ),
     ],
 )
