@@ -3,7 +3,7 @@
 Every number of an arm, its mounting and its boards is drawn from its standard uncertainty; the same experiments are
 then identified by the tip alone and with boards along the arm.
 
-Run: nice python -m benchmarks.sections [--trials 40] [--seed 1] [--workers 1] [--moving]
+Run: nice python -m benchmarks.sections [--trials 40] [--seed 1] [--workers 1] [--moving | --sideways]
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ POSITIONS = MeasurementErrors((5e-5, 1e-4, 5e-5), 20.0, 300.0, section_m=(5e-5, 
 POSES = replace(POSITIONS, rotation_rad=math.radians(0.1))
 # Boards whose place was measured to half a millimetre and half a degree.
 PLACED_M, PLACED_RAD = 5e-4, math.radians(0.5)
+_SHARES = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.6], [0.2, 0.0, 1.0])
+SIDEWAYS_M_S2 = (9.81, 0.0, 0.0)
 KINDS = {
     "tip": ((), POSITIONS),
     "tip and 2 sections": ((1 / 3, 2 / 3), POSITIONS),
@@ -50,6 +52,7 @@ class Trial:
     shares: tuple[float, ...]
     errors: MeasurementErrors
     moving: bool
+    sideways: bool
     seed: int
 
 
@@ -61,7 +64,9 @@ def planned_runs(task: Trial, length_m: float) -> list[Poses]:
         sine = 1e5 * (0.05 + np.array([0.25, 0.1, 0.0]) * (1 - np.cos(2.0 * time_s[:, None])))
         return [plan("sine", sine, np.full(90, 0.1), 1 / 30, task.errors, at_m)]
     ramp = np.linspace(0.1e5, 0.6e5, 9)[:, None]
-    shares = {"ramp-a": ([1.0, 0.0, 0.0], 0.0), "ramp-b": ([0.0, 1.0, 0.6], 0.2), "ramp-c": ([0.2, 0.0, 1.0], 0.2)}
+    heavy_kg = 0.05 if task.sideways else 0.2
+    loads = (0.0, heavy_kg, heavy_kg)
+    shares = dict(zip(("ramp-a", "ramp-b", "ramp-c"), zip(_SHARES, loads, strict=True), strict=True))
     return [
         plan(name, ramp * np.array(share), np.full(9, weight_kg), errors=task.errors, sections_m=at_m)
         for name, (share, weight_kg) in shares.items()
@@ -72,6 +77,8 @@ def trial(task: Trial) -> Array:
     """Error and standard deviation of each parameter, (2, n); NaN where it was not identified."""
     arm = model.Arm.paper()
     start = Setup(replace(arm, rod_weight=True, material=replace(arm.material, damping_s=0.02)))
+    if task.sideways:
+        start = replace(start, arm=replace(start.arm, gravity_m_s2=SIDEWAYS_M_S2))
     planned = planned_runs(task, arm.geometry.length_m)
     stated = stated_values(start, {"damping_s": 0.005, "sensor_filter_s": 1e-9, "sensor_offsets": 300.0})
     stated |= {name: Prior(0.0, PLACED_M if name.endswith("_m") else PLACED_RAD) for name in mount_priors(planned)}
@@ -114,10 +121,12 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=1)
     options.add_argument("--workers", type=int, default=1)
     options.add_argument("--moving", action="store_true", help="a motion in place of three ramps of plateaus")
+    options.add_argument("--sideways", action="store_true", help="an arm that lies: weights shear and bend it")
     given = options.parse_args()
     alone: Array | None = None
+    seed = given.seed * 1_000_003
     for title, (shares, errors) in KINDS.items():
-        tasks = [Trial(shares, errors, given.moving, given.seed * 1_000_003 + k) for k in range(given.trials)]
+        tasks = [Trial(shares, errors, given.moving, given.sideways, seed + k) for k in range(given.trials)]
         began = time.process_time()
         found = np.array(parallel_map(trial, tasks, given.workers))
         alone = found if alone is None else alone

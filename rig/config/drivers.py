@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 Examine = Callable[[Any, str], Iterable["Finding"]]
 """Examines the device of a rig: (RigConfig, name of the device) to findings."""
 
+Silence = Callable[[Any], float]
+"""Section of a card to the time [s] without a write after which its device makes the outputs safe by itself."""
+
 
 @dataclass(frozen=True)
 class Plugin:
@@ -33,7 +36,9 @@ class Plugin:
     returns a `CameraDriver`, that of a tracker a `TrackerDriver`. `about` says in one line what it drives, `safe_state`
     what the outputs do once the program is dead.
     A run with a `simulated` device is marked as simulated. `examine` takes the rig's `RigConfig` and the name of a
-    device and returns the findings for `rig doctor`; it must not write to the device.
+    device and returns the findings for `rig doctor`; it must not write to the device. `silence_s` is for a card whose
+    device makes its outputs safe by itself: it takes the section and returns the time [s] without a write after which
+    the device does so. `rig test-driver` checks that.
     """
 
     section: type[BaseModel]
@@ -42,6 +47,7 @@ class Plugin:
     safe_state: str = "outputs keep their values"
     simulated: bool = False
     examine: Examine | None = None
+    silence_s: Silence | None = None
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,11 @@ class Driver:
     checks: str = ""
     package: str = "softrig"
     plugin: Plugin | None = None
+
+    @property
+    def silence_s(self) -> Silence | None:
+        """As of a plug-in; drivers of softrig state none."""
+        return None if self.plugin is None else self.plugin.silence_s
 
     def load(self) -> Callable[..., Any]:
         """Return the function that opens a device; raises what `driver()` of the module raises."""

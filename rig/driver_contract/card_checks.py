@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.config.card_sections import CARD_DRIVERS
 from rig.config.schema import RigConfig
 from rig.driver_contract.check import BrokenContractError, Check, NotApplicableError
+from rig.driver_contract.device_time import timed
+from rig.driver_contract.other_process import holding, in_second_process
 from rig.hardware.cards.base import Card, CardError, CardSetup, Scans
 from rig.hardware.cards.registry import open_card
 from rig.hardware.cards.setup import card_setup
@@ -31,7 +30,8 @@ FREED_S = 2.0
 """Time for a card whose process was killed; `rig vent` and the watchdog wait no longer."""
 GONE_S = 1.0
 """Time for a driver to detect that its device has gone, beyond `stale_s` of the rig."""
-START_S = 30.0
+MOST_SLOW = 0.02
+"""Largest share of reads or writes that may take longer than the control period."""
 FRACTIONS = (0.25, 0.5, 0.8)
 """Voltages to write, as shares of the range."""
 
@@ -76,6 +76,11 @@ class CardSubject:
         """Largest deviation of a read-back."""
         return np.array([(c.high_v - c.low_v) * READBACK_TOLERANCE for c in self.setup.outputs])
 
+    @property
+    def safe_v(self) -> Volts:
+        """The safe voltage of each output."""
+        return np.array([valve.safe_v() for valve in self.config.valves if valve.card == self.name])
+
     def make_safe(self) -> None:
         """Write the safe state, if the card can be opened."""
         with suppress(CardError), closing(open_outputs(self.config, self.name)) as outputs:
@@ -94,7 +99,7 @@ def opening(subject: CardSubject) -> str:
         after = card.readback()
     if np.all(np.isnan(before)):
         raise NotApplicableError(f"the card has no read-back; opened in {took_s * 1e3:.1f} ms")
-    safe = np.array([v.safe_v() for v in subject.config.valves if v.card == subject.name])
+    safe = subject.safe_v
     kept = np.abs(after - before) <= subject.tolerance_v
     if not np.all(kept | (np.abs(after - safe) <= subject.tolerance_v)):
         raise BrokenContractError(f"outputs at {_v(before)} stand at {_v(after)} after the card was opened again")
@@ -143,6 +148,9 @@ def sampling(subject: CardSubject) -> str:
     if not inputs:
         raise NotApplicableError("the rig uses no input of this card")
     with closing(subject.open()) as card:
+        if len(subject.setup.outputs):
+            # Where the supply is on, as of a simulated device, the sensors read more than zero.
+            card.write(subject.volts(0.5))
         card.start()
         scans = [s for s, _ in _polled(card, subject.period_s, subject.sample_s)]
         newest_ns = time.monotonic_ns()
@@ -161,11 +169,24 @@ def sampling(subject: CardSubject) -> str:
     rate = (len(t_ns) - 1) / ((t_ns[-1] - t_ns[0]) * 1e-9)
     if rate < 0.5 * subject.config.control.rate_hz:
         raise BrokenContractError(f"{rate:.0f} scans/s; control runs at {subject.config.control.rate_hz:g} Hz")
-    if not np.all(np.isfinite(np.concatenate([s.volts for s in scans]))):
+    volts = np.concatenate([s.volts for s in scans])
+    if not np.all(np.isfinite(volts)):
         raise BrokenContractError("a voltage is not finite")
+    _within_range(subject, volts)
     gaps_ms = np.diff(t_ns) * 1e-6
     lost = sum(s.lost for s in scans)
     return f"{rate:.0f} scans/s, period {np.median(gaps_ms):.2f} ms, longest {gaps_ms.max():.2f} ms, {lost} lost"
+
+
+def _within_range(subject: CardSubject, volts: Volts) -> None:
+    """Raise BrokenContractError for readings far beyond the range of their input: they are in another unit."""
+    for channel, column in zip(subject.setup.inputs, volts.T, strict=True):
+        margin = channel.high_v - channel.low_v
+        if column.min() < channel.low_v - margin or column.max() > channel.high_v + margin:
+            raise BrokenContractError(
+                f"input {channel.number} reads {column.min():g} to {column.max():g}, beyond the range of the input, "
+                f"{channel.low_v:g} to {channel.high_v:g}: in which unit?"
+            )
 
 
 def durations(subject: CardSubject) -> str:
@@ -179,9 +200,7 @@ def durations(subject: CardSubject) -> str:
         for _, took_s in _polled(card, period_s, subject.sample_s):
             reads.append(took_s)
             if len(volts):
-                began = time.monotonic()
-                card.write(volts)
-                writes.append(time.monotonic() - began)
+                writes.append(timed(lambda: card.write(volts))[1])
     words = []
     for word, taken in (("read", np.array(reads)), ("write", np.array(writes))):
         if not len(taken):
@@ -190,6 +209,10 @@ def durations(subject: CardSubject) -> str:
         words.append(f"{word} {median * 1e3:.2f} ms, 90 % {late * 1e3:.2f} ms, longest {taken.max() * 1e3:.2f} ms")
         if late > period_s:
             raise BrokenContractError(f"{words[-1]}; the control period is {period_s * 1e3:g} ms")
+        slow = int((taken > period_s).sum())
+        if slow > max(1.0, MOST_SLOW * len(taken)):
+            share = f"{slow} of {len(taken)} calls of {word}"
+            raise BrokenContractError(f"{words[-1]}; {share} take longer than the control period")
     return "; ".join(words)
 
 
@@ -200,7 +223,7 @@ def second_opener(subject: CardSubject) -> str:
     with closing(subject.open()) as card:
         card.start()
         card.write(subject.volts(0.3))
-        answer = _second(subject, volts)
+        answer = in_second_process(subject, volts)
         if "raised" in answer or "error" in answer:
             raise BrokenContractError(f"the second process got {answer.get('raised') or answer['error']}")
         if "busy" in answer:
@@ -212,6 +235,14 @@ def second_opener(subject: CardSubject) -> str:
         found = np.array(answer["stands"])
         if not np.all(np.isnan(found) | (np.abs(found - volts) <= subject.tolerance_v)):
             raise BrokenContractError(f"the second process wrote {_v(volts)} and reads back {_v(found)}")
+        seen = settled_readback(card, volts, subject)
+        # The device may have vented by itself since.
+        stands = np.minimum(np.abs(seen - volts), np.abs(seen - subject.safe_v)) <= subject.tolerance_v
+        if not np.all(np.isnan(seen) | stands):
+            raise BrokenContractError(
+                f"a second process set {_v(volts)} and the first process still reads back {_v(seen)}: its read-back is "
+                "not that of the device"
+            )
         if subject.setup.inputs and not any(len(s.t_ns) for s, _ in _polled(card, subject.period_s, 0.2)):
             raise BrokenContractError("the first process gets no scans once a second one has written")
     return "a second process can write"
@@ -220,7 +251,7 @@ def second_opener(subject: CardSubject) -> str:
 def killed_owner(subject: CardSubject) -> str:
     """After SIGKILL of the process that drives the card, the safe state can be written."""
     needs_outputs(subject)
-    with _holding(subject, subject.volts(0.5)) as process:
+    with holding(subject, subject.volts(0.5)) as process:
         process.kill()
         killed = time.monotonic()
         process.wait()
@@ -238,6 +269,31 @@ def killed_owner(subject: CardSubject) -> str:
         time.sleep(0.002)
     took_ms = (time.monotonic() - killed) * 1e3
     return f"safe {took_ms:.0f} ms after SIGKILL; before, the outputs stood at {_v(alone)}"
+
+
+def silence(subject: CardSubject) -> str:
+    """The device makes its outputs safe by itself, if the driver states that it does."""
+    needs_outputs(subject)
+    section = subject.config.cards[subject.name]
+    silence_s = CARD_DRIVERS[section.driver].silence_s
+    if silence_s is None:
+        raise NotApplicableError("the driver does not state a time without writes after which the device vents")
+    patience_s = silence_s(section)
+    with holding(subject, subject.volts(0.5)) as process:
+        process.kill()
+        process.wait()
+    time.sleep(patience_s + SETTLED_S)
+    with closing(subject.open(inputs=False)) as card:
+        found = card.readback()
+    safe = subject.safe_v
+    if np.all(np.isnan(found)):
+        raise NotApplicableError("the card has no read-back")
+    if not np.all(np.abs(found - safe) <= subject.tolerance_v):
+        raise BrokenContractError(
+            f"{patience_s * 1e3:g} ms after the last write the outputs stand at {_v(found)}; the driver states that it "
+            "vents by itself"
+        )
+    return f"safe by itself {patience_s * 1e3:g} ms after the last write"
 
 
 def vanished(subject: CardSubject) -> str:
@@ -280,6 +336,7 @@ CARD_CHECKS: tuple[Check[CardSubject], ...] = (
     Check("durations", "read and write return within the control period", durations),
     Check("second opener", "a second process can write, or gets CardBusyError with the holder", second_opener),
     Check("killed owner", f"the safe state can be written within {FREED_S:g} s", killed_owner),
+    Check("silence", "a device that is said to vent by itself does so when its writer is killed", silence),
     Check("vanished device", "CardError from write; from read CardError or no scans", vanished),
 )
 
@@ -306,53 +363,9 @@ def _polled(card: Card, period_s: float, duration_s: float) -> Iterator[tuple[Sc
     until = time.monotonic() + duration_s
     due = time.monotonic()
     while time.monotonic() < until:
-        began = time.monotonic()
-        scans = card.read()
-        yield scans, time.monotonic() - began
+        yield timed(card.read)
         due = max(due + period_s, time.monotonic())
         time.sleep(max(0.0, due - time.monotonic()))
-
-
-def _command(mode: str, subject: CardSubject, volts: Volts) -> list[str]:
-    words = ",".join(f"{v:.6f}" for v in volts)
-    return [
-        sys.executable,
-        "-P",
-        "-m",
-        "rig.driver_contract.card_holder",
-        mode,
-        str(subject.rig_file),
-        subject.name,
-        words,
-    ]
-
-
-def _second(subject: CardSubject, volts: Volts) -> dict[str, Any]:
-    """What a second process gets that opens the card and writes."""
-    done = subprocess.run(
-        _command("write", subject, volts), capture_output=True, text=True, timeout=START_S, check=False
-    )
-    try:
-        return dict(json.loads(done.stdout))
-    except ValueError:
-        raise BrokenContractError(f"a second process failed: {done.stderr[-300:] or done.returncode}") from None
-
-
-@contextmanager
-def _holding(subject: CardSubject, volts: Volts) -> Iterator[subprocess.Popen[str]]:
-    """A process that has started the card and writes it all the time."""
-    process = subprocess.Popen(_command("hold", subject, volts), stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    try:
-        answer = json.loads(process.stdout.readline() or "{}")
-        if "stands" not in answer:
-            raise BrokenContractError(f"a process of its own cannot drive the card: {answer}")
-        time.sleep(0.05)
-        yield process
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
 
 
 def _v(volts: Volts) -> str:

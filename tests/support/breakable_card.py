@@ -29,6 +29,7 @@ class Breakable(Pneubox):  # type: ignore[misc]
     def __init__(self, setup: CardSetup) -> None:
         """Open the box."""
         self._fault = setup.section.fault
+        self._reads, self._echo = 0, None
         owner = Path(f"{file_of(setup.device)}.owner")
         watched = not setup.inputs
         if self._fault == "stale lock" and owner.exists():
@@ -52,7 +53,14 @@ class Breakable(Pneubox):  # type: ignore[misc]
             time.sleep(BEHIND_S)
         if self._fault == "blind to a pulled cable":
             return Scans(np.array([time.monotonic_ns()]), np.ones((1, len(self._inputs))))
+        if self._fault == "now and then a slow read":
+            self._reads += 1
+            time.sleep(BEHIND_S if self._reads % 15 == 0 else 0.0)
         scans: Scans = super().read()
+        if self._fault == "millivolts":
+            return replace(scans, volts=scans.volts * 1000)
+        if self._fault == "delivers twice":
+            return Scans(np.repeat(scans.t_ns, 2), np.repeat(scans.volts, 2, axis=0))
         if self._fault == "wall clock":
             return replace(scans, t_ns=np.array([time.time_ns()]))
         if self._fault == "repeated time":
@@ -73,6 +81,10 @@ class Breakable(Pneubox):  # type: ignore[misc]
             return
         if self._fault == "swaps outputs":
             volts = volts[::-1]
+        if self._fault == "offset":
+            volts = np.add(volts, 0.2)
+        if self._fault == "drops the last output":
+            volts = np.append(volts[:-1], 0.0)
         if self._fault == "does not clip":
             super().write(volts)
             self._volts[self._outputs] = volts
@@ -82,6 +94,21 @@ class Breakable(Pneubox):  # type: ignore[misc]
         if self._fault == "blind to a pulled cable" and not file_of(self._setup.device).exists():
             return
         super().write(volts)
+        self._echo = np.array(volts)
+
+    def readback(self) -> Any:
+        """The outputs, or what the driver takes for them."""
+        if self._fault == "echoes its own write" and self._echo is not None:
+            return self._echo
+        if self._fault == "frozen read-back":
+            return np.full(len(self._outputs), 5.0)
+        return super().readback()
+
+    def _step(self) -> int:
+        if self._fault == "does not vent":
+            self._times[1] = time.monotonic_ns()
+        now: int = super()._step()
+        return now
 
     def close(self) -> None:
         """Release the box."""
@@ -90,4 +117,10 @@ class Breakable(Pneubox):  # type: ignore[misc]
         super().close()
 
 
-breakable = Plugin(BreakableConfig, Breakable, about="a box with a fault", simulated=True)
+breakable = Plugin(
+    BreakableConfig,
+    Breakable,
+    about="a box with a fault",
+    simulated=True,
+    silence_s=lambda section: section.silence_ms * 1e-3,
+)

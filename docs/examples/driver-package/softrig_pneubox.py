@@ -25,8 +25,7 @@ from rig.hardware.cards.base import CardError, CardSetup, Scans
 from rig.sections.quantities import Positive
 
 CHANNELS = 8
-BAR_PER_V = 0.2
-SENSOR_V_PER_BAR = 1.0
+BAR_PER_V, SENSOR_V_PER_BAR = 0.2, 1.0
 
 
 class PneuboxConfig(CardConfig):
@@ -117,4 +116,5 @@ pneubox = Plugin(
     safe_state="the box vents by itself after silence_ms",
     simulated=True,
     examine=examine,
+    silence_s=lambda section: section.silence_ms * 1e-3,
 )

@@ -1,0 +1,75 @@
+"""Other processes that open a card under test: one that writes it once, and one that holds it until it is killed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.driver_contract.check import BrokenContractError
+
+START_S = 30.0
+
+Volts = NDArray[np.float64]
+
+
+class CardOfRig(Protocol):
+    """A card by its name and the rig file that a process of its own loads."""
+
+    @property
+    def name(self) -> str:
+        """Of the card."""
+
+    @property
+    def rig_file(self) -> Path:
+        """Where the rig is."""
+
+
+def _command(mode: str, subject: CardOfRig, volts: Volts) -> list[str]:
+    words = ",".join(f"{v:.6f}" for v in volts)
+    return [
+        sys.executable,
+        "-P",
+        "-m",
+        "rig.driver_contract.card_holder",
+        mode,
+        str(subject.rig_file),
+        subject.name,
+        words,
+    ]
+
+
+def in_second_process(subject: CardOfRig, volts: Volts) -> dict[str, Any]:
+    """What a second process gets that opens the card and writes."""
+    done = subprocess.run(
+        _command("write", subject, volts), capture_output=True, text=True, timeout=START_S, check=False
+    )
+    try:
+        return dict(json.loads(done.stdout))
+    except ValueError:
+        raise BrokenContractError(f"a second process failed: {done.stderr[-300:] or done.returncode}") from None
+
+
+@contextmanager
+def holding(subject: CardOfRig, volts: Volts) -> Iterator[subprocess.Popen[str]]:
+    """A process that has started the card and writes it all the time."""
+    process = subprocess.Popen(_command("hold", subject, volts), stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        answer = json.loads(process.stdout.readline() or "{}")
+        if "stands" not in answer:
+            raise BrokenContractError(f"a process of its own cannot drive the card: {answer}")
+        time.sleep(0.05)
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
