@@ -34,6 +34,12 @@ CONFIRMED_S = 0.02
 """Time for the controller to acknowledge a command."""
 REPEATED_S = 0.006
 """A command without acknowledgement is sent again after this."""
+UNCONFIRMED_S = 0.2
+"""A controller that acknowledges no new command for this long does not obey, whatever its samples say."""
+LONGEST_SILENCE_US = 100_000
+"""A controller has to vent by itself this long after the last command."""
+MOST_VENT_PA = 2000
+"""A gauge pressure at the exhaust is zero, but for the controller's sensors."""
 SILENT_S = 0.05
 """A controller that sends nothing for this long is dead."""
 LONGEST_GAP = 100_000
@@ -69,12 +75,14 @@ class SerialCard:
         self._sent: dict[int, tuple[int, ...]] = {}
         self._asked_pa: tuple[int, ...] | None = None
         self._written_ns = 0
+        self._unconfirmed_since_ns = 0
         self._clock: ScanClock | None = None
         self._scans: list[tuple[int, tuple[int, ...]]] = []
         self._lost = 0
         self._quiet_since_ns = 0
         try:
             self._controller = self._greet()
+            self._check_safety()
             self._check_channels()
             self._begin_stream()
         except BaseException:
@@ -104,6 +112,20 @@ class SerialCard:
             time.sleep(WAIT_S)
             self._receive()
         return identity
+
+    def _check_safety(self) -> None:
+        controller = self._controller
+        if not 0 < controller.silence_us <= LONGEST_SILENCE_US:
+            raise CardError(
+                f"{self.description} vents by itself {controller.silence_us / 1000:g} ms after the last command; it "
+                f"must be more than 0 and at most {LONGEST_SILENCE_US / 1000:g} ms",
+                "set the silence in the firmware",
+            )
+        if abs(controller.vent_pa) > MOST_VENT_PA:
+            raise CardError(
+                f"{self.description} vents to {controller.vent_pa / PA_PER_BAR:g} bar, which is not the exhaust: 0 bar",
+                "set the vent level in the firmware",
+            )
 
     def _check_channels(self) -> None:
         controller = self._controller
@@ -159,6 +181,7 @@ class SerialCard:
         self._sent[self._sequence] = self._asked_pa
         self._sent.pop((self._sequence - KEPT) % SEQUENCES, None)
         self._written_ns = time.monotonic_ns()
+        self._unconfirmed_since_ns = self._unconfirmed_since_ns or self._written_ns
         self._port.write(drive(self._sequence, self._asked_pa))
 
     def readback(self) -> NDArray[np.float64]:
@@ -216,6 +239,8 @@ class SerialCard:
             raise CardError(
                 f"{self.description} holds {list(answer.setpoint_pa)} Pa instead of the commanded {list(sent)} Pa"
             )
+        if self._applied is None or answer.sequence != self._applied.sequence:
+            self._unconfirmed_since_ns = 0 if answer.sequence == self._sequence else self._written_ns
         self._applied = answer
 
     def _take_status(self, answer: SerialSample, now_ns: int) -> None:
@@ -246,4 +271,11 @@ class SerialCard:
             raise CardError(
                 f"{self.description} has vented by itself: no command reached it for "
                 f"{self._controller.silence_us / 1000:g} ms"
+            )
+        # A program that has stalled asks late; only then is the acknowledgement late by its own fault.
+        since_ns = self._unconfirmed_since_ns
+        if since_ns and self._written_ns - since_ns > UNCONFIRMED_S * 1e9:
+            raise CardError(
+                f"{self.description} has confirmed no command for {(self._written_ns - since_ns) * 1e-6:.0f} ms",
+                "does the firmware answer each W?",
             )

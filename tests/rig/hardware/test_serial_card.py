@@ -38,6 +38,8 @@ def board(program: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
     """A patient controller and a patient driver: a test that a busy machine delays is no dead program."""
     monkeypatch.setattr("rig.hardware.cards.serial.SILENT_S", PATIENCE_S)
     monkeypatch.setattr("rig.hardware.cards.serial.CONFIRMED_S", PATIENCE_S)
+    monkeypatch.setattr("rig.hardware.cards.serial.UNCONFIRMED_S", PATIENCE_S)
+    monkeypatch.setattr("rig.hardware.cards.serial.LONGEST_SILENCE_US", PATIENT_US)
     with controller(program, tmp_path, PATIENT_US) as running:
         yield running
 
@@ -254,6 +256,47 @@ def test_a_firmware_that_reports_wrong_values_is_an_error(
         card.write(np.array([0.2, 0.2]))
         with pytest.raises(CardError, match=says):
             card.readback()
+
+
+@pytest.mark.parametrize("stale", [False, True], ids=["mute about commands", "repeats an old acknowledgement"])
+def test_a_firmware_that_confirms_no_new_command_is_an_error(answers: Callable[..., str], stale: bool) -> None:
+    """It samples all the while, and says that it is driven."""
+    count = 0
+
+    def answer(words: list[str]) -> list[str]:
+        nonlocal count
+        if words[0] == "Q":
+            return [HELLO]
+        if words[0] != "W":
+            return []
+        count += 1
+        return [f"S {count} {count * 4000} 1 0 0 0 0 0", *(["A 1 1 20000 0 20000 0"] if stale else [])]
+
+    def drive(card: SerialCard) -> None:
+        for _ in range(2000):
+            card.write(np.array([0.2, 0.2]))
+            time.sleep(0.004)
+            card.read()
+
+    with closing(SerialCard(setup(answers(answer)))) as card, pytest.raises(CardError, match="confirmed no command"):
+        drive(card)
+
+
+@pytest.mark.parametrize(
+    ("identity", "says"),
+    [
+        ("I softrig 1 4 0 150000 0 5000000", "vents by itself 5000 ms after the last command; .* at most 100 ms"),
+        ("I softrig 1 4 0 150000 0 0", "vents by itself 0 ms after"),
+        ("I softrig 1 4 0 150000 50000 50000", "vents to 0.5 bar"),
+        ("I softrig 1 4 150000 0 0 50000", "takes 1.5 to 0 bar"),
+    ],
+)
+def test_a_controller_that_does_not_make_itself_safe_is_refused(
+    answers: Callable[..., str], identity: str, says: str
+) -> None:
+    device = answers(lambda words: [identity] if words[0] == "Q" else [])
+    with pytest.raises(CardError, match=says):
+        SerialCard(setup(device))
 
 
 def test_another_version_of_the_protocol_is_refused(
