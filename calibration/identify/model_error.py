@@ -20,6 +20,8 @@ from model.arm import Arm
 Array = NDArray[np.float64]
 
 _PA_PER_BAR = 1e5
+# Highest pressure and way of the pressure, over the reference pressure, at which most of the softening has happened.
+_SOFT_PEAK, _SOFT_TRAVEL = 0.5, 3.0
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,14 @@ def _creep(poses: Poses, _: float) -> Array:
     return np.concatenate([_per_actuator(missing[:, :, k]) for k in range(missing.shape[2])], axis=2)
 
 
+def _softening(poses: Poses, reference_pa: float) -> Array:
+    history = poses.history
+    by_peak = -np.expm1(-history.highest_pa / (_SOFT_PEAK * reference_pa))
+    by_travel = -np.expm1(-history.travelled_pa / (_SOFT_TRAVEL * reference_pa))
+    parts = [_per_actuator(poses.pressure_pa * damage) for damage in (by_peak, by_travel)]
+    return np.concatenate(parts, axis=2)
+
+
 TERMS = (
     ModelErrorTerm("gain", "unequal actuators", 0.03, _gain),
     ModelErrorTerm("coupling", "a share of the pressures of the other chambers", 0.04, _coupling, by_pair=True),
@@ -109,6 +119,7 @@ TERMS = (
         "time since step", "creep behind the pressure", 0.04, _creep,
         modelled=lambda arm: bool(arm.material.branches),
     ),
+    ModelErrorTerm("softening", "softening by the pressures so far", 0.03, _softening),
     ModelErrorTerm("load", "an arm that is stiffer or softer under loads", 0.03, None),
 )  # fmt: skip
 

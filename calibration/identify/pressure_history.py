@@ -1,4 +1,4 @@
-"""History of the pressures at a pose: time since the last change, direction of that change, lagged pressures."""
+"""History of the pressures at a pose: since, and in which direction they changed; lagged, highest, way so far."""
 
 from __future__ import annotations
 
@@ -25,16 +25,25 @@ class PressureHistory:
     """The past of the pressures of K poses.
 
     since_change_s (K,): time since the last change of any pressure. direction (K, N): sign of the last change of each
-    pressure, 0 before its first. lagged_pa (K, N, L): the pressures behind first-order lags of `LAGS_S`.
+    pressure, 0 before its first. lagged_pa (K, N, L): the pressures behind first-order lags of `LAGS_S`. highest_pa,
+    travelled_pa (K, N): the highest pressure so far, and the way that the pressure has gone up and down.
     """
 
     since_change_s: Array
     direction: Array
     lagged_pa: Array
+    highest_pa: Array
+    travelled_pa: Array
 
     def only(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> PressureHistory:
         """The history of some of the poses."""
-        return PressureHistory(self.since_change_s[chosen], self.direction[chosen], self.lagged_pa[chosen])
+        return PressureHistory(
+            self.since_change_s[chosen],
+            self.direction[chosen],
+            self.lagged_pa[chosen],
+            self.highest_pa[chosen],
+            self.travelled_pa[chosen],
+        )
 
 
 def pressure_history(time_s: Array, pressure_pa: Array, at_s: Array) -> PressureHistory:
@@ -45,7 +54,8 @@ def pressure_history(time_s: Array, pressure_pa: Array, at_s: Array) -> Pressure
     count = max(2, 1 + int(np.ceil((time_s[-1] - time_s[0]) * _RATE_HZ)))
     grid_s = np.linspace(time_s[0], time_s[-1], count)
     grid = interpolated(grid_s, time_s, pressure_pa)
-    moved = _movements(grid)
+    steps = _movements(grid)
+    moved = np.sign(steps)
     place = np.clip(np.searchsorted(grid_s, at_s, side="right") - 1, 0, count - 1)
     changed = np.maximum.accumulate(np.where(moved != 0, np.arange(count)[:, None], -1), axis=0)
     last = changed[place]
@@ -57,14 +67,18 @@ def pressure_history(time_s: Array, pressure_pa: Array, at_s: Array) -> Pressure
         keep = np.exp(-step_s / lag_s)
         diagonals = np.array([np.ones(count), np.full(count, -keep)])
         lagged.append(np.asarray(solve_banded((1, 0), diagonals, (1 - keep) * grid))[place])
-    return PressureHistory(np.maximum(since_s, 0.0), direction, np.stack(lagged, axis=2))
+    highest = np.maximum.accumulate(np.cumsum(steps, axis=0), axis=0)
+    travelled = np.cumsum(np.abs(steps), axis=0)
+    return PressureHistory(
+        np.maximum(since_s, 0.0), direction, np.stack(lagged, axis=2), highest[place], travelled[place]
+    )
 
 
 def _movements(pressure_pa: Array) -> Array:
-    """Sign (n, N) of each movement of a play operator that follows pressures (n, N) from zero."""
+    """Each movement (n, N) [Pa] of a play operator that follows pressures (n, N) from zero."""
     out, value = np.zeros_like(pressure_pa), np.zeros(pressure_pa.shape[1])
     for k, row in enumerate(pressure_pa):
         followed = np.clip(value, row - DEAD_BAND_PA, row + DEAD_BAND_PA)
-        out[k] = np.sign(followed - value)
+        out[k] = followed - value
         value = followed
     return out
