@@ -1,6 +1,7 @@
 """Tip control with parameters that `rig identify` has found: identify each arm from a run of it, then steer with them.
 
     python -m benchmarks.tip_identified --results FILE.jsonl [--arms 20] [--seed 1] [--published]
+                                          [--controllers horizon]
 
 The arms are those of benchmarks.tip_control with the same seed, on a simulated rig in virtual time
 (benchmarks.virtual_tip_run) with the valves, chambers and sensors of mock-3. Each arm is first moved by the
@@ -18,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +100,7 @@ def identified(rig: RigFile, folder: Path, seed: int) -> RigFile:
     return rig.identified(parameters_overlay.read(file))
 
 
-def errors_mm(config: RigConfig, seed: int) -> Row:
+def errors_mm(config: RigConfig, seed: int, controllers: Sequence[str]) -> Row:
     """RMS of the true tip's distance from the third period on [mm], by path, frequency and controller."""
     inverse, found = RigTipInverse(config), {}
     for path, step in PATHS.items():
@@ -108,8 +110,8 @@ def errors_mm(config: RigConfig, seed: int) -> Row:
             protocol = protocols.from_steps(path, [{"hold": {"duration_s": 0.1}}, {"tip": timed}], Path())
             trajectory = protocol.expand(config.actuators, inverse)
             (motion,) = trajectory.tip.motions
-            for name, controller in CONTROLLERS.items():
-                record, outcome = perform(config, trajectory, seed, controller)
+            for name in controllers:
+                record, outcome = perform(config, trajectory, seed, CONTROLLERS[name])
                 if outcome.message:
                     raise RuntimeError(outcome.message)
                 frames = np.concatenate(record.frames)
@@ -121,7 +123,7 @@ def errors_mm(config: RigConfig, seed: int) -> Row:
     return found
 
 
-def arm_row(k: int, truth: Truth, seed: int, published: bool) -> Row:
+def arm_row(k: int, truth: Truth, seed: int, published: bool, controllers: Sequence[str]) -> Row:
     """Identify one arm, and follow the paths with what was found."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -129,8 +131,9 @@ def arm_row(k: int, truth: Truth, seed: int, published: bool) -> Row:
         rig = read(folder / "rig.yaml")
         row: Row = {"k": k, "seed": seed}
         if published:
-            row["published"] = errors_mm(rig.config, seed + k)
-        return row | {"identified": errors_mm(identified(rig, folder, seed + k).config, seed + k)}
+            row["published"] = errors_mm(rig.config, seed + k, controllers)
+        found = identified(rig, folder, seed + k)
+        return row | {"identified": errors_mm(found.config, seed + k, controllers)}
 
 
 def table(rows: list[Row]) -> str:
@@ -139,8 +142,11 @@ def table(rows: list[Row]) -> str:
     lines.append("|---|---|---|" + "---|" * len(PERIODS))
     for path in PATHS:
         for parameters in ("published", "identified"):
-            known = [row[parameters] for row in rows if parameters in row]
-            for controller in CONTROLLERS if known else ():
+            for controller in CONTROLLERS:
+                some = f"{path}, {min(PERIODS):g} Hz, {controller}"
+                known = [row[parameters] for row in rows if some in row.get(parameters, ())]
+                if not known:
+                    continue
                 cells: list[str] = []
                 for hz in PERIODS:
                     values: NDArray[np.float64] = np.array([one[f"{path}, {hz:g} Hz, {controller}"] for one in known])
@@ -155,6 +161,7 @@ def main() -> None:
     parser.add_argument("--results", type=Path, required=True, help="a line of JSON for each arm; kept and continued")
     parser.add_argument("--arms", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--controllers", nargs="+", choices=list(CONTROLLERS), default=list(CONTROLLERS))
     parser.add_argument("--published", action="store_true", help="also without the identified parameters")
     args = parser.parse_args()
     text = args.results.read_text(encoding="utf-8") if args.results.exists() else ""
@@ -163,7 +170,7 @@ def main() -> None:
     for k in range(args.arms):
         truth = drawn(rng)
         if k not in done:
-            rows.append(arm_row(k, truth, args.seed, args.published))
+            rows.append(arm_row(k, truth, args.seed, args.published, args.controllers))
             with args.results.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(rows[-1]) + "\n")
     print(table(rows))

@@ -104,7 +104,8 @@ class StaticMap:
     def inverse(self, tip_m: Array, start_pa: Array, payload_kg: float = 0.0) -> Array:
         """Pressures (K, V) [Pa] within the limits whose tips are nearest to points (K, 3).
 
-        A fixed number of projected Gauss-Newton steps from `start_pa` (V,) or (K, V). A coordinate that is NaN is free.
+        A fixed number of projected Gauss-Newton steps from `start_pa` (V,) or (K, V). A coordinate that is NaN is free;
+        a point of which all are free keeps its start.
         """
         weight = np.isfinite(tip_m).astype(float)
         target = np.nan_to_num(tip_m)
@@ -114,7 +115,8 @@ class StaticMap:
             tips, by_pressure = self.combined_slopes(pressure, terms)
             slope, gap = weight[:, :, None] * by_pressure * self.limit_pa, weight * (target - tips)
             normal, pull = slope.swapaxes(1, 2) @ slope, np.einsum("kcv,kc->kv", slope, gap)
-            damping = _DAMPING * np.trace(normal, axis1=1, axis2=2)[:, None, None] * identity
+            trace = np.trace(normal, axis1=1, axis2=2)
+            damping = np.where(trace > 0, _DAMPING * trace, 1.0)[:, None, None] * identity
             # A pressure at its bound that wants to leave it is fixed, and the others are solved without it.
             free = np.ones(pressure.shape)
             for _ in range(self.valves):

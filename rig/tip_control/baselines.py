@@ -55,6 +55,6 @@ class InverseIntegral:
 
 
 def inverse_plan(static_map: StaticMap, reference: ReferenceTrajectory, position_m: Array, state: Any) -> SetPointPlan:
-    """The plan of the static inverses of positions (H, 3) [m]."""
-    pressure = static_map.inverse(position_m, reference.feedforward_pa[0])
+    """The plan of the static inverses of positions (H, 3) [m]; beyond the end of the path it is the feed-forward."""
+    pressure = static_map.inverse(position_m, reference.feedforward_pa)
     return SetPointPlan(reference.times_s, pressure, np.full(position_m.shape, np.nan), state)

@@ -37,7 +37,9 @@ def controller_class(name: str) -> Callable[[TipControlSettings], TipController]
     try:
         found = getattr(importlib.import_module(module_name), class_name)
     except ImportError as error:
-        raise UnknownControllerError(f"a package that can be imported: {error}") from error
+        raise UnknownControllerError(
+            f"a module that is installed, or whose folder is in PYTHONPATH: {error}"
+        ) from error
     except AttributeError as error:
         raise UnknownControllerError(f"a class of module {module_name}, which has no {class_name}") from error
     lacking = [method for method in ("start", "step") if not callable(getattr(found, method, None))]

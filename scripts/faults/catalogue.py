@@ -225,6 +225,15 @@ TIP_CONTROL = (
         "tip controller late, 0.6 s", Signal((TIP_CONTROLLER,), STOP, lasts_s=0.6), FINISHED, "plans are followed again"
     ),
     _tip_control(
+        "tip controller late, 2 s", Signal((TIP_CONTROLLER,), STOP, lasts_s=2.0), FINISHED, "plans are followed again"
+    ),
+    _tip_control(
+        "tip controller late again and again, 0.15 s",
+        Signal((TIP_CONTROLLER,), STOP, lasts_s=0.15, times=10),
+        FINISHED,
+        "",
+    ),
+    _tip_control(
         "tip controller and control killed", Signal((TIP_CONTROLLER, CONTROL), KILL), ABORTED, "control process died"
     ),
     _tip_control(

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -26,7 +25,6 @@ from rig.tip_control import session
 from rig.tip_control.horizon import HorizonControl
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_planning.inverse import RigTipInverse
-from rig.virtual import executor
 from tests.support.budget import examples
 
 Array = NDArray[np.float64]
@@ -135,9 +133,8 @@ def test_an_accepted_path_is_followed_within_the_limits_and_a_refused_one_has_a_
 
 
 def test_a_path_of_the_benchmark_is_run_with_interlocks_and_kept_where_the_program_is_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
-    monkeypatch.setattr(executor, "FramePipeline", tip_references.SameProcess)
     config = RigConfig.model_validate(stated_rig())
     first, second = (tip_references.judged(2, 1, config, RigTipInverse(config)) for _ in range(2))
     assert first == second

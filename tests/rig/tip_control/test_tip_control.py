@@ -66,6 +66,29 @@ def test_the_static_map_is_the_rod_model(static_map: StaticMap) -> None:
     np.testing.assert_allclose(static_map.tips(pressures, 0.03), rod, atol=1e-5)
 
 
+def test_points_without_a_target_keep_the_pressures_that_they_start_from(static_map: StaticMap) -> None:
+    start = np.array([[1e4, 3e4, 2e4], [2e4, 2e4, 4e4]])
+    target = np.array([static_map.tips(start[1:])[0], np.full(3, np.nan)])
+    found = static_map.inverse(target, start)
+    np.testing.assert_allclose(found[0], start[1], atol=10)
+    np.testing.assert_array_equal(found[1], start[1])
+
+
+@pytest.mark.parametrize("name", ["static-inverse", "inverse-integral"])
+def test_the_plans_of_the_baselines_continue_with_the_feed_forward_beyond_the_end_of_the_path(name: str) -> None:
+    controller, task = controller_class(name)(SETTINGS), _task(0.5, 2.0)
+    times = SETTINGS.reference_times(1.0)
+    over = (times > times[15])[:, None]
+    position, velocity = (np.where(over, np.nan, values(times)) for values in (task.position_m, task.velocity_m_s))
+    reference = ReferenceTrajectory(times, position, velocity, task.feedforward_pa(times), None)
+    tip = task.position_m(np.array([0.96]))[0]
+    measured = ControllerMeasurement(
+        0.96, tip, 1e-8 * np.eye(3), np.array([0.9, 1.0]), np.zeros((2, 3)), np.zeros((2, 3)), 1.0
+    )
+    plan = controller.step(controller.start(), reference, measured)
+    np.testing.assert_allclose(plan.setpoint_pa[20:], reference.feedforward_pa[20:])
+
+
 def test_the_slopes_of_the_static_map_are_those_of_finite_differences(static_map: StaticMap) -> None:
     pressure = np.array([[2e4, 3e4, 4e4]])
     numeric = [
@@ -370,7 +393,7 @@ def test_every_registered_controller_gives_a_plan(name: str) -> None:
     ("name", "reason"),
     [
         ("horizn", "one of feed-forward, horizon"),
-        ("no_such_package_here:C", "can be imported"),
+        ("no_such_package_here:C", "in PYTHONPATH"),
         ("math:C", "has no C"),
         ("pathlib:Path", "start and step"),
     ],
