@@ -16,6 +16,7 @@ from runs.report.drawing import FigureSpecification, decimated, legend, path_ind
 from runs.report.figures import across
 from runs.report.gaps import tip_with_gaps
 from runs.report.numbers import listed, plain, three
+from runs.report.reference_figure import distance_mm
 from runs.run import Run
 from runs.summary import Summary
 
@@ -48,8 +49,17 @@ def comparison_figures(runs: Sequence[Run]) -> tuple[FigureSpecification, ...]:
     return (
         FigureSpecification("tips", "Tips", tips, size, f"Lines: measured. Dotted: model. {where}"),
         FigureSpecification("errors", "Errors over the protocol", errors, size, "Measured to model."),
+        *_reference_distances(runs),
         *_tip_differences(runs),
     )
+
+
+def _reference_distances(runs: Sequence[Run]) -> Iterator[FigureSpecification]:
+    """Yield the figure of the tips' distances from their references, if more than one run follows a path."""
+    if sum(run.reference is not None for run in runs) > 1:
+        caption = "Of the true tip where a run was simulated, else of the measured one."
+        title, size = "Distance from the reference", (9, 2.8 + 0.16 * len(runs))
+        yield FigureSpecification("reference", title, reference_distances, size, caption)
 
 
 def _tip_differences(runs: Sequence[Run]) -> Iterator[FigureSpecification]:
@@ -218,6 +228,20 @@ def errors(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) ->
             axes.plot(*line, color=colour, ls=style, lw=1.0, label=run.header.run_id)
     axes.set_xlabel("protocol time [s]")
     axes.set_ylabel("error [mm]")
+    axes.set_ylim(bottom=0)
+    legend(axes, columns=2)
+
+
+def reference_distances(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> None:
+    """Distance of every run's tip from its reference over protocol time."""
+    axes = figure.subplots()
+    for run, _, colour, style in _coloured(runs, summaries):
+        if run.reference is not None:
+            learned = f", learned from {len(run.header.learned_from)}" if run.header.learned_from else ""
+            label = f"{run.header.run_id} ({run.header.tip_controller}{learned})"
+            axes.plot(*decimated(*distance_mm(run)), color=colour, ls=style, lw=0.9, label=label)
+    axes.set_xlabel("protocol time [s]")
+    axes.set_ylabel("distance [mm]")
     axes.set_ylim(bottom=0)
     legend(axes, columns=2)
 

@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 
 from runs.report import drawing
 from runs.report.colours import INK, MEASURED, MODEL, TRUTH
+from runs.report.drawing import Floats
 from runs.report.gaps import tip_with_gaps, with_gaps
 from runs.run import Run
 from runs.summary import Summary
@@ -43,11 +44,24 @@ def draw(figure: Figure, run: Run, summary: Summary) -> None:
         right.plot(*drawing.decimated(tip.time_s, error), color=MEASURED, lw=0.8, label="measured to reference")
     for points, colour, label in ((truth, TRUTH, "simulated truth"), (predicted, MODEL, "model, before the run")):
         if points is not None:
-            distance = np.linalg.norm(np.where(np.isnan(target), 0.0, points - target), axis=1)
-            distance[np.isnan(target).all(axis=1)] = np.nan
-            right.plot(*drawing.decimated(tip.time_s, distance), color=colour, lw=0.9, label=label)
+            right.plot(*drawing.decimated(tip.time_s, _distance(points, target)), color=colour, lw=0.9, label=label)
     right.set_ylabel("distance from reference [mm]")
     right.set_xlabel("time [s]")
     right.set_ylim(bottom=0)
     right.margins(x=0.01)
     drawing.legend(right)
+
+
+def distance_mm(run: Run) -> tuple[Floats, Floats]:
+    """Protocol times and distance of the tip from its reference, with gaps; the true tip where a run was simulated."""
+    assert run.reference is not None
+    tip, gaps = tip_with_gaps(run.tip)
+    points = tip.measured_mm if run.simulated is None else with_gaps(run.simulated.tip_mm, gaps)
+    return tip.protocol_s, _distance(points, with_gaps(run.reference.reference_mm, gaps))
+
+
+def _distance(points: Floats, target: Floats) -> Floats:
+    """Distances (n,) in the coordinates that are controlled; NaN where none is."""
+    distance: Floats = np.asarray(np.linalg.norm(np.where(np.isnan(target), 0.0, points - target), axis=1))
+    distance[np.isnan(target).all(axis=1)] = np.nan
+    return distance

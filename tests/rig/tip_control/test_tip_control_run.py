@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 import protocols
@@ -20,6 +21,7 @@ from rig.config.schema import RigConfig
 from rig.tip_control.session import TipControlSession
 from rig.tip_planning.inverse import RigTipInverse
 from runs.records import Status
+from runs.report.comparison import reference_distances
 from runs.report.page import page
 from runs.run import Run
 from tests.support.report_text import without_figures
@@ -161,6 +163,20 @@ def test_a_report_of_runs_compares_how_the_tip_followed(
     assert [row[2] for row in cells] == ["", controlled["horizon"].header.run_id]
     assert 0 < float(cells[1][3]) < float(cells[0][3])
     assert len(cells[0][8].split(", ")) == 2
+    assert "<h2>Distance from the reference</h2>" in text
+
+
+def test_the_figure_that_compares_runs_shows_the_true_distance_from_the_reference(controlled: dict[str, Run]) -> None:
+    chosen = [controlled["horizon"], controlled["horizon that learns"]]
+    figure = Figure()
+    reference_distances(figure, chosen, [run.summary for run in chosen])
+    (axes,) = figure.axes
+    first, second = (np.asarray(line.get_ydata()) for line in axes.lines)
+    truth = controlled["horizon"].summary.tip_path
+    assert truth is not None
+    assert truth.truth is not None
+    assert np.nanmax(first) >= truth.truth.max_mm > np.nanmax(second)
+    assert [str(line.get_label()).split("(")[1] for line in axes.lines] == ["horizon)", "horizon, learned from 1)"]
 
 
 def test_the_summary_counts_the_plans(controlled: dict[str, Run]) -> None:
