@@ -83,6 +83,18 @@ class ArchiveContents:
             unit, source = (text_of(attributes.get(name, ""), f"@{name}") for name in ("units", "source"))
             return unit, source, _number_of(attributes.get("uncertainty", math.nan), "@uncertainty")
 
+    def described(self, path: str) -> tuple[tuple[int, ...], str, str]:
+        """Return shape, unit and description of a dataset; texts are empty if missing."""
+        with self._reading(path):
+            node = self._file[path]
+            unit, description = (text_of(node.attrs.get(name, ""), f"@{name}") for name in ("units", "description"))
+            return node.shape, unit, description
+
+    def comment(self, group: str) -> str:
+        """Return the comment on a group; empty if missing."""
+        with self._reading(group):
+            return text_of(self._file[group].attrs.get("comment", ""), "@comment")
+
     @contextmanager
     def _reading(self, path: str) -> Iterator[None]:
         try:

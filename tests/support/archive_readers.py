@@ -34,6 +34,7 @@ COMMANDS = (
     ("report",),
     ("replay", "--out", "replayed"),
     ("identify", "--free", "shear_ratio"),
+    ("publish", "--creator", "Ada Lovelace", "--licence", "CC-BY-4.0", "--replace"),
 )
 CHEAP = (("show",), ("export", "--format", "csv"), ("export", "--format", "mat"), ("export", "--format", "mcap"))
 

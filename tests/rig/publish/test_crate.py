@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import zipfile
 from dataclasses import replace
@@ -10,6 +11,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 from rocrate.rocrate import ROCrate
 
@@ -18,6 +20,7 @@ from protocols import BadInputError
 from rig.cli.app import main
 from rig.publish.crate import write
 from rig.publish.description import describe
+from rig.publish.field_list import field_list
 from runs.annotation_file import add_note
 from runs.run import Run
 
@@ -112,6 +115,16 @@ def test_the_readme_explains_every_field(crate: Path, run: Run) -> None:
         group, _, field = name.rpartition("/")
         section = text[text.index(f"### /{group}\n") :].split("\n### ")[0]
         assert f"| {field} |" in section
+
+
+def test_objects_that_softrig_does_not_know_have_no_row_in_the_readme(run: Run, tmp_path: Path) -> None:
+    copy = Path(shutil.copy(run.path, tmp_path / "copy.h5"))
+    with h5py.File(copy, "r+") as file:
+        file["entry/tip/own_type"] = np.dtype("f8")
+        file["entry/tip/time"].attrs["units"] = "s | ms\n"
+    text = field_list([copy])
+    assert "own_type" not in text
+    assert r"| s \| ms |" in text
 
 
 def test_the_datacite_metadata_have_what_datacite_requires(crate: Path) -> None:
