@@ -48,14 +48,16 @@ class RivalLaw:
 class Separation:
     """What is left between a true law and the best fit of its rival, in a planned experiment.
 
-    distance2: squared distance in variances, priors included. numbers: measured ones. more: parameters of the rival
-    beyond those of the true law. at_bound: parameters of the rival that its best fit has at a bound.
+    distance2: squared distance in variances, priors included. numbers: measured ones; independent: the same in frames,
+    the sample size of the BIC. more: parameters of the rival beyond those of the true law. at_bound: parameters of the
+    rival that its best fit has at a bound.
     """
 
     truth: str
     rival: str
     distance2: float
     numbers: int
+    independent: float
     more: int
     at_bound: int = 0
 
@@ -73,7 +75,7 @@ class Separation:
         have no effect (Self and Liang 1987). Then the share is an upper bound: of a number that the data hardly
         determine, the fit takes what suits the errors.
         """
-        penalty = self.more * float(np.log(self.numbers))
+        penalty = self.more * float(np.log(self.independent))
         if not self.separable:
             if self.more <= 0:
                 return 0.0
@@ -171,4 +173,6 @@ def _separation(truth: RivalLaw, rival: RivalLaw, planned: Poses, fitted: Unknow
     own = [one for one in fitted.free if one.name in rival.own]
     at_bound = sum(one.read(fitted.start) in (one.lower, one.upper) for one in own)
     distance2 = float(total[-1, -1] - explained)
-    return Separation(truth.name, rival.name, distance2, 3 * len(planned), more, at_bound)
+    # The tips are still to be measured.
+    independent = replace(planned, tip_m=np.zeros_like(planned.tip_m)).independent
+    return Separation(truth.name, rival.name, distance2, 3 * len(planned), independent, more, at_bound)

@@ -95,6 +95,7 @@ def at_rest(run: Run, settle_s: float = SETTLE_S) -> Poses:
         course=_course(run, samples, middle_s, means),
         orientation=mean_orientations(run, plateaus, averaged),
         sections=mean_sections(run, plateaus),
+        averaged=1 / averaged,
     )
 
 

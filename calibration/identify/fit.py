@@ -192,6 +192,7 @@ def _runs(problem: LeastSquaresProblem, solution: Solution) -> tuple[RunFit, ...
                 outliers=int(outlying(residual).sum()),
                 oriented=int(poses.frames[poses.has_orientation].sum()),
                 correlation=solution.correlation[run],
+                independent=poses.independent / max(solution.correlation[run], 1.0),
                 setup=problem.setup(solution.z, run),
                 before_live=poses.live_m is not None,
                 drifting=poses.in_sequence and drifting(residual),

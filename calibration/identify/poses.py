@@ -45,7 +45,7 @@ class Poses:
     tips of the model that ran beside the experiment, NaN where there was none; None if there was no such model.
     course: of static poses, for models that remember; None where it is unknown, and each pose has long been held.
     orientation: of the tips; None if no entry has one. sections: measured sections of the arm; they count in entries
-    with a tip.
+    with a tip. averaged (K,): the number of independent frames whose mean has the error of an entry; None if it is one.
     """
 
     run_id: str
@@ -65,6 +65,7 @@ class Poses:
     orientation: Orientations | None = None
     pressure_mixing: Array | None = None
     sections: tuple[SectionPoses, ...] = ()
+    averaged: Array | None = None
 
     def __len__(self) -> int:
         return len(self.weight_kg)
@@ -128,6 +129,11 @@ class Poses:
         return np.repeat(np.stack(columns, axis=1), 3, axis=1)
 
     @property
+    def independent(self) -> float:
+        """How many independent numbers were measured, in frames: those of a mean count for each frame of it."""
+        return float((self.measured * (1.0 if self.averaged is None else self.averaged[:, None])).sum())
+
+    @property
     def pose_covariance(self) -> Array:
         """Covariances (K, D, D) of these numbers; that of what was not measured beside a tip is the unit matrix."""
         out = np.zeros((len(self), self.numbers, self.numbers))
@@ -163,6 +169,7 @@ class Poses:
             course=None if self.course is None else self.course.only(chosen),
             orientation=None if self.orientation is None else self.orientation.only(chosen),
             sections=tuple(one.only(chosen) for one in self.sections),
+            averaged=None if self.averaged is None else self.averaged[chosen],
         )
 
 

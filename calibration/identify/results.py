@@ -151,6 +151,8 @@ class RunFit:
     """Tips of the model that ran beside the experiment, or else predictions of the starting setup."""
     outliers: int
     correlation: float
+    independent: float
+    """Independent numbers that were measured, in frames."""
     setup: Setup
     before_live: bool = False
     """`before_m` is of the model that ran beside the experiment."""
@@ -312,7 +314,8 @@ class Fit:
     def bic(self) -> float:
         """Bayesian information criterion (BIC, Schwarz), penalised by the priors.
 
-        The sample size is the number of independent tips.
+        The sample size is the number of independent numbers of single frames, so that it does not matter whether the
+        frames of a plateau were averaged before.
         """
-        new = sum(np.isfinite(run.gap).sum() / max(run.correlation, 1.0) for run in self.runs)
-        return float((self.fitted + 1) * np.log(max(new, 2.0)) - 2 * self.penalised_log_likelihood)
+        count = sum(run.independent for run in self.runs)
+        return float((self.fitted + 1) * np.log(max(count, 2.0)) - 2 * self.penalised_log_likelihood)

@@ -46,7 +46,8 @@ def expected_poses(name: str, trajectory: SetPointTrajectory, config: RigConfig,
         share = (_COMMON + (1 - _COMMON) / np.maximum(counts, 1))[:, None, None]
         if (turned := still.orientation) is not None:
             still = replace(still, orientation=replace(turned, covariance_rad2=turned.covariance_rad2 * share))
-        return replace(still, covariance_m2=still.covariance_m2 * share, frames=counts)
+        averaged = 1 / share[:, 0, 0]
+        return replace(still, covariance_m2=still.covariance_m2 * share, frames=counts, averaged=averaged)
     times = np.arange(frames) / rate_hz
     weight = np.array([trajectory.weight_kg(t) for t in times.tolist()])
     return plan(name, _followed(trajectory, times, config.control.bandwidth_hz), weight, 1 / rate_hz, errors)

@@ -74,6 +74,7 @@ def found(run: Run, adaptation: Adaptation) -> OnlineResult:
         before_m=adaptation.start_model_mm * 1e-3,
         outliers=int((adaptation.used == 2).sum()),
         correlation=1.0,
+        independent=float(np.isfinite(measured).sum()),
         setup=setup,
     )
     estimates = tuple(

@@ -74,15 +74,15 @@ def test_a_rival_that_contains_the_true_law_is_at_no_distance(laws: dict[str, Ri
     found = separation(laws["homogeneous+rpe"], laws["inhomogeneous+rpe, pointwise"], PLANNED)
     assert not found.separable
     assert (found.more, found.at_bound) == (1, 1)
-    assert found.share == pytest.approx(0.5 + 0.5 * chi2.cdf(np.log(found.numbers) - 2, 1))
+    assert found.share == pytest.approx(0.5 + 0.5 * chi2.cdf(np.log(found.independent) - 2, 1))
 
 
 def test_the_expected_share_is_that_of_a_normal_likelihood_ratio() -> None:
-    far = Separation("a", "b", distance2=12.0, numbers=100_000, more=0)
+    far = Separation("a", "b", distance2=12.0, numbers=100_000, independent=1e6, more=0)
     assert far.share == pytest.approx(norm.cdf((12.0 - 2) / 2 / np.sqrt(12.0)), abs=1e-3)
     assert replace(far, more=1).share > far.share > replace(far, more=-1).share
     assert replace(far, distance2=0.0).share == 0.0
-    assert replace(far, distance2=0.0, more=2).share == pytest.approx(chi2.cdf(2 * np.log(100_000) - 2, 2))
+    assert replace(far, distance2=0.0, more=2).share == pytest.approx(chi2.cdf(2 * np.log(1e6) - 2, 2))
 
 
 def test_the_design_separates_better_than_random_ones(laws: dict[str, RivalLaw]) -> None:

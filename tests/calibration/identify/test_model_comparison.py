@@ -57,6 +57,19 @@ def test_a_homogeneous_arm_does_not_pay_for_softening() -> None:
     assert radial.error_m < 3e-4
 
 
+def test_the_bic_of_frames_is_that_of_their_means_on_plateaus() -> None:
+    ramp, _, weights = data(model.Arm.paper("homogeneous+rpe"))
+    means = [replace(one, averaged=np.full(len(one), 4.0)) for one in (ramp, weights)]
+    frames = [replace(one, covariance_m2=4 * one.covariance_m2) for one in (ramp, weights)]
+    every = [one.only(np.repeat(np.arange(len(one)), 4)) for one in frames]
+    _, radial, soft = some()
+    gains = [
+        identify(runs, soft.start, soft.free).bic - identify(runs, radial.start, radial.free).bic
+        for runs in (means, every)
+    ]
+    assert gains[0] == pytest.approx(gains[1], abs=0.5)
+
+
 def test_the_conclusion_warns_if_the_bic_prefers_another_model() -> None:
     asked = [c for c in candidates(START) if c.name.endswith(("pointwise", "paper-secant"))]
     pointwise, secant = compare_models(data(model.Arm.paper()), asked, workers=1).rows
