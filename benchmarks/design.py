@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import protocols
-from calibration.design.information import ErrorBars, error_bars
+from calibration.design.information import ErrorBars, Unknowns, error_bars
 from calibration.identify.fit import identify
 from calibration.identify.parameter import Prior
-from calibration.identify.parameters import named
+from calibration.identify.parameters import known, named
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, perform_as_planned
@@ -44,7 +44,8 @@ DAMPING_STD_S = 0.002
 
 @dataclass(frozen=True)
 class BarsTrial:
-    """One arm: planned runs, initial setup, free parameters and priors of its fit, and the seed of truth and errors.
+    """One arm: planned runs, initial setup, names of free and nuisance parameters and priors of its fit, and the seed
+    of truth and errors.
 
     stated: value and uncertainty of every parameter.
     """
@@ -52,6 +53,7 @@ class BarsTrial:
     planned: tuple[Poses, ...]
     start: Setup
     free: tuple[str, ...]
+    nuisance: tuple[str, ...]
     priors: dict[str, Prior]
     stated: dict[str, Prior]
     errors: MeasurementErrors
@@ -59,25 +61,29 @@ class BarsTrial:
 
 
 def run_trial(trial: BarsTrial) -> Array:
-    """Error, standard error, and the latter without the model error, of each free parameter, (3, n); NaN without."""
+    """Error, standard error, the latter without the model error, and that expected for this arm, of each parameter.
+
+    (4, n); NaN where the fit states no number.
+    """
     rng, start = np.random.default_rng(trial.seed), trial.start
     drawn = dict(trial.stated)
     drawn["damping_s"] = Prior(start.arm.material.damping_s, DAMPING_STD_S)
     drawn["sensor_filter_s"] = Prior(start.sensor_filter_s, 1e-9)
     truth = drawn_setup(start, drawn, rng)
     data = [perform_as_planned(one, truth, rng, trial.errors) for one in trial.planned]
-    names = {one.name: one for one in named(trial.free, data[0].actuators)}
     fit = identify(data, start, trial.free, trial.priors, stated=trial.stated)
-    bare = np.sqrt(np.diagonal(fit.fitted_covariance))
+    bare = dict(zip((one.name for one in fit.estimates), np.sqrt(np.diagonal(fit.fitted_covariance)), strict=False))
+    by_name = known(data[0].actuators)
+    beside = tuple(by_name[name] for name in trial.nuisance)
+    expected = error_bars(trial.planned, Unknowns(truth, named(trial.free, data[0].actuators), beside, trial.priors))
     rows = []
-    for k, estimate in enumerate(fit.estimates):
-        if estimate.name not in names or estimate.run:
-            continue
+    for name, own in zip(expected.names, expected.std.tolist(), strict=True):
+        estimate = fit[name]
         if estimate.value is None or estimate.std is None:
-            rows.append((np.nan, np.nan, np.nan))
+            rows.append((np.nan, np.nan, np.nan, own))
         else:
-            true = names[estimate.name].read(truth)
-            rows.append((estimate.value - true, estimate.std, float(bare[k])))
+            true = by_name[name].read(truth)
+            rows.append((estimate.value - true, estimate.std, float(bare[name]), own))
     return np.array(rows).T
 
 
@@ -93,22 +99,29 @@ def planned_runs(kind: str, config: RigConfig, free: tuple[str, ...], errors: Me
 def told(expected: ErrorBars, found: Array) -> None:
     """Print, by parameter, the median of stated bars over the expected one, and the rms of errors over it.
 
-    Stated bars without the model error are over expected ones without it.
+    arms: the medians over the arms of the design; own arm: over the bar that is expected for the drawn arm itself, as
+    its median, and the lowest and highest tenth. Stated bars without the model error are over those without it.
     """
-    error, std, bare = found.swapaxes(0, 1)
+    error, std, bare, own = found.swapaxes(0, 1)
     alone = expected.alone.tolist()
-    print("parameter        expected   stated/expected  without model error  rms error/expected  arms")
+    print("                            stated/expected of          without model   rms error/expected of")
+    print("parameter        expected   arms   own arm              error           arms   own arm   identified")
     for k, (name, bar) in enumerate(zip(expected.names, expected.std.tolist(), strict=True)):
-        known = np.isfinite(std[:, k])
-        if not known.any():
+        given = np.isfinite(std[:, k])
+        if not given.any():
             print(f"{name:14s} {bar:10.3g}   not identified in any arm")
             continue
-        ratios = [float(np.median(values[known, k])) / to for values, to in ((std, bar), (bare, alone[k]))]
-        rms = float(np.sqrt(np.mean(error[known, k] ** 2))) / bar
-        print(f"{name:14s} {bar:10.3g}   {ratios[0]:15.2f}  {ratios[1]:19.2f}  {rms:18.2f}  {known.sum():4d}")
-    z = error / expected.std
-    z = z[np.isfinite(z)]
-    print(f"rms of all {len(z)} errors over the expected bars: {np.sqrt((z**2).mean()):.2f}")
+        low, middle, high = np.quantile(std[given, k] / own[given, k], [0.1, 0.5, 0.9]).tolist()
+        at_arms, by_data = np.median(std[given, k]) / bar, np.median(bare[given, k]) / alone[k]
+        rms = [float(np.sqrt(np.mean((error[given, k] / to) ** 2))) for to in (bar, own[given, k])]
+        print(
+            f"{name:14s} {bar:10.3g}   {at_arms:4.2f}   {middle:4.2f} ({low:4.2f}-{high:4.2f})     {by_data:8.2f}     "
+            f"  {rms[0]:8.2f}   {rms[1]:7.2f}   {given.sum():10d}"
+        )
+    for label, to in (("arms", expected.std), ("own arm", own)):
+        z = error / to
+        z = z[np.isfinite(z)]
+        print(f"rms of all {len(z)} errors over the expected bars ({label}): {np.sqrt((z**2).mean()):.2f}")
 
 
 def main() -> None:
@@ -134,7 +147,8 @@ def main() -> None:
     stated = rig_uncertainties(config, unknowns.start)
     start: Setup = replace(unknowns.start, sensor_filter_s=stated["sensor_filter_s"].mean)
     unknowns = replace(unknowns, start=start)
-    task = BarsTrial(tuple(planned), start, free, dict(unknowns.priors), stated, errors, 0)
+    beside = tuple(one.name for one in unknowns.nuisance)
+    task = BarsTrial(tuple(planned), start, free, beside, dict(unknowns.priors), stated, errors, 0)
     tasks = [replace(task, seed=given.seed * 1_000_003 + k) for k in range(given.trials)]
     found = np.array(parallel_map(run_trial, tasks, given.workers, store=given.store))
     told(error_bars(planned, unknowns), found)

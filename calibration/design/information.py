@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +17,6 @@ from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.parameter import Parameter, Prior
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
-from calibration.identify.simulated_experiments import exact
 from calibration.identify.undetermined import UNDETERMINED_SPANS
 
 Array = NDArray[np.float64]
@@ -39,8 +40,12 @@ class Unknowns:
 
     def problem(self, planned: Sequence[Poses], substeps: int = 0) -> LeastSquaresProblem:
         """The least-squares problem of planned experiments whose tips are exactly where the model predicts them."""
-        data = [exact(poses, self.start) for poses in planned]
-        return LeastSquaresProblem(data, self.start, (*self.free, *self.nuisance), self.priors, substeps=substeps)
+        problem = LeastSquaresProblem(planned, self.start, (*self.free, *self.nuisance), self.priors, substeps=substeps)
+        z = np.zeros(len(problem.unknowns))
+        return problem.measured_as([
+            replace(poses, tip_m=tips, orientation=poses.orientation and replace(poses.orientation, rotation=turned))
+            for poses, tips, turned in zip(planned, problem.predicted(z), problem.rotations(z), strict=True)
+        ])  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -90,25 +95,55 @@ def error_bars(planned: Sequence[Poses], unknowns: Unknowns) -> ErrorBars:
     Those of measurement and priors (Cramer-Rao bound), and what the model error adds on an arm that obeys the model.
     Medians over the arms of the unknowns, and over draws of the measurement errors.
     """
-    rng, arms = np.random.default_rng(0), unknowns.arms or (unknowns.start,)
-    alone = list[Array]()
-    whole = list[Array]()
-    for arm in arms:
+    return error_bars_of_repeats(planned, unknowns, (1.0,))[0]
+
+
+def error_bars_of_repeats(
+    planned: Sequence[Poses], unknowns: Unknowns, repeats: Sequence[float]
+) -> tuple[ErrorBars, ...]:
+    """As `error_bars`, for each number of repeats of the planned experiments."""
+    arms = unknowns.arms or (unknowns.start,)
+    draws = -(-_DRAWS // len(arms))
+
+    def of_arm(arm: Setup, seed: int) -> list[tuple[Array, Array]]:
+        rng = np.random.default_rng(seed)
         problem = replace(unknowns, start=arm).problem(planned)
-        z = np.zeros(len(problem.unknowns))
-        rows, prior = problem.whitened_slopes(z)
-        data = np.sum([np.einsum("kin,kim->nm", own, own, optimize=True) for own in rows], axis=0)
-        own = np.diagonal(covariance(prior.T @ prior + data))
-        rates = np.abs(problem.rates(z))
-        alone.append(rates * np.sqrt(own))
-        whole.extend(rates * np.sqrt(own + added_variances(problem, -(-_DRAWS // len(arms)), rng)))
+        return [_bars(problem, count, draws, rng) for count in repeats]
+
+    # The kernels of the rod model release the interpreter.
+    with ThreadPoolExecutor(max_workers=min(len(arms), os.cpu_count() or 1)) as pool:
+        by_arm = list(pool.map(of_arm, arms, range(len(arms))))
     problem = unknowns.problem([])
     chosen = [i for i, one in enumerate(problem.unknowns) if one.parameter in unknowns.free]
-    return ErrorBars(
-        tuple(problem.unknowns[i].parameter.name for i in chosen),
-        tuple(problem.unknowns[i].parameter.unit for i in chosen),
-        problem.values(np.zeros(len(problem.unknowns)))[chosen],
-        np.array([problem.unknowns[i].span for i in chosen]),
-        np.median(whole, axis=0)[chosen],
-        np.median(alone, axis=0)[chosen],
+    names = tuple(problem.unknowns[i].parameter.name for i in chosen)
+    units = tuple(problem.unknowns[i].parameter.unit for i in chosen)
+    values = problem.values(np.zeros(len(problem.unknowns)))[chosen]
+    spans = np.array([problem.unknowns[i].span for i in chosen])
+    out = []
+    for own in zip(*by_arm, strict=True):
+        alone, whole = np.array([one for one, _ in own]), np.concatenate([both for _, both in own])
+        out.append(ErrorBars(names, units, values, spans, np.median(whole, 0)[chosen], np.median(alone, 0)[chosen]))
+    return tuple(out)
+
+
+def _bars(problem: LeastSquaresProblem, repeats: float, draws: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Standard errors of all unknowns: alone (n,), and with the model error for each draw (draws, n)."""
+    z = np.zeros(len(problem.unknowns))
+    problem.slopes(z, range(len(z)))
+    problem = problem.measured_as([_repeated(own, repeats) for own in problem.data])
+    rows, prior = problem.whitened_slopes(z)
+    data = np.sum([np.einsum("kin,kim->nm", own, own, optimize=True) for own in rows], axis=0)
+    variances = np.diagonal(covariance(prior.T @ prior + data))
+    rates = np.abs(problem.rates(z))
+    return rates * np.sqrt(variances), rates * np.sqrt(variances + added_variances(problem, draws, rng))
+
+
+def _repeated(planned: Poses, count: float) -> Poses:
+    """An experiment that is the mean of so many repeats."""
+    turned = planned.orientation
+    return replace(
+        planned,
+        orientation=turned and replace(turned, covariance_rad2=turned.covariance_rad2 / count),
+        covariance_m2=planned.covariance_m2 / count,
+        pressure_std_pa=planned.pressure_std_pa / np.sqrt(count),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -99,6 +99,13 @@ class LeastSquaresProblem:
         ]
         self._runs_of_their_own = {u.run for u in own}
         self._setup = lru_cache(maxsize=64)(self._written)
+
+    def measured_as(self, data: Sequence[Poses]) -> LeastSquaresProblem:
+        """The problem with other tips, orientations and errors in the same runs; what is solved is kept."""
+        other = replace(self, data=data)
+        other._predictors = [replace(own, poses=poses) for own, poses in zip(self._predictors, data, strict=True)]
+        other._kept_slopes = self._kept_slopes
+        return other
 
     @property
     def measured(self) -> int:

@@ -11,15 +11,15 @@ from calibration.identify.simulated_experiments import MeasurementErrors
 from rig.cli.column_table import ColumnTable
 from rig.cli.console import console
 from rig.cli.json_output import print_json
-from rig.design.design import LIBRARY, Design
+from rig.design.design import LIBRARY, REPEATS, Design
 from rig.design.expected_poses import errors_text
 from rig.design.law_comparison import RIGHT, LawDesign, share_text
 
 
 def error_bars(found: Design, to: Path, source: str, *, as_json: bool) -> None:
     """Print the expected standard errors of a design beside those of the library; source: run of the assumed errors."""
-    bars, library, limit = found.bars, found.library.std.tolist(), found.limit.std.tolist()
-    numbers = list(zip(bars.values.tolist(), bars.std.tolist(), bars.alone.tolist(), library, limit, strict=True))
+    bars, library, repeated = found.bars, found.library.std.tolist(), found.repeated.std.tolist()
+    numbers = list(zip(bars.values.tolist(), bars.std.tolist(), bars.alone.tolist(), library, repeated, strict=True))
     labels = list(zip(bars.names, bars.units, bars.decided.tolist(), strict=True))
     if as_json:
         rows = {
@@ -28,7 +28,7 @@ def error_bars(found: Design, to: Path, source: str, *, as_json: bool) -> None:
                 "std": std,
                 "std_without_model_error": alone,
                 "std_library": other,
-                "std_limit": least,
+                f"std_{REPEATS}_runs": least,
                 "unit": unit,
                 "identified": decided,
             }
@@ -36,14 +36,16 @@ def error_bars(found: Design, to: Path, source: str, *, as_json: bool) -> None:
         }
         print_json({"protocol": str(to), "errors": _errors(found.errors, source), "parameters": rows})
         return
-    table = ColumnTable("parameter", "value", "design +-", "library +-", "ratio", "limit +-", "unit", "identified")
+    table = ColumnTable(
+        "parameter", "value", "design +-", "library +-", "ratio", f"{REPEATS} runs +-", "unit", "identified"
+    )
     for (name, unit, decided), (value, std, _, other, least) in zip(labels, numbers, strict=True):
         shown = (f"{value:.4g}", f"{std:.3g}", f"{other:.3g}", f"{std / other:.2f}", f"{least:.2g}")
         table.add_row(name, *shown, unit, "yes" if decided else "no")
     screen = console()
     screen.print(table)
     screen.print(
-        f"expected standard errors; library: {', '.join(LIBRARY)} together; limit: any number of its repeats\n"
+        f"expected standard errors; library: {', '.join(LIBRARY)} together; {REPEATS} runs: of the design\n"
         f"{_assumed(found.errors, source)}\n"
         "plateaus count as held for long: nothing relaxes\n"
         "of an arm that obeys the model, with the errors of the model that its run cannot exclude; an arm that shows "

@@ -19,6 +19,9 @@ _REST, _HIGHEST = 0.1, 0.95
 _STEEPEST = 0.9
 _FREQUENCIES_HZ = (0.4, 0.8, 1.6, 3.2)
 _MEANS = (0.5, 1.0)
+# Sinusoids about levels: fast ones excite the first mode of an arm. A period needs so many frames of the cameras.
+_FAST_HZ = (3.2, 5.0)
+_FRAMES_PER_PERIOD = 4
 # Levels of a valve in steps, as fractions of the way from rest to the highest level: the finest grid with at most so
 # many combinations is used, the last one with more valves.
 _GRIDS = ((0.0, 0.35, 0.7, 1.0), (0.0, 0.5, 1.0), (0.0, 1.0))
@@ -44,8 +47,9 @@ def rest_bar(config: RigConfig) -> float:
 
 
 def blocks(config: RigConfig) -> tuple[Block, ...]:
-    """Every block that a rig can do: steps to combinations of levels, and sinusoids in phase and in sequence."""
-    return tuple(itertools.chain(_steps(config), _sines(config)))
+    """Every block that a rig can do: steps to combinations of levels, sinusoids in phase and in sequence, and fast
+    sinusoids about the levels."""
+    return tuple(itertools.chain(_steps(config), _sines(config), _sines_about_levels(config)))
 
 
 def _valve_groups(config: RigConfig) -> list[tuple[tuple[int, ...], ...]]:
@@ -72,30 +76,41 @@ def _combinations(config: RigConfig) -> list[tuple[float, ...]]:
 
 def _steps(config: RigConfig) -> Iterator[Block]:
     """Up as fast as the limit allows, a dwell, and down again: all frequencies at once."""
-    rest, fall_s = rest_bar(config), _fall_s(config)
-    span = _HIGHEST * config.limits.pressure_bar - rest
     for combination in _combinations(config):
-        to_bar = {
-            actuator: round(rest + fraction * span, 4)
-            for valve, fraction in zip(config.valves, combination, strict=True)
-            for actuator in valve.actuators
-            if fraction
-        }
-        actuators = sorted(to_bar)
-        rise_s = round(max(combination) * fall_s + 0.005, 2)
-        dwell_s = max(BLOCK_S - rise_s - fall_s, 0.1)
+        to_bar = _to_bar(config, combination, _HIGHEST * config.limits.pressure_bar)
+        rise_s = _rise_s(config, combination)
+        dwell_s = max(BLOCK_S - rise_s - _fall_s(config), 0.1)
         high_s = round(_DWELL_SHARE * dwell_s, 3)
-        ramp = {"actuators": actuators, "to_bar": [to_bar[one] for one in actuators], "duration_s": rise_s}
         block = Block(
             (
-                {"ramp": ramp},
+                _ramp_up(to_bar, rise_s),
                 {"hold": {"duration_s": high_s}},
-                _ramp_down(config, actuators),
+                _ramp_down(config, sorted(to_bar)),
                 {"hold": {"duration_s": round(dwell_s - high_s, 3)}},
             )
         )
         if _is_possible(config, block):
             yield block
+
+
+def _to_bar(config: RigConfig, combination: tuple[float, ...], highest_bar: float) -> dict[int, float]:
+    """Levels [bar] of the actuators that leave rest, between rest and the highest one."""
+    rest = rest_bar(config)
+    return {
+        actuator: round(rest + fraction * (highest_bar - rest), 4)
+        for valve, fraction in zip(config.valves, combination, strict=True)
+        for actuator in valve.actuators
+        if fraction
+    }
+
+
+def _rise_s(config: RigConfig, combination: tuple[float, ...]) -> float:
+    return round(max(combination) * _fall_s(config) + 0.005, 2)
+
+
+def _ramp_up(to_bar: dict[int, float], rise_s: float) -> dict[str, Any]:
+    actuators = sorted(to_bar)
+    return {"ramp": {"actuators": actuators, "to_bar": [to_bar[one] for one in actuators], "duration_s": rise_s}}
 
 
 def _sines(config: RigConfig) -> Iterator[Block]:
@@ -112,6 +127,32 @@ def _sines(config: RigConfig) -> Iterator[Block]:
                     yield block
                     break
                 amplitude *= _SHRINK
+
+
+def _sines_about_levels(config: RigConfig) -> Iterator[Block]:
+    """Up to a combination of levels, a fast sinusoid about them, and down again: bent poses and motion at once."""
+    limits = config.limits
+    fastest_hz = min(config.control.bandwidth_hz, config.observation_hz / _FRAMES_PER_PERIOD)
+    for hertz, combination in itertools.product((one for one in _FAST_HZ if one <= fastest_hz), _combinations(config)):
+        amplitude = round(_STEEPEST * limits.rate_bar_per_s / (2 * math.pi * hertz), 4)
+        to_bar = _to_bar(config, combination, _HIGHEST * limits.pressure_bar - amplitude)
+        rise_s, fall_s = _rise_s(config, combination), _fall_s(config)
+        periods = math.floor((BLOCK_S - rise_s - fall_s) * hertz)
+        if periods < 1 or min(to_bar.values()) < amplitude:
+            continue
+        actuators = sorted(to_bar)
+        sine = {
+            "actuators": actuators,
+            "mean_bar": [to_bar[one] for one in actuators],
+            "amplitude_bar": amplitude,
+            "frequency_hz": hertz,
+            "periods": periods,
+        }
+        left_s = round(BLOCK_S - rise_s - fall_s - periods / hertz, 6)
+        rest = ({"hold": {"duration_s": left_s}},) if left_s > 0 else ()
+        block = Block((_ramp_up(to_bar, rise_s), {"sine": sine}, _ramp_down(config, actuators), *rest))
+        if _is_possible(config, block):
+            yield block
 
 
 def _sine(

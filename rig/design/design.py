@@ -17,6 +17,7 @@ from calibration.design.information import (
     Unknowns,
     block_information,
     error_bars,
+    error_bars_of_repeats,
     of_interest,
 )
 from calibration.identify.nuisance import nuisance_parameters
@@ -46,23 +47,24 @@ _SEARCH_SUBSTEPS = 4
 
 # Drawn arms whose error bars the expected ones are medians of.
 _ARMS = 5
-# Repeats after which only priors and the model error limit the error bars.
-_WITHOUT_END = 1e6
+REPEATS = 100
+"""Runs of the protocol whose error bars stand beside those of one run."""
 
 
 @dataclass(frozen=True)
 class Design:
     """A designed protocol, its text, the expected error bars, and those of the runs of `LIBRARY` together.
 
-    limit: the error bars that no number of repeats of the protocol makes smaller. They come from what the rig file
-    states of the other parameters, and from errors of the model that act as a parameter does. errors: of measurement.
+    repeated: those of `REPEATS` runs of the protocol. More than a tenth of those of one run remains where what the rig
+    file states of the other parameters decides, or an error of the model acts as a parameter does. errors: of
+    measurement.
     """
 
     protocol: Protocol
     text: str
     bars: ErrorBars
     library: ErrorBars
-    limit: ErrorBars
+    repeated: ErrorBars
     errors: MeasurementErrors
 
 
@@ -108,23 +110,11 @@ def design(
     if problems := check(config, trajectory, protocol):
         raise BadInputError(list(problems))
     planned = expected_poses("design", trajectory, config, errors)
-    bars = error_bars([planned], unknowns)
+    bars, repeated = error_bars_of_repeats([planned], unknowns, (1.0, REPEATS))
     known = [expected_poses(name, protocols.load(name).expand(config.actuators), config, errors) for name in LIBRARY]
     library = error_bars(known, unknowns_of(config, chosen, known))
-    limit = error_bars([_repeated(planned)], unknowns)
     text = _text(protocol, config, (bars, errors), criterion, seed)
-    return Design(protocol, text, bars, library, limit, errors)
-
-
-def _repeated(planned: Poses) -> Poses:
-    """An experiment that is the mean of very many repeats."""
-    turned = planned.orientation
-    return replace(
-        planned,
-        orientation=turned and replace(turned, covariance_rad2=turned.covariance_rad2 / _WITHOUT_END),
-        covariance_m2=planned.covariance_m2 / _WITHOUT_END,
-        pressure_std_pa=planned.pressure_std_pa / np.sqrt(_WITHOUT_END),
-    )
+    return Design(protocol, text, bars, library, repeated, errors)
 
 
 def _check_inputs(config: RigConfig, duration_s: float, criterion: str) -> None:

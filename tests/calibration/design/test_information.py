@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.design.information import Unknowns, error_bars
+from calibration.design.information import Unknowns, error_bars, error_bars_of_repeats
 from calibration.identify import Prior, Setup, identify, named
 from calibration.identify.nuisance import nuisance_parameters
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
@@ -42,6 +42,22 @@ def test_expected_error_bars_are_those_that_the_identification_states(unknowns: 
     stated = [fit[name].std for name in expected.names]
     assert expected.names == FREE[:3]
     np.testing.assert_allclose(expected.alone, stated, rtol=0.15)
+
+
+def test_planned_tips_are_exact_at_the_time_steps_of_the_fit() -> None:
+    """Fine tips would take the difference between two step sizes for an error of the model."""
+    start = Setup(model_arm(load("mock")))
+    shake = 1e5 * (0.4 + 0.05 * np.sin(2 * np.pi * 5 * np.arange(30) / 30.0))[:, None] * np.ones(3)
+    damped = Unknowns(start, named(("damping_s",), 3), (), {})
+    problem = damped.problem([plan("shake", shake, period_s=1 / 30, errors=ERRORS)])
+    assert problem.substeps > 2
+    assert np.abs(problem.gaps(np.zeros(1))[0]).max() == 0.0
+
+
+def test_a_hundred_repeats_make_bars_that_measurement_decides_ten_times_smaller(unknowns: Unknowns) -> None:
+    free_of_offsets = Unknowns(unknowns.start, unknowns.free[:3], (), {})
+    once, often = error_bars_of_repeats([plan("levels", PRESSURES, errors=ERRORS)], free_of_offsets, (1.0, 100.0))
+    np.testing.assert_allclose(often.alone, once.alone / 10, rtol=1e-6)
 
 
 def test_expected_error_bars_contain_the_model_error_that_an_identification_adds(unknowns: Unknowns) -> None:

@@ -33,6 +33,17 @@ def test_every_block_keeps_the_limits_of_the_rig(change: object) -> None:
     assert driven == set(every)
 
 
+def frequencies_hz(config: RigConfig) -> set[float]:
+    return {step["sine"]["frequency_hz"] for block in blocks(config) for step in block.steps if "sine" in step}
+
+
+def test_fast_sinusoids_need_a_regulator_that_follows() -> None:
+    config = load("mock")
+    control = config.control.model_copy(update={"bandwidth_hz": 4.0})
+    assert max(frequencies_hz(config)) == 5.0
+    assert max(frequencies_hz(config.model_copy(update={"control": control}))) == 3.2
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
