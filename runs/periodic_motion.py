@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs.archive.reader import ArchiveReader
-from runs.periods import period_bounds
+from runs.periods import whole_periods
 from runs.records import DetectionStatus
 
 Floats = NDArray[np.float64]
@@ -49,7 +49,7 @@ def periodic_motions(run: ArchiveReader) -> tuple[PeriodicMotion, ...]:
     for interval in run.header.intervals:
         pressure = run.pressure
         rows = slice(*np.searchsorted(pressure.protocol_s, (interval.start_s, interval.stop_s)))
-        bounds = period_bounds(pressure.protocol_s[rows], pressure.setpoint_bar[rows])
+        bounds = whole_periods(pressure.protocol_s[rows], pressure.setpoint_bar[rows])
         if bounds is not None:
             found.append(_motion(run, interval.label or interval.kind, bounds))
     return tuple(found)

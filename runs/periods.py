@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 TOLERANCE = 0.02
 """Largest relative deviation of a period from their median."""
+_MISSING = 0.01
+"""Part of a period that may be missing at the end of whole ones: the time from the last row to the next."""
 
 Floats = NDArray[np.float64]
 
@@ -17,6 +19,19 @@ def last_period(time_s: Floats, setpoint_bar: Floats) -> tuple[float, float] | N
     """Return start and end [s] of the last of `period_bounds`; None if the set-points do not repeat."""
     bounds = period_bounds(time_s, setpoint_bar)
     return None if bounds is None else (float(bounds[-2]), float(bounds[-1]))
+
+
+def whole_periods(time_s: Floats, setpoint_bar: Floats) -> Floats | None:
+    """Return the bounds (k + 1,) [s] of as many periods as fit, from the first row on; None if they do not repeat.
+
+    Their length is the mean of those of `period_bounds`, which leaves the parts before and after the crossings out.
+    """
+    crossings = period_bounds(time_s, setpoint_bar)
+    if crossings is None:
+        return None
+    period_s = float(np.diff(crossings).mean())
+    count = int((time_s[-1] - time_s[0]) / period_s + _MISSING)
+    return np.asarray(time_s[0] + period_s * np.arange(count + 1))
 
 
 def period_bounds(time_s: Floats, setpoint_bar: Floats) -> Floats | None:

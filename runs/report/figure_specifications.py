@@ -83,10 +83,9 @@ def _backbones(run: Run, summary: Summary) -> FigureSpecification | None:
 def _steps(run: Run, summary: Summary) -> FigureSpecification | None:
     if not settled_steps(summary.steps):
         return None
-    caption = (
-        "Marks: measured, with 95 % of one frame. Positive z points from the base along the hanging arm. Normalised by "
-        "the distance of the measured tip from its position at rest without pressure."
-    )
+    caption = "Marks: measured, with 95 % of one frame. Positive z points from the base along the hanging arm."
+    if (figures.from_rest_mm(run, summary) > MOVED_MM).any():
+        caption += " Errors over the distance of the measured tip from its position at rest without pressure."
     return FigureSpecification(
         "steps", "Settled tip and error, step by step", figures.steps, (9, 3.6), caption, beside=2
     )

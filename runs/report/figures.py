@@ -226,7 +226,7 @@ def steps(figure: Figure, run: Run, summary: Summary) -> None:
     left.set_ylabel("from rest [mm]" if origin.any() else "in the base frame [mm]")
     legend(left)
     difference = np.abs(measured - model)
-    travelled = np.linalg.norm(measured - rest, axis=1)
+    travelled = from_rest_mm(run, summary)
     normalised = (travelled > MOVED_MM).any()
     scale = 100 / np.where(travelled > MOVED_MM, travelled, np.nan) if normalised else np.ones(len(dwells))
     width = 0.38 * (float(np.diff(np.sort(where)).min()) if len(where) > 1 else 1.0)
@@ -243,6 +243,15 @@ def steps(figure: Figure, run: Run, summary: Summary) -> None:
     if label == "step":
         for axes in (left, right):
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def from_rest_mm(run: Run, summary: Summary) -> Floats:
+    """Return the distances of the settled tips from the tip at rest, in the plane of motion; NaN without such a tip."""
+    project, _ = across(run, summary)
+    measured = project(np.array([step.measured_mm for step in settled_steps(summary.steps)]))
+    rest = project(rest_mm(run.tip, run.tip.seen == DetectionStatus.MEASURED)[None])
+    distances: Floats = np.linalg.norm(measured - rest, axis=1)
+    return distances
 
 
 def coordinates(figure: Figure, run: Run, summary: Summary) -> None:

@@ -214,7 +214,10 @@ def _steps(summary: Summary) -> str:
         f"<tr><td>{escape(step.label)}</td>{''.join(f'<td class=n>{cells[i]}</td>' for cells in shown.values())}</tr>"
         for i, step in enumerate(summary.steps)
     )
-    note = "<p class=small>Dwells: mean over their last part. Other segments: mean over the whole.</p>"
+    note = (
+        "<p class=small>Set-points: at the end of the segment. Tips and errors of dwells: mean over their last part; "
+        "of other segments: mean over the whole.</p>"
+    )
     return f'<h2>Segments</h2>\n<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>\n{note}'
 
 

@@ -41,8 +41,8 @@ def draw(figure: Figure, run: Run, summary: Summary) -> None:
     left.set_ylabel("z, along the arm [mm]" if second == 2 else MM.format(AXES[second]))
     if np.isfinite(tip.measured_mm).any():
         error = with_gaps(reference.error_mm, gaps)
-        right.plot(*drawing.decimated(tip.time_s, error), color=MEASURED, lw=0.8, label="measured to reference")
-    for points, colour, label in ((truth, TRUTH, "simulated truth"), (predicted, MODEL, "model, before the run")):
+        right.plot(*drawing.decimated(tip.time_s, error), color=MEASURED, lw=0.8, label="measured")
+    for points, colour, label in ((truth, TRUTH, "simulated truth"), (predicted, MODEL, "model")):
         if points is not None:
             right.plot(*drawing.decimated(tip.time_s, _distance(points, target)), color=colour, lw=0.9, label=label)
     right.set_ylabel("distance from reference [mm]")

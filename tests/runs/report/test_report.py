@@ -31,7 +31,7 @@ from runs.report import page as report
 from runs.report.comparison import by_axis, by_model
 from runs.report.drawing import STYLE
 from runs.report.figures import pressures, steps
-from runs.summary import summarise
+from runs.summary import settled_steps, summarise
 
 VOID = {"meta", "img", "br", "input", "link"}
 
@@ -432,6 +432,22 @@ def test_steps_are_counted_in_whole_numbers(archive: Path) -> None:
     for axes in figure.axes:
         assert axes.get_xlabel() == "step"
         assert (axes.get_xticks() % 1 == 0).all()
+
+
+@pytest.mark.parametrize("moved_mm", [0.1, 30.0])
+def test_the_caption_of_errors_is_that_of_their_axis(
+    archive: Path, monkeypatch: pytest.MonkeyPatch, moved_mm: float
+) -> None:
+    run = runs.open(archive)
+    found = summarise(run)
+    distances = np.full(len(settled_steps(found.steps)), moved_mm)
+    monkeypatch.setattr("runs.report.figures.from_rest_mm", lambda *_: distances)
+    figure = Figure(figsize=(9, 3.6))
+    steps(figure, run, found)
+    (specification,) = [one for one in figure_specifications.figure_specifications(run, found) if one.name == "steps"]
+    normalised = figure.axes[1].get_ylabel().endswith("[%]")
+    assert normalised is (moved_mm > 1)
+    assert ("rest without pressure" in specification.caption) is normalised
 
 
 @pytest.mark.parametrize("actuators", [1, 6, 12])
