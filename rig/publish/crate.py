@@ -161,7 +161,7 @@ def _action(run: Run, description: Description) -> dict[str, Any]:
 
 
 def _datacite(runs: Sequence[Run], description: Description, now: datetime) -> dict[str, Any]:
-    """The metadata as the DataCite REST API takes them; repositories add identifier and publisher."""
+    """The metadata after the JSON schema of DataCite 4.5; repositories add identifier and publisher."""
     days = sorted(utc(run.header.started_utc_ns)[:10] for run in runs)
     return {
         "creators": [
@@ -178,8 +178,8 @@ def _datacite(runs: Sequence[Run], description: Description, now: datetime) -> d
             for creator in description.creators
         ],
         "titles": [{"title": description.title}],
-        "publisher": UNAVAILABLE,
-        "publicationYear": now.year,
+        "publisher": {"name": UNAVAILABLE},
+        "publicationYear": str(now.year),
         "types": {"resourceTypeGeneral": "Dataset", "resourceType": "Experiment"},
         "dates": [{"date": days[0] if days[0] == days[-1] else f"{days[0]}/{days[-1]}", "dateType": "Collected"}],
         "rightsList": [

@@ -109,11 +109,18 @@ def _entry(journal: Journal) -> Group:
     end_ns = end_t_ns(journal)
     ended, message = status(journal)
     fields = [
-        Field("title", header.title),
-        Field("start_time", utc(header.started_utc_ns)),
-        Field("end_time", utc(header.started_utc_ns + end_ns - header.started_t_ns)),
-        Field("duration", (end_ns - header.started_t_ns) / 1e9, "s", finite=True, limits=SECONDS),
-        Field("run_id", header.run_id),
+        Field("title", header.title, about="of the protocol"),
+        Field("start_time", utc(header.started_utc_ns), about="ISO 8601, UTC, to the microsecond"),
+        Field("end_time", utc(header.started_utc_ns + end_ns - header.started_t_ns), about="ISO 8601, UTC"),
+        Field(
+            "duration",
+            (end_ns - header.started_t_ns) / 1e9,
+            "s",
+            "from start to end, with waits",
+            finite=True,
+            limits=SECONDS,
+        ),
+        Field("run_id", header.run_id, about="name of the run and of its files"),
         Field("status", str(ended), about="finished, interrupted, aborted or recovered", among=tuple(Status)),
         Field("message", message, about="why the run ended as it did"),
         Field(
@@ -122,16 +129,16 @@ def _entry(journal: Journal) -> Group:
             about="1 where the card, the camera or the arm was simulated",
             among=(0, 1),
         ),
-        Field("executor", header.executor),
+        Field("executor", header.executor, about="real time, virtual time, model alone or imported"),
         Field("parent", header.parent, about="run that this replay was made from; empty for a run"),
-        Field("operator", header.operator),
-        Field("notes", header.notes),
+        Field("operator", header.operator, about="who ran the experiment"),
+        Field("notes", header.notes, about="what the operator noted at the start"),
         Field("command", header.command, about="the command line"),
-        Field("host", header.host),
+        Field("host", header.host, about="name of the computer"),
         Field("start_utc", np.int64(header.started_utc_ns), "ns", "start_time since 1970, exactly", limits=CLOCK),
         Field("start_clock", np.int64(header.started_t_ns), "ns", "start_time on the own clock", limits=OWN_CLOCK),
-        Field("actuators", np.int32(header.actuators), limits=(0, MOST_CHANNELS)),
-        Field("valves", np.int32(header.valves), limits=(0, MOST_CHANNELS)),
+        Field("actuators", np.int32(header.actuators), about="number of actuators", limits=(0, MOST_CHANNELS)),
+        Field("valves", np.int32(header.valves), about="number of valves", limits=(0, MOST_CHANNELS)),
     ]
     if header.seed is not None:
         fields.append(Field("seed", np.int64(header.seed), about="of everything random in the simulator"))
@@ -169,7 +176,10 @@ def _counted(journal: Journal) -> dict[str, int]:
 
 def _counters(journal: Journal) -> Group:
     counters = _counted(journal)
-    fields = (Field(name, np.int64(count)) for name, count in sorted(counters.items()))
+    fields = (
+        Field(name, np.int64(count), about=f"{name.replace('_', ' ')} over the run")
+        for name, count in sorted(counters.items())
+    )
     return Group(
         "entry/timing/counters", "NXcollection", named(fields), about="as the executor counted them", open=True
     )
@@ -197,7 +207,7 @@ def _picture_fields(journal: Journal) -> tuple[Field | Pictures, ...]:
     return (
         Field("time", seconds, "s", "middle of the exposure, since start_time", finite=True, limits=SECONDS),
         Field("index", index, about="as tip/frame", scales=by),
-        Field("camera", column(lambda some: [p.camera for p in some]), scales=by),
+        Field("camera", column(lambda some: [p.camera for p in some]), about="name of the camera", scales=by),
         Field("encoding", column(lambda some: [p.encoding for p in some]), about="jpeg or png", scales=by),
         Pictures("image", image, by, "the encoded picture, byte for byte"),
     )
@@ -264,7 +274,7 @@ def _events(journal: Journal) -> Group:
                 scales=by,
                 among=tuple(Level),
             ),
-            Field("source", [e.source for e in events], scales=by),
-            Field("message", [e.message for e in events], scales=by),
+            Field("source", [e.source for e in events], about="what reported it", scales=by),
+            Field("message", [e.message for e in events], about="what happened", scales=by),
         ),
     )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from runs.archive.fields import QUANTITY_GROUPS, Field, Group, named
+from runs.archive.quantity_meanings import meaning
 from runs.columns.conversions import PA_PER_BAR
 from runs.journal.journal import Journal
 from runs.records import Interval, Quantity, StudyRole, StudyRun
@@ -29,7 +30,7 @@ def protocol(journal: Journal) -> Group:
         "entry/protocol",
         "NXcollection",
         (
-            Field("name", header.protocol_name),
+            Field("name", header.protocol_name, about="of the protocol, as it was given"),
             Field("yaml", header.protocol_yaml, about="the protocol, verbatim"),
             Field(
                 "segment",
@@ -37,11 +38,11 @@ def protocol(journal: Journal) -> Group:
                 about="number of the segment, in the order played",
                 any_length=True,
             ),
-            Field("actuator", np.arange(1, header.actuators + 1)),
+            Field("actuator", np.arange(1, header.actuators + 1), about="number of the actuator"),
             Field("start", np.array([i.start_s for i in intervals], float), "s", "in protocol time", by),
             Field("stop", np.array([i.stop_s for i in intervals], float), "s", "in protocol time", by),
-            Field("kind", [i.kind for i in intervals], scales=by),
-            Field("label", [i.label for i in intervals], scales=by),
+            Field("kind", [i.kind for i in intervals], about="kind of the step, as in the protocol", scales=by),
+            Field("label", [i.label for i in intervals], about="name of the segment in reports", scales=by),
             Field("level_bar", level / PA_PER_BAR, "bar", "set-points at the end of the segment", (*by, "actuator")),
         ),
     )
@@ -54,7 +55,7 @@ def rig(journal: Journal) -> Group:
         "entry/rig",
         "NXcollection",
         (
-            Field("name", header.rig_name),
+            Field("name", header.rig_name, about="of the rig"),
             Field("yaml", header.rig_yaml, about="the rig file, verbatim"),
             Field(
                 "parameters",
@@ -76,7 +77,7 @@ def protocol_files(journal: Journal) -> Group | None:
         "NXcollection",
         (
             Field("name", [f.name for f in files], about="as the protocol names it", any_length=True),
-            Field("kind", [f.kind for f in files], scales=by),
+            Field("kind", [f.kind for f in files], about="of the step that plays it", scales=by),
             Field("sha256", [f.sha256 for f in files], about="of the text", scales=by),
             Field("text", [f.text for f in files], about="verbatim", scales=by),
         ),
@@ -94,7 +95,7 @@ def calibration_files(journal: Journal) -> Group | None:
         "entry/calibration_files",
         "NXcollection",
         (
-            Field("name", [f.name for f in files], any_length=True),
+            Field("name", [f.name for f in files], about="as the rig file names it", any_length=True),
             Field("kind", [f.kind for f in files], about="camera, dlt, tool or pressure", scales=by),
             Field("sha256", [f.sha256 for f in files], about="of the text", scales=by),
             Field("yaml", [f.text for f in files], about="verbatim", scales=by),
@@ -111,7 +112,10 @@ USER = ("affiliation", "email", "orcid")
 def sample(journal: Journal) -> Group | None:
     """The specimen; None without metadata about it."""
     known = {name: text for name, text in journal.header.metadata.items() if name not in USER}
-    fields = [Field("name" if name == SPECIMEN else name, text) for name, text in sorted(known.items())]
+    fields = [
+        Field("name" if name == SPECIMEN else name, text, about=f"`{name}` of the metadata")
+        for name, text in sorted(known.items())
+    ]
     about = "the specimen, as the rig file and --meta state it"
     return Group("entry/sample", "NXsample", tuple(fields), about=about, open=True) if fields else None
 
@@ -119,7 +123,7 @@ def sample(journal: Journal) -> Group | None:
 def user(journal: Journal) -> Group | None:
     """The operator; None where the run names none."""
     known = {"name": journal.header.operator} | journal.header.metadata
-    fields = [Field(name, known[name]) for name in ("name", *USER) if known.get(name)]
+    fields = [Field(name, known[name], about=f"{name} of the operator") for name in ("name", *USER) if known.get(name)]
     return Group("entry/user", "NXuser", tuple(fields), open=True) if fields else None
 
 
@@ -129,7 +133,7 @@ def study(journal: Journal) -> Group | None:
     if place is None:
         return None
     fields = (
-        Field("name", place.study),
+        Field("name", place.study, about="of the study"),
         Field("role", str(place.role), about="run or conditioning", among=tuple(StudyRole)),
         Field("number", np.int32(place.number), about="from 1, in the order of the study", limits=STUDY_NUMBERS),
         Field("combination", np.int32(place.combination), about="from 1; equal settings", limits=STUDY_NUMBERS),
@@ -163,7 +167,9 @@ def metadata(sample: Mapping[str, str], user: Mapping[str, str]) -> dict[str, st
 
 def versions(journal: Journal) -> Group:
     """Versions of the program, its libraries and the system."""
-    fields = (Field(name, version) for name, version in sorted(journal.header.versions.items()))
+    fields = (
+        Field(name, version, about=f"version of {name}") for name, version in sorted(journal.header.versions.items())
+    )
     return Group(
         "entry/versions", "NXcollection", named(fields), about="of the program, its libraries and the system", open=True
     )
@@ -172,7 +178,7 @@ def versions(journal: Journal) -> Group:
 def git(journal: Journal) -> Group:
     """The state of the program's own checkout."""
     fields = (
-        Field("commit", journal.header.git_commit),
+        Field("commit", journal.header.git_commit, about="of the source of softrig, if run from a checkout"),
         Field("diff", journal.header.git_diff, about="what was not committed"),
     )
     return Group("entry/git", "NXcollection", fields, about="the program's own source")
@@ -186,7 +192,7 @@ def protocol_parameters(journal: Journal) -> Group | None:
 
 def quantities(journal: Journal, room: str, about: str) -> Group:
     """Every number of a room of `QUANTITY_GROUPS` that was used; vectors with scales that label them."""
-    variant = [Field("variant", journal.header.model_variant)] if room == "model" else []
+    variant = [Field("variant", journal.header.model_variant, about="of the model")] if room == "model" else []
     numbers = [_number(q) for q in journal.header.quantities if q.room == room]
     lengths = sorted({len(q.value) for q in numbers if isinstance(q.value, np.ndarray)})
     scales = [Field(f"component_{n}", np.arange(1, n + 1), about=f"labels vectors of {n}") for n in lengths]
@@ -201,6 +207,7 @@ def _number(quantity: Quantity) -> Field:
         quantity.name,
         float(value[0]) if single else value,
         quantity.unit,
+        "parameter of the protocol" if quantity.room == "protocol" else meaning(quantity.name),
         scales=() if single else (f"component_{len(value)}",),
         source=quantity.source,
         uncertainty=quantity.uncertainty,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import zipfile
@@ -114,7 +115,8 @@ def test_the_readme_explains_every_field(crate: Path, run: Run) -> None:
     for name in fields:
         group, _, field = name.rpartition("/")
         section = text[text.index(f"### /{group}\n") :].split("\n### ")[0]
-        assert f"| {field} |" in section
+        (row,) = [line for line in section.splitlines() if line.startswith(f"| {field} |")]
+        assert row.split("|")[4].strip(), f"{name} has no meaning"
 
 
 def test_objects_that_softrig_does_not_know_have_no_row_in_the_readme(run: Run, tmp_path: Path) -> None:
@@ -130,6 +132,9 @@ def test_objects_that_softrig_does_not_know_have_no_row_in_the_readme(run: Run, 
 def test_the_datacite_metadata_have_what_datacite_requires(crate: Path) -> None:
     found = json.loads((crate / "datacite.json").read_text())
     assert {"creators", "titles", "publisher", "publicationYear", "types"} <= set(found)
+    # As in the JSON schema of DataCite 4.5.
+    assert isinstance(found["publisher"]["name"], str)
+    assert re.fullmatch("[0-9]{4}", found["publicationYear"])
     assert found["types"]["resourceTypeGeneral"] == "Dataset"
     assert found["rightsList"][0]["rightsIdentifier"] == "CC-BY-4.0"
 
