@@ -63,9 +63,12 @@ def _reference_distances(runs: Sequence[Run]) -> Iterator[FigureSpecification]:
 
 
 def _tip_differences(runs: Sequence[Run]) -> Iterator[FigureSpecification]:
-    """Yield the figure of the distances between tips, if each run has measured one."""
-    if len(differences.tips_at_equal_times(runs)[0]):
+    """Yield the figure of the distances between tips of equal steps, if each of these runs has measured one."""
+    equal = differences.of_equal_steps(runs)
+    if len(equal) > 1 and len(differences.tips_at_equal_times(equal)[0]):
         caption = "Measured tips at equal protocol times, interpolated between frames; no line in gaps of the frames."
+        if len(equal) < len(runs):
+            caption += " Runs with other steps are left out."
         title = "Distance between the tips"
         yield FigureSpecification("differences", title, differences.draw, (9, 2.8 + 0.16 * len(runs)), caption)
 

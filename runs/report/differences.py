@@ -93,6 +93,18 @@ def tips_at_equal_times(runs: Sequence[Run]) -> tuple[Floats, Floats]:
     return grid, tips
 
 
+def of_equal_steps(runs: Sequence[Run]) -> tuple[Run, ...]:
+    """Return the first run and those that have its steps at its times, at any levels: of others no times are equal."""
+
+    def steps(run: Run) -> tuple[tuple[object, ...], ...]:
+        return tuple((one.kind, one.start_s, one.stop_s) for one in run.header.intervals)
+
+    first = runs[0]
+    return tuple(
+        run for run in runs if (run.header.protocol_name, steps(run)) == (first.header.protocol_name, steps(first))
+    )
+
+
 def repeatability_mm(tips_mm: Floats) -> float:
     """Return the standard deviation of repeated tips (runs, n, 3) about their mean, pooled over time; 3-D."""
     variance = tips_mm.var(axis=0, ddof=1).sum(axis=1) if len(tips_mm) > 1 else np.empty(0)
@@ -115,10 +127,12 @@ def repeatability(runs: Sequence[Run]) -> str:
 
 
 def draw(figure: Figure, runs: Sequence[Run], summaries: object) -> None:
-    """Distance of each measured tip from that of the first run at equal protocol times."""
+    """Distance of each measured tip from that of the first run at equal protocol times, if its steps are the same."""
     axes = figure.subplots()
-    first, *others = runs
-    for k, run in enumerate(others, 1):
+    first, *_ = equal = of_equal_steps(runs)
+    for k, run in enumerate(runs):
+        if run is first or run not in equal:
+            continue
         time_s, (reference, tip) = tips_at_equal_times([first, run])
         distance = np.linalg.norm(tip - reference, axis=1)
         axes.plot(*decimated(time_s, distance), color=RUNS[k % len(RUNS)], lw=1.0, label=run.header.run_id)

@@ -12,7 +12,7 @@ import runs
 from runs.archive.writer import finalise
 from runs.records import Quantity
 from runs.report import page
-from runs.report.differences import differing, repeatability_mm, tips_at_equal_times
+from runs.report.differences import differing, of_equal_steps, repeatability_mm, tips_at_equal_times
 from runs.run import Run
 from tests.support import synthetic_runs
 
@@ -42,6 +42,13 @@ def test_tips_are_compared_at_equal_protocol_times(pair: list[Run]) -> None:
     assert repeatability_mm(tips) == pytest.approx(0.0, abs=1e-9)
     moved = np.stack((tips[0], tips[0] + [3.0, 0.0, 4.0]))
     assert repeatability_mm(moved) == pytest.approx(5 / np.sqrt(2))
+
+
+def test_tips_of_other_steps_have_no_distance(pair: list[Run]) -> None:
+    first, second = pair
+    second.header = dataclasses.replace(second.header, intervals=second.header.intervals[:-1])
+    assert of_equal_steps(pair) == (first,)
+    assert "Distance between the tips" not in page.page(pair)
 
 
 def test_a_comparison_repeats_no_whole_report(pair: list[Run]) -> None:
