@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import csv
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.cross_validation import PointObservations
 from protocols import BadInputError, Problem, document
 from protocols.problems import closest
 
@@ -20,17 +20,8 @@ LARGEST = 20_000_000
 _MOST_PROBLEMS = 40
 
 
-@dataclass(frozen=True)
-class ObservedPoints:
-    """The control points that one camera saw: names, `world_m` (n, 3), `pixels` (n, 2)."""
-
-    names: tuple[str, ...]
-    world_m: Floats
-    pixels: Floats
-
-
-def read(path: Path) -> dict[str, ObservedPoints]:
-    """Control points by camera; `BadInput` with every cell that cannot be."""
+def read(path: Path) -> dict[str, PointObservations]:
+    """Control points by camera, without its lens; `BadInput` with every cell that cannot be."""
     rows = table(path, COLUMNS)
     problems: list[Problem] = []
     known: dict[str, tuple[float, ...]] = {}
@@ -56,7 +47,7 @@ def read(path: Path) -> dict[str, ObservedPoints]:
     if problems:
         raise BadInputError(problems[:_MOST_PROBLEMS])
     return {
-        camera: ObservedPoints(
+        camera: PointObservations(
             tuple(points),
             np.array([place for place, _ in points.values()]) * 1e-3,
             np.array([pixel for _, pixel in points.values()]),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.cross_validation import PointObservations, leave_out
+from calibration.cross_validation import leave_out
 from calibration.dlt_bundle_adjustment import adjust
 from calibration.vision.transforms import RigidTransform
 from rig.calibrate import control_points
@@ -41,7 +42,7 @@ def from_points(
     for name, points in seen.items():
         sizes[name] = _size_of(size, name, rig, known)
         lens = known_lens(name, rig, known, sizes[name], "the pictures are")
-        observations[name] = PointObservations(points.names, points.world_m, points.pixels, lens)
+        observations[name] = replace(points, lens=lens)
     dlts = {name: fitted(name, observation) for name, observation in observations.items()}
     if points_std_mm > 0:
         better = adjust(list(observations.values()), list(dlts.values()), points_std_mm * 1e-3)
