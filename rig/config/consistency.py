@@ -81,10 +81,6 @@ def _numbered(items: Sequence[Item | None]) -> list[tuple[int, Item]]:
     return [(index, item) for index, item in enumerate(items) if item is not None]
 
 
-def _valves_of(valves: Valves) -> list[tuple[int, ValveSection]]:
-    return [(index, valve) for index, valve in enumerate(valves) if valve is not None]
-
-
 def _named(items: Mapping[str, Item | None]) -> list[tuple[str, Item]]:
     return [(name, item) for name, item in items.items() if item is not None]
 
@@ -157,7 +153,7 @@ def _actuators(arm: ArmConfig, valves: Valves, sensors: Sensors) -> Iterator[Val
     count = len(arm.geometry.actuator_angles_deg)
     drives: list[tuple[int, tuple[str | int, ...]]] = [
         (number, ("valves", i, "actuators", j))
-        for i, valve in _valves_of(valves)
+        for i, valve in _numbered(valves)
         for j, number in enumerate(valve.actuators)
     ]
     senses: list[tuple[int, tuple[str | int, ...]]] = [
@@ -179,7 +175,7 @@ def _actuators(arm: ArmConfig, valves: Valves, sensors: Sensors) -> Iterator[Val
 
 
 def _valves(valves: Valves) -> Iterator[ValidationFault]:
-    for index, valve in _valves_of(valves):
+    for index, valve in _numbered(valves):
         yield from _below(("valves", index), valve.faults())
 
 
@@ -198,7 +194,7 @@ def _sensors(sensors: Sensors) -> Iterator[ValidationFault]:
 
 def _reach(limits: Limits, valves: Valves, sensors: Sensors) -> Iterator[ValidationFault]:
     """Check that valves and sensors cover the permitted pressures."""
-    for index, valve in _valves_of(valves):
+    for index, valve in _numbered(valves):
         yield from _below(("valves", index), valve.reach_faults(limits))
     margin = limits.pressure_margin_bar
     highest, lowest = limits.pressure_bar + margin, limits.lowest_pressure_bar
@@ -346,7 +342,7 @@ def _simulated_parts(valves: Valves, sensors: Sensors, simulator: Simulator | No
                 yield ValidationFault(("simulator", "built", key), f"{len(stated)} of them, as many as {key} has")
     found = (
         fault
-        for _, valve in _valves_of(valves if built is None else built.valves)
+        for _, valve in _numbered(valves if built is None else built.valves)
         for fault in _below(("simulator", "valve"), valve.simulated_faults(simulator.valve))
     )
     yield from dict.fromkeys(found)
