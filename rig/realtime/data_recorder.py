@@ -37,7 +37,7 @@ class DataRecorder:
 
     def poll(self) -> None:
         """Record what the processes have written since the last call, and check the supervisor and the disk."""
-        self.report(*self._health.looking(time.monotonic_ns()))
+        self.report(*self._health.supervisor_stall(time.monotonic_ns()))
         self.drain()
         self.report(*self._health.disk(time.monotonic_ns(), self._journal.stalled_s))
 

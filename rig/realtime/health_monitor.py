@@ -56,18 +56,20 @@ class _Condition:
     since_ns: int = 0
     reported: bool = False
 
-    def judge(self, t_ns: int, period_s: float, part: float) -> bool | None:
-        """Take one row, of which `part` (0 to 1) is affected; True when the condition begins, False when it ends."""
+    def events(self, t_ns: int, period_s: float, part: float, source: str, wrong: str, well: str) -> Iterator[Event]:
+        """Take one row, of which `part` (0 to 1) is affected; say `wrong` when the condition begins, `well` at its end.
+
+        `{share}` in `wrong` is the share of affected rows.
+        """
         if self.share < self.above * CLEARED:
             self.since_ns = t_ns
         self.share += (part - self.share) * min(1.0, period_s / MEMORY_S)
         if not self.reported and self.share > self.above:
             self.reported = True
-            return True
-        if self.reported and self.share < self.above * CLEARED:
+            yield _warning(t_ns, source, wrong.replace("{share}", f"{self.share:.0%}"))
+        elif self.reported and self.share < self.above * CLEARED:
             self.reported = False
-            return False
-        return None
+            yield _over(self, t_ns, source, well)
 
 
 class HealthMonitor:
@@ -99,14 +101,14 @@ class HealthMonitor:
                     f"control stalled for {row['lateness_ns'] * 1e-9:.2f} s, the valves at their last voltages; "
                     "the pressures return to their set-points within the rate limit",
                 )
-            trouble = self._missing
-            match trouble.judge(t_ns, self._tick_s * (missed + 1), missed / (missed + 1)):
-                case True:
-                    yield _warning(
-                        t_ns, "control", f"{trouble.share:.0%} of the deadlines are missed: the machine is too busy"
-                    )
-                case False:
-                    yield _over(trouble, t_ns, "control", "deadlines are met again")
+            yield from self._missing.events(
+                t_ns,
+                self._tick_s * (missed + 1),
+                missed / (missed + 1),
+                "control",
+                "{share} of the deadlines are missed: the machine is too busy",
+                "deadlines are met again",
+            )
 
     def observations(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of camera frames (n,) of `runs.records.observation_dtype`, in order of time."""
@@ -146,12 +148,8 @@ class HealthMonitor:
                     f"{words.items} come in time again" if camera else "predictions come in time again",
                 ),
             )
-            for trouble, part, wrong, well in judged:
-                match trouble.judge(t_ns, self._frame_s * (dropped + 1), part):
-                    case True:
-                        yield _warning(t_ns, "observer", wrong)
-                    case False:
-                        yield _over(trouble, t_ns, "observer", well)
+            for condition, part, wrong, well in judged:
+                yield from condition.events(t_ns, self._frame_s * (dropped + 1), part, "observer", wrong, well)
             if camera:
                 yield from self._paced(t_ns, dropped)
             if self._words is _TRACKER and seen is DetectionStatus.MEASURED:
@@ -171,16 +169,16 @@ class HealthMonitor:
         apart_s = (t_ns - before_ns) * 1e-9
         self._apart_s += (apart_s - self._apart_s) * min(1.0, apart_s / MEMORY_S)
         off = abs(self._apart_s / self._frame_s - 1) > OFF_PACE
-        match self._off_pace.judge(t_ns, self._frame_s, float(off)):
-            case True:
-                yield _warning(
-                    t_ns,
-                    "observer",
-                    f"{self._words.source} gives {1 / self._apart_s:.1f} {self._words.items} a second and the rig says "
-                    f"{1 / self._frame_s:g}: set `rate_hz` to what {self._words.source} can do",
-                )
-            case False:
-                yield _over(self._off_pace, t_ns, "observer", f"{self._words.source} keeps its pace again")
+        source = self._words.source
+        yield from self._off_pace.events(
+            t_ns,
+            self._frame_s,
+            float(off),
+            "observer",
+            f"{source} gives {1 / self._apart_s:.1f} {self._words.items} a second and the rig says "
+            f"{1 / self._frame_s:g}: set `rate_hz` to what {source} can do",
+            f"{source} keeps its pace again",
+        )
 
     def _unused_messages(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report each step of the sender's clock, and the first message of each kind that no working sender sends."""
@@ -197,13 +195,12 @@ class HealthMonitor:
     def _unmeasured_section(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report a section of the arm that is not measured."""
         t_ns, dropped = int(row["t_ns"]), int(row["dropped"])
-        for (name, trouble), seen in zip(self._sections, row["section_seen"], strict=True):
-            match trouble.judge(t_ns, self._frame_s * (dropped + 1), float(seen != DetectionStatus.MEASURED)):
-                case True:
-                    why = _SEEN.get(DetectionStatus(seen), DetectionStatus(seen).words)
-                    yield _warning(t_ns, "observer", f"section {name} is not measured: {why}")
-                case False:
-                    yield _over(trouble, t_ns, "observer", f"section {name} is measured again")
+        period_s = self._frame_s * (dropped + 1)
+        for (name, condition), seen in zip(self._sections, row["section_seen"], strict=True):
+            why = _SEEN.get(DetectionStatus(seen), DetectionStatus(seen).words)
+            unmeasured = float(seen != DetectionStatus.MEASURED)
+            wrong, well = f"section {name} is not measured: {why}", f"section {name} is measured again"
+            yield from condition.events(t_ns, period_s, unmeasured, "observer", wrong, well)
 
     def _untriggered(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report the first picture of each camera that no pulse of the trigger began."""
@@ -216,18 +213,17 @@ class HealthMonitor:
     def _idle_camera(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report a camera that contributes nothing: the tip is then measured by the others."""
         t_ns, dropped = int(row["t_ns"]), int(row["dropped"])
-        for (name, trouble), seen, skew in zip(self._cameras, row["camera_seen"], row["camera_skew_s"], strict=True):
-            match trouble.judge(t_ns, self._frame_s * (dropped + 1), float(seen != DetectionStatus.MEASURED)):
-                case True:
-                    if np.isnan(skew):
-                        why = "gives no pictures"
-                    elif seen == DetectionStatus.NO_FRAME:
-                        why = "adds nothing: its pictures repeat, or too many are dropped to estimate motion"
-                    else:
-                        why = f"adds nothing: {_SEEN.get(DetectionStatus(seen), DetectionStatus(seen).name)}"
-                    yield _warning(t_ns, "observer", f"camera {name} {why}; the tip is measured without it")
-                case False:
-                    yield _over(trouble, t_ns, "observer", f"camera {name} sees the board again")
+        period_s = self._frame_s * (dropped + 1)
+        for (name, condition), seen, skew in zip(self._cameras, row["camera_seen"], row["camera_skew_s"], strict=True):
+            if np.isnan(skew):
+                why = "gives no pictures"
+            elif seen == DetectionStatus.NO_FRAME:
+                why = "adds nothing: its pictures repeat, or too many are dropped to estimate motion"
+            else:
+                why = f"adds nothing: {_SEEN.get(DetectionStatus(seen), DetectionStatus(seen).name)}"
+            unmeasured = float(seen != DetectionStatus.MEASURED)
+            wrong, well = f"camera {name} {why}; the tip is measured without it", f"camera {name} sees the board again"
+            yield from condition.events(t_ns, period_s, unmeasured, "observer", wrong, well)
 
     def plans(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of plans (n,) of `runs.records.tip_control_dtype`, in order of time."""
@@ -241,12 +237,11 @@ class HealthMonitor:
                 ),
                 (self._not_solved, SolveStatus.NOT_SOLVED, "the solver finds no plan: the ones before are continued"),
             )
-            for trouble, wrong, message in judged:
-                match trouble.judge(t_ns, self._frame_s, float(status == wrong)):
-                    case True:
-                        yield _warning(t_ns, "tip controller", message)
-                    case False:
-                        yield _over(trouble, t_ns, "tip controller", "plans are followed again")
+            for condition, wrong, message in judged:
+                part = float(status == wrong)
+                yield from condition.events(
+                    t_ns, self._frame_s, part, "tip controller", message, "plans are followed again"
+                )
 
     def pulses(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of pulses (n,) of `runs.records.pulse_dtype`, in order of time."""
@@ -262,7 +257,7 @@ class HealthMonitor:
         if scans:
             yield _warning(t_ns, "card", f"{scans} scans were lost: the card's buffer overran")
 
-    def looking(self, t_ns: int) -> Iterator[Event]:
+    def supervisor_stall(self, t_ns: int) -> Iterator[Event]:
         """Report when the last call was long ago; called in every cycle of the supervisor."""
         before, self._looked_ns = self._looked_ns, t_ns
         still_s = (t_ns - before) * 1e-9
