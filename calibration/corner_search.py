@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calibration.vision.board import Board
 from calibration.vision.checkerboard import Checkerboard
-from calibration.vision.corners import sharpen, spacing
+from calibration.vision.corners import refine_corners, spacing
 from calibration.vision.exposure import exposure_fault
 
 Floats = NDArray[np.float64]
@@ -92,7 +92,7 @@ def find_corners(image: Image, corners: tuple[int, int]) -> Floats | None:
     seeds = _seeds(image, corners)
     if seeds is None:
         return None
-    sharp = sharpen(image, seeds, corners)
+    sharp = refine_corners(image, seeds, corners)
     if sharp is not None:
         return sharp.px
     half = max(2, int(0.4 * spacing(seeds, corners)))

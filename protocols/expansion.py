@@ -123,7 +123,7 @@ class _Expander:
             self._level_pa[index] = wave.at(duration_s)
         self._append(kind, label, actuators, duration_s, moving)
 
-    def stand(
+    def hold(
         self, kind: str, label: str, actuators: tuple[int, ...], duration_s: float, levels_pa: Sequence[float] = ()
     ) -> None:
         for number, level in zip(actuators if levels_pa else (), levels_pa, strict=True):

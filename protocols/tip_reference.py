@@ -116,7 +116,7 @@ class TipReference:
         """Learned differences between arm and model (n, 3) [m]; NaN outside the motions."""
         return self._each(t_s, TipMotion.learned_differences_m)
 
-    def place(self, t_s: float) -> tuple[int, int]:
+    def motion_and_period(self, t_s: float) -> tuple[int, int]:
         """Number of the motion, from 1, and of the path's period, from 1, at a protocol time.
 
         0 and 0 outside the motions; the period is 0 in a lead-in, and 1 on a path that does not repeat.

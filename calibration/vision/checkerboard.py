@@ -14,7 +14,7 @@ from calibration.vision import board, cell_reading
 from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, FinestDetail, PrintedCells
 from calibration.vision.board_candidates import board_candidates
 from calibration.vision.cell_reading import grey_at
-from calibration.vision.corners import Corners, sharpen
+from calibration.vision.corners import Corners, refine_corners
 from calibration.vision.square_grid import SquareGrid
 from model.kernels.jit import kernel
 
@@ -102,7 +102,7 @@ class Checkerboard(SquareGrid):
 
     def refine(self, image: Image, seeds_px: Floats) -> Corners | None:
         """Refine all corners; None where one has no model."""
-        return sharpen(image, seeds_px, self.pattern)
+        return refine_corners(image, seeds_px, self.pattern)
 
 
 @exact_kernel

@@ -125,7 +125,7 @@ def _room(grid: Floats) -> float:
     return least
 
 
-def sharpen(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> Corners | None:
+def refine_corners(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> Corners | None:
     """Refine corners (n, 2), known to a few pixels, of a pattern (columns, rows) in a grey picture.
 
     None where a corner has no model: too near the border, or its surroundings are not those of a corner.

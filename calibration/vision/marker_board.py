@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, Board, FinestDetail, PrintedCells
 from calibration.vision.cell_reading import markers_seen
 from calibration.vision.corners import Corners
-from calibration.vision.partial_corners import CornerKind, sharpen_seen
+from calibration.vision.partial_corners import CornerKind, refine_seen_corners
 from calibration.vision.plane_map import mapped, plane_to_image
 
 Floats = NDArray[np.float64]
@@ -176,7 +176,7 @@ class MarkerBoard(Board):
     def _refined(self, image: Image, homography: Floats, seeds_px: Floats, seen: NDArray[np.bool_]) -> Corners | None:
         if seen.sum() < self.least_markers:
             return None
-        corners = sharpen_seen(image, self.corners_m, seeds_px, homography, self.kind, self.plain_m)
+        corners = refine_seen_corners(image, self.corners_m, seeds_px, homography, self.kind, self.plain_m)
         return corners if corners is not None and _spread_out(corners.of(self.corners_m)) else None
 
     def find(self, image: Image) -> Floats | None:

@@ -65,7 +65,7 @@ class CornerKind:
     unexplained: float = 0.0
 
 
-def sharpen_seen(
+def refine_seen_corners(
     image: Image, points_m: Floats, seeds_px: Floats, homography: Floats, kind: CornerKind, plain_m: Floats
 ) -> Corners | None:
     """Refine those of the corners `points_m` (n, 3), known to a few pixels, that are not hidden.

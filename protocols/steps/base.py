@@ -73,7 +73,7 @@ class TrajectoryBuilder(Protocol):
     ) -> None:
         """Append a segment that moves the set-points, one waveform [Pa] for each actuator."""
 
-    def stand(
+    def hold(
         self, kind: str, label: str, actuators: tuple[int, ...], duration_s: float, levels_pa: Sequence[float] = ()
     ) -> None:
         """Append a segment of constant set-points; with `levels_pa` its actuators jump to these first."""

@@ -26,8 +26,8 @@ class Hold(MotionStep):
 
     def play(self, builder: TrajectoryBuilder) -> None:
         if self.actuators is None or self.level_bar is None:
-            builder.stand("hold", self.label or "hold", (), self.duration_s)
+            builder.hold("hold", self.label or "hold", (), self.duration_s)
             return
         label = self.label or levels_text(self.level_bar)
         levels_pa = [pa(bar) for bar in each(self.level_bar, len(self.actuators))]
-        builder.stand("hold", label, self.actuators, self.duration_s, levels_pa)
+        builder.hold("hold", label, self.actuators, self.duration_s, levels_pa)

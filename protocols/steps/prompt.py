@@ -26,4 +26,4 @@ class PromptStep(LeafStep):
     def play(self, builder: TrajectoryBuilder) -> None:
         """A short segment in which nothing moves, and the prompt at its start."""
         builder.prompt(self.message, self.weight_g)
-        builder.stand("prompt", self.message, (), PROMPT_S)
+        builder.hold("prompt", self.message, (), PROMPT_S)

@@ -44,7 +44,7 @@ class Staircase(MotionStep):
             if self.rise_s > 0 and any(start != target for start in starts):
                 waves = [LinearSegment(start, target, self.rise_s) for start in starts]
                 builder.move("rise", label, self.actuators, self.rise_s, waves)
-            builder.stand("dwell", label, self.actuators, self.dwell_s, [target] * len(starts))
+            builder.hold("dwell", label, self.actuators, self.dwell_s, [target] * len(starts))
 
     @property
     def most_segments(self) -> tuple[int, tuple[str, ...]]:

@@ -77,7 +77,7 @@ class BenchDriver:
                 raise TrippedError(command.trip)
         return rows.log()
 
-    def let(self, valve: int, offset_v: float, seconds: float, band_pa: float = math.inf) -> BenchLog:
+    def open_valve(self, valve: int, offset_v: float, seconds: float, band_pa: float = math.inf) -> BenchLog:
         """Open one flow-metering valve to an offset from its closed voltage, for `seconds` or until the pressure
         changes by `band_pa`; the other valves are in their safe state.
         """

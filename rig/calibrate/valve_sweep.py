@@ -47,10 +47,10 @@ def sweep(config: RigConfig, driver: BenchDriver, index: int) -> list[RateMeasur
         level = np.zeros(config.actuators)
         level[chambers] = share * highest
         driver.regulate(level, REACH_S)
-        driver.let(index, 0.0, REST_S)
+        driver.open_valve(index, 0.0, REST_S)
 
     def watch(offset_v: float, outward: bool, seconds: float) -> RateMeasurement:
-        log = driver.let(index, offset_v, seconds, BAND * highest)
+        log = driver.open_valve(index, offset_v, seconds, BAND * highest)
         return rate_of(log.time_s, log.pressure_pa[:, chambers].mean(axis=1), offset_v, outward)
 
     rates: list[RateMeasurement] = []
@@ -67,7 +67,7 @@ def sweep(config: RigConfig, driver: BenchDriver, index: int) -> list[RateMeasur
                 continue
             reach(share)
             out = watch(side * offset, True, WATCH_S)
-            driver.let(index, side * (offset + KICK_V), KICK_S, BAND * highest)
+            driver.open_valve(index, side * (offset + KICK_V), KICK_S, BAND * highest)
             back = watch(side * offset, False, WATCH_S)
             rates += [out, back]
             before_v, before = fastest[side]

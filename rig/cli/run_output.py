@@ -22,7 +22,7 @@ from rig.experiment.preflight import peak_pa
 from rig.experiment.run import RunRequest, RunResult
 from rig.hardware.safe_state import safe_voltages
 from rig.realtime.scheduling import obtainable
-from rig.realtime.timing_limits import remedies, stated, valves_at_stake
+from rig.realtime.timing_limits import has_real_valves, remedies, timing_sentence
 from rig.sections.quantities import PA_PER_BAR
 from runs.records import Status
 
@@ -67,8 +67,8 @@ def check_screen(request: RunRequest, plan: RunPlan) -> Group:
         facts.add_row("tip", "not measured: the rig has no camera; the run has pressures and the model only")
     if not request.fast:
         granted = obtainable()
-        facts.add_row("timing", stated(config, granted))
-        if valves_at_stake(config) and (refused := remedies(granted)):
+        facts.add_row("timing", timing_sentence(config, granted))
+        if has_real_valves(config) and (refused := remedies(granted)):
             facts.add_row("", refused)
     peak = peak_bar(plan)
     table = ColumnTable()

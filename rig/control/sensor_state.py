@@ -24,7 +24,7 @@ class SensorSettings:
     One count of 16 bits, the accuracy, the largest tracking error, and the lowest pressure that its valve can reach.
     """
 
-    count_v: float
+    lsb_v: float
     accuracy_pa: float
     tracking_pa: float
     lowest_pa: float = 0.0
@@ -60,7 +60,7 @@ class RegulatorDemand(NamedTuple):
     integral_pa_s: float
 
 
-def count_v(sensor: Sensor) -> float:
+def lsb_v(sensor: Sensor) -> float:
     """One count of the 16-bit input of a sensor, in the unit of the input."""
     return (sensor.signal_range[1] - sensor.signal_range[0]) / SIXTEEN_BITS
 
@@ -90,7 +90,7 @@ def updated(
     """The state after a scan `dt` after the last one; `counted` is the part of `dt` that counts for the timers."""
     slope = (pressure - watch.pressure_pa) / dt
     rate = watch.rate_pa_s + (slope - watch.rate_pa_s) * dt / (RATE_FILTER_S + dt)
-    if abs(volts - watch.anchor_v) >= s.count_v:
+    if abs(volts - watch.anchor_v) >= s.lsb_v:
         anchor, still, expected, held = volts, 0.0, 0.0, demand.integral_pa_s
     else:
         anchor, still, held = watch.anchor_v, watch.anchor_s + counted, watch.anchor_integral_pa_s

@@ -53,7 +53,7 @@ class StreamPosition(NamedTuple):
     sequence: int = -1
 
 
-def judged(
+def stream_status(
     row: NDArray[np.void] | np.void, interval: StreamInterval | None, before: StreamPosition, limits: StreamLimits
 ) -> StreamStatus:
     """Whether a set-point (a row of `streamed_dtype`) may be followed in an interval, None outside of one."""
@@ -90,7 +90,7 @@ class StreamFollower:
     ) -> NDArray[np.void] | np.void:
         """Follow a set-point from now on, or refuse it; return its row for the record, completed."""
         interval = None if held else self._trajectory.stream_at(protocol_s)
-        row["status"] = judged(row, interval, self._newest, self._limits)
+        row["status"] = stream_status(row, interval, self._newest, self._limits)
         row["protocol_s"], row["late_s"] = protocol_s, (now_ns - row["t_ns"]) * 1e-9
         if row["status"] == StreamStatus.FOLLOWED:
             self._enter(interval)

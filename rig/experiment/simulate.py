@@ -55,7 +55,7 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
     rows["pressure_pa"] = pressures
     rows["reference_m"] = trajectory.tip.sample(rows["protocol_s"])
     rows["predicted_m"] = trajectory.tip.predicted_m(rows["protocol_s"])
-    places = np.array([trajectory.tip.place(t_s) for t_s in rows["protocol_s"].tolist()])
+    places = np.array([trajectory.tip.motion_and_period(t_s) for t_s in rows["protocol_s"].tolist()])
     rows["tip_motion"], rows["tip_period"] = places.T
     tip_load, shape, tip_m = TipLoad(config), None, np.full(3, np.nan)
     for row, pressure in zip(rows, pressures, strict=True):

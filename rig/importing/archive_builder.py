@@ -27,7 +27,7 @@ from rig.importing.mapping import Mapping, load
 from rig.importing.pressure_columns import AppliedDelay, delayed, pressure_delay, pressures, setpoints
 from rig.importing.tables import read as read_table
 from rig.importing.timestamps import RowTimes, times
-from rig.importing.tracker_frames import PlacedTips, placed, wrench
+from rig.importing.tracker_frames import PlacedTips, tips_in_base, wrench
 from rig.importing.units import KILOGRAMS, VOLTS
 from rig.sections.quantities import PA_PER_BAR
 from runs.archive.writer import finalise
@@ -121,7 +121,7 @@ def _read(data: Path, columns: ColumnReader, mapping: Mapping, document: Documen
     read = times(columns, mapping)
     t_ns = read.t_ns
     gauge_pa, ambient_pa = pressures(columns, mapping)
-    tips = placed(columns, mapping)
+    tips = tips_in_base(columns, mapping)
     delay = pressure_delay(columns, mapping, document, (t_ns - t_ns[0]) * 1e-9, gauge_pa, tips.tip_m)
     gauge_pa = delayed(t_ns, gauge_pa, delay.delay_s)
     setpoint_pa, valve_v, weight_kg = setpoints(columns, mapping), _valves(columns, mapping), _weight(columns, mapping)
@@ -285,14 +285,14 @@ def _valves(columns: ColumnReader, mapping: Mapping) -> Floats:
     """Voltages (n, V), or one row of none."""
     if mapping.valves is None:
         return np.empty((1, 0))
-    return columns.several(mapping.valves.columns, [VOLTS[mapping.valves.unit]] * len(mapping.valves.columns))
+    return columns.read_columns(mapping.valves.columns, [VOLTS[mapping.valves.unit]] * len(mapping.valves.columns))
 
 
 def _weight(columns: ColumnReader, mapping: Mapping) -> Floats:
     """Return weights (n,) [kg]; zero where the file has none."""
     if mapping.weight is None:
         return np.zeros(1)
-    weight = columns.several((mapping.weight.column,), (KILOGRAMS[mapping.weight.unit],))[:, 0]
+    weight = columns.read_columns((mapping.weight.column,), (KILOGRAMS[mapping.weight.unit],))[:, 0]
     columns.warn_missing(weight, "the weight")
     return weight
 

@@ -49,7 +49,7 @@ class ColumnReader:
         self._length = self._length or (column, len(cells))
         return cells
 
-    def several(self, columns: Sequence[Key], scales: Sequence[float]) -> Floats:
+    def read_columns(self, columns: Sequence[Key], scales: Sequence[float]) -> Floats:
         """Columns (n, k), each times its scale; NaN stands for one that cannot be read, beside its problem."""
         length = self._length[1] if self._length else 2
         found = [self.scaled(column, scale) for column, scale in zip(columns, scales, strict=True)]

@@ -44,7 +44,7 @@ def measured_gravity(
         return None
     cell = gravity.cell or mapping.wrench
     assert cell is not None
-    force = columns.several(cell.force.columns, (NEWTONS[cell.force.unit],) * 3)
+    force = columns.read_columns(cell.force.columns, (NEWTONS[cell.force.unit],) * 3)
     turn = load_cell_turn(columns, mapping, cell)
     if columns.problems:
         return None

@@ -142,4 +142,4 @@ def _scaled(
     columns: ColumnReader, keys: tuple[int | str, ...], unit: PressureUnit | tuple[PressureUnit, ...]
 ) -> Floats:
     units = unit if isinstance(unit, tuple) else (unit,) * len(keys)
-    return columns.several(keys, [PASCALS[word] for word in units])
+    return columns.read_columns(keys, [PASCALS[word] for word in units])

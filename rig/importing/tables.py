@@ -22,7 +22,7 @@ from rig.importing.mapping_sections import TableFormat
 
 LARGEST_FILE = 500_000_000
 MOST_PROBLEMS = 5
-"""Rows that are named of a mistake that many have; see `some`."""
+"""Rows that are named of a mistake that many have; see `first_problems`."""
 DELIMITERS = {"semicolon": ";", "tab": "\t", "bar": "|", "comma": ",", "space": " "}
 """In the order in which they are tried: a comma may be a decimal one, a space stand in a name."""
 SNIFFED_LINES = 50
@@ -92,7 +92,9 @@ class CsvTable:
         if len(rows) > 1 and all(map(self._other_decimal, cells)):
             problem_at = self._no_number(rows[0], column, cells[0])
             raise BadInputError([replace(problem_at, value=f"{problem_at.value}, and so in {len(rows) - 1} more rows")])
-        raise BadInputError(some(self, column, rows, lambda row: self._no_number(row, column, self.odd[row, at])))
+        raise BadInputError(
+            first_problems(self, column, rows, lambda row: self._no_number(row, column, self.odd[row, at]))
+        )
 
     def texts(self, column: Key) -> Sequence[str]:
         """See `SourceTable`."""
@@ -133,7 +135,9 @@ class CsvTable:
         return not self.decimal_comma and re.fullmatch(r"[-+]?\d*,\d+", cell) is not None
 
 
-def some(table: SourceTable, column: Key, rows: Sequence[int], problem_at: Callable[[int], Problem]) -> list[Problem]:
+def first_problems(
+    table: SourceTable, column: Key, rows: Sequence[int], problem_at: Callable[[int], Problem]
+) -> list[Problem]:
     """Return the problems of the first rows with the same fault, and the number of the others."""
     problems = [problem_at(int(row)) for row in rows[:MOST_PROBLEMS]]
     if len(rows) > len(problems):
@@ -249,7 +253,9 @@ class MatTable:
         if infinite:
             expected = "a finite number, or NaN where nothing was measured"
             raise BadInputError(
-                some(self, column, infinite, lambda row: self.problem(row, column, str(numbers[row]), expected))
+                first_problems(
+                    self, column, infinite, lambda row: self.problem(row, column, str(numbers[row]), expected)
+                )
             )
         return numbers
 

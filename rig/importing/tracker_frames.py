@@ -14,7 +14,7 @@ from protocols.problems import Problem
 from rig.importing.columns import ColumnReader
 from rig.importing.mapping import Mapping
 from rig.importing.mapping_sections import BaseSensor, LoadCell, Orientation, Position, TipOrientation, Wrench
-from rig.importing.tables import some
+from rig.importing.tables import first_problems
 from rig.importing.units import METRES, NEWTON_METRES, NEWTONS
 
 UNIT = 0.01
@@ -66,10 +66,10 @@ def wrench(columns: ColumnReader, mapping: Mapping) -> Floats:
     wrench = mapping.wrench
     if wrench is None:
         return np.zeros((1, 6))
-    force = columns.several(wrench.force.columns, (NEWTONS[wrench.force.unit],) * 3)
+    force = columns.read_columns(wrench.force.columns, (NEWTONS[wrench.force.unit],) * 3)
     moment = np.zeros_like(force)
     if wrench.moment is not None:
-        moment = columns.several(wrench.moment.columns, (NEWTON_METRES[wrench.moment.unit],) * 3)
+        moment = columns.read_columns(wrench.moment.columns, (NEWTON_METRES[wrench.moment.unit],) * 3)
     turn = load_cell_turn(columns, mapping, wrench)
     if columns.problems:
         return np.zeros((1, 6))
@@ -83,7 +83,7 @@ def wrench(columns: ColumnReader, mapping: Mapping) -> Floats:
     table, column = columns.table, wrench.force.columns[0]
     expected = "a whole wrench in every row: what pulls at the arm cannot be guessed"
     broken = np.flatnonzero(~np.isfinite(found).all(axis=1)).tolist()
-    columns.problems += some(
+    columns.problems += first_problems(
         table, column, broken, lambda row: table.problem(row, column, "nothing, or no orientation", expected)
     )
     return found if wrench.on == "arm" else -found
@@ -155,7 +155,7 @@ def _warn_of_lever(columns: ColumnReader, force: Floats, moment: Floats) -> None
         columns.warn(warning)
 
 
-def placed(columns: ColumnReader, mapping: Mapping) -> PlacedTips:
+def tips_in_base(columns: ColumnReader, mapping: Mapping) -> PlacedTips:
     """Tips in the rod-base frame: position, orientation where the mapping states its uncertainty, and covariance.
 
     tip + R_tip offset - base, turned by the base's inverse orientation where that is used, then by the mapping's
@@ -228,7 +228,7 @@ def _base_turn(columns: ColumnReader, base: BaseSensor) -> Floats | None:
 
 def _position(columns: ColumnReader, position: Position, whose: str) -> Floats:
     units = position.unit if isinstance(position.unit, tuple) else (position.unit,) * 3
-    values = columns.several(position.columns, [METRES[unit] for unit in units])
+    values = columns.read_columns(position.columns, [METRES[unit] for unit in units])
     columns.warn_missing(values, f"the {whose}'s position")
     return values
 
@@ -243,7 +243,7 @@ def _variance(uncertainty_mm: float | tuple[float, ...] | None) -> Floats:
 def _turns(columns: ColumnReader, orientation: Orientation, whose: str) -> Floats:
     """What the columns hold (n, 4), (n, 3) or (n, 9), in the order of the mapping; angles in radians."""
     scale = np.pi / 180 if orientation.unit == "deg" else 1.0
-    values = columns.several(orientation.columns, (scale,) * len(orientation.columns))
+    values = columns.read_columns(orientation.columns, (scale,) * len(orientation.columns))
     columns.warn_missing(values, f"the {whose}'s orientation")
     return values
 

@@ -312,7 +312,7 @@ class Observer:
         row["reference_m"] = self._reference.position_m(t_s)
         row["predicted_m"] = self._reference.predicted_m([t_s])[0]
         row["learned_m"] = self._reference.learned_m([t_s])[0]
-        row["tip_motion"], row["tip_period"] = self._reference.place(t_s)
+        row["tip_motion"], row["tip_period"] = self._reference.motion_and_period(t_s)
 
 
 def _describe_clock(row: NDArray[np.void], reading: TrackerReading) -> None:

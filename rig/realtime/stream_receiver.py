@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.trajectory import StreamInterval
-from rig.control.stream_follower import StreamLimits, StreamPosition, judged
+from rig.control.stream_follower import StreamLimits, StreamPosition, stream_status
 from rig.execution.plan import RunPlan
 from rig.realtime.shared_state import SharedState
 from rig.sections.quantities import PA_PER_BAR
@@ -92,7 +92,7 @@ class StreamReceiver:
         if interval is not None and self._owner not in (0, connection):
             row["status"] = StreamStatus.OTHER_CLIENT
         before = StreamPosition(connection, client.sequence)
-        row["status"] = judged(row, interval, before, self._limits)
+        row["status"] = stream_status(row, interval, before, self._limits)
         self._memory.new_setpoints.push(row)
         reason = self._reason(StreamStatus(int(row["status"])), client, packet)
         if reason:

@@ -17,7 +17,7 @@ from rig.realtime.process_group import PROCESSES, TAKEN_OVER, ProcessGroup
 from rig.realtime.scheduling import REAL_TIME, Scheduling, obtainable, steal_time_ms
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, StateLayout, Stop
 from rig.realtime.shutdown import Shutdown
-from rig.realtime.timing_limits import TimingProfile, remedies, stated, timing_limits
+from rig.realtime.timing_limits import TimingProfile, remedies, timing_limits, timing_sentence
 from rig.realtime.tip_controller_monitor import TipControllerMonitor
 from rig.simulator.plant_launcher import Simulation, started
 from runs.records import Event, Level, Status
@@ -145,7 +145,7 @@ class Supervisor:
                 return Status.FINISHED, self._tip_controller.message
             self._session.update(self.record)
             if self._plant is not None:
-                self._plant.hang(self._plan.trajectory.weight_kg(memory.protocol_s))
+                self._plant.set_tip_weight(self._plan.trajectory.weight_kg(memory.protocol_s))
             self._session.serve(PERIOD_S)
 
     def await_ready(self, name: str) -> None:
@@ -214,7 +214,7 @@ class Supervisor:
             self._event(Level.WARNING, "control", refused)
         level = Level.WARNING if self.timing.profile is TimingProfile.ORDINARY else Level.INFO
         if self.timing.profile is not TimingProfile.STRICT or REAL_TIME not in granted:
-            self._event(level, "supervisor", stated(self._plan.config, granted))
+            self._event(level, "supervisor", timing_sentence(self._plan.config, granted))
 
     def _outcome(self, status: Status, message: str, stolen: int) -> Outcome:
         """Verify the safe state and return the outcome of the run, which a failure of the end aborts."""

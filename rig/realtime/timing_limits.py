@@ -65,7 +65,7 @@ class TimingLimits:
         return 2 * self.frame_s
 
 
-def valves_at_stake(config: RigConfig) -> bool:
+def has_real_valves(config: RigConfig) -> bool:
     """True if a card of the rig is real hardware."""
     return any(not card.is_mock for card in config.cards.values())
 
@@ -79,9 +79,9 @@ def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
     """
     limits = config.limits
     strict_ns = round((limits.hung_s or STRICT_HUNG_S) * 1e9)
-    if limits.hung_s is not None or (valves_at_stake(config) and REAL_TIME in granted):
+    if limits.hung_s is not None or (has_real_valves(config) and REAL_TIME in granted):
         return TimingLimits(TimingProfile.STRICT, strict_ns, frame_s=limits.no_tip_s)
-    if valves_at_stake(config):
+    if has_real_valves(config):
         hung_s = max(STRICT_HUNG_S, min(limits.stale_s, ORDINARY_HUNG_S))
         return TimingLimits(TimingProfile.ORDINARY, round(hung_s * 1e9), frame_s=limits.no_tip_s)
     real_sources = any(not source.is_mock for source in config.tip_sources)
@@ -106,7 +106,7 @@ def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
     )
 
 
-def stated(config: RigConfig, granted: Scheduling) -> str:
+def timing_sentence(config: RigConfig, granted: Scheduling) -> str:
     """One sentence for the operator: when control counts as hung on this bench, and which guarantees are missing."""
     timing = timing_limits(config, granted)
     hung_s = timing.control_hung_ns * 1e-9

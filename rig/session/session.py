@@ -19,7 +19,7 @@ from rig.experiment import report_process
 from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest, RunResult
 from rig.experiment.simulate import simulate
-from rig.realtime.timing_limits import valves_at_stake
+from rig.realtime.timing_limits import has_real_valves
 from rig.session.prompts import Answer, FunctionOperator
 from rig.session.study import FunctionStudyOperator, run_study
 from rig.study.study import load as load_study
@@ -197,7 +197,7 @@ class Session:
 
 def _check_arming(request: RunRequest, plan: RunPlan, yes: bool, answer: Answer | None) -> None:
     problems = []
-    if valves_at_stake(request.config) and not yes:
+    if has_real_valves(request.config) and not yes:
         expected = f"yes=True: rig {request.config.name} has real valves, and this arms them without a question"
         problems.append(Problem("yes", 0, 0, "", "False", expected))
     if not request.fast and plan.trajectory.prompts and answer is None:

@@ -150,7 +150,7 @@ class Plant:
         for index in range(max(first, last - REMEMBERED_POSES + 1), last + 1):
             self._remember(index, *list(standing)[2:])
 
-    def hang(self, weight_kg: float) -> None:
+    def set_tip_weight(self, weight_kg: float) -> None:
         """Hang a weight on the end cap in place of what hung there, as an operator would."""
         self._weight_kg = weight_kg
         self._loads = self._hook.carrying(weight_kg)

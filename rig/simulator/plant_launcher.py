@@ -58,10 +58,10 @@ class Simulation:
         """Delay [ns] of the plant behind a time of CLOCK_MONOTONIC."""
         return 0 if self._registers is None else now_ns - self._registers.plant_t_ns
 
-    def hang(self, weight_kg: float) -> None:
+    def set_tip_weight(self, weight_kg: float) -> None:
         """Hang a weight on the end cap, as a prompt requests from the operator."""
         if self._registers is not None:
-            self._registers.hang(weight_kg)
+            self._registers.set_tip_weight(weight_kg)
 
     @property
     def exit_status(self) -> int | None:

@@ -74,9 +74,9 @@ class _SimulatedCard:
         """Pass the registers of the outputs to the valves of the plant."""
         self._card.write(self._volts[self._channels])
 
-    def hung_kg(self) -> float:
+    def tip_weight_kg(self) -> float:
         """Mass of the weight on the end cap [kg]."""
-        return float(self._registers.header["hung_kg"][0])
+        return float(self._registers.header["tip_weight_kg"][0])
 
     def publish(self, plant: Plant) -> None:
         """Publish the new scans and poses of the plant in the rings."""
@@ -175,7 +175,7 @@ def _wait_or_catch_up(plant: Plant, devices: Sequence[_SimulatedCard], waits_ns:
 
 def _simulate(plant: Plant, devices: Sequence[_SimulatedCard], until_ns: int) -> None:
     if devices:
-        plant.hang(devices[0].hung_kg())
+        plant.set_tip_weight(devices[0].tip_weight_kg())
     for written_ns, device in sorted(((d.newest_write_ns(), d) for d in devices), key=itemgetter(0)):
         if written_ns <= until_ns:
             plant.advance(written_ns)

@@ -50,7 +50,7 @@ HEADER_DTYPE = np.dtype(
         ("pose_rows", "<u8"),
         ("plant_pid", "<i8"),
         ("plant_t_ns", "<i8"),
-        ("hung_kg", "<f8"),
+        ("tip_weight_kg", "<f8"),
         ("scans", "<i8"),
         ("poses", "<i8"),
         ("sections", "<u8"),
@@ -199,9 +199,9 @@ class Registers:
         """Present time of the plant."""
         return int(self.header["plant_t_ns"][0])
 
-    def hang(self, weight_kg: float) -> None:
+    def set_tip_weight(self, weight_kg: float) -> None:
         """Hang a weight on the simulated end cap; the plant reads it from this register."""
-        self.header["hung_kg"][0] = weight_kg
+        self.header["tip_weight_kg"][0] = weight_kg
 
     def push_scans(self, t_ns: NDArray[np.int64], volts: NDArray[np.float64]) -> None:
         """Append scans (n,), (n, inputs). Only the plant may."""

@@ -194,7 +194,7 @@ class _VirtualRun:
 
     def _cycle(self, cycle: int, now: int) -> tuple[Status, str] | None:
         """Run one cycle and its frames; return how the run ends, None while it continues."""
-        self._plant.hang(self._plan.trajectory.weight_kg(self._loop.position.protocol_s))
+        self._plant.set_tip_weight(self._plan.trajectory.weight_kg(self._loop.position.protocol_s))
         self._plant.advance(now)
         if self._trigger is not None:
             self._trigger.cycle(cycle)

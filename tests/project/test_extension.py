@@ -110,7 +110,7 @@ def test_the_examples_of_the_page_are_complete_extensions(known: dict[str, Any])
     played: list[tuple[str, list[float]]] = []
 
     class TrajectoryBuilder:
-        def stand(self, kind: str, label: str, actuators: object, duration_s: float, levels_pa: list[float]) -> None:
+        def hold(self, kind: str, label: str, actuators: object, duration_s: float, levels_pa: list[float]) -> None:
             played.append((kind, levels_pa))
 
     known["Pulse"](actuators=(1, 2), level_bar=0.3, duration_s=1.0).play(TrajectoryBuilder())

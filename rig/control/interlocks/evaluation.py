@@ -49,8 +49,7 @@ def settings(config: RigConfig) -> InterlockSettings:
     return InterlockSettings(
         sample=tuple(kind.of(config) for kind in SAMPLE_INTERLOCKS),
         sensors=tuple(
-            SensorSettings(sensor_state.count_v(s), s.accuracy_bar * PA_PER_BAR, tracking_pa, lowest_pa)
-            for s in sensors
+            SensorSettings(sensor_state.lsb_v(s), s.accuracy_bar * PA_PER_BAR, tracking_pa, lowest_pa) for s in sensors
         ),
         actuators=tuple(tuple(kind.of(config, s) for kind in ACTUATOR_INTERLOCKS) for s in sensors),
     )

@@ -96,7 +96,7 @@ class BrokenSensors(SampleInterlock):
         spans = []
         for sensor in config.sensors_by_actuator:
             low, high = sorted(sensor.signal_span)
-            margin, ceiling = sensor.signal_margin, sensor.signal_range[1] - sensor_state.count_v(sensor)
+            margin, ceiling = sensor.signal_margin, sensor.signal_range[1] - sensor_state.lsb_v(sensor)
             spans.append((low - margin, high + margin, ceiling))
         return cls(tuple(spans), tuple(sensor.unit for sensor in config.sensors_by_actuator))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calibration.vision.corners import sharpen
+from calibration.vision.corners import refine_corners
 from calibration.vision.transforms import RigidTransform
 from rig.simulator.scene import ImageDegradation
 from tests.support.vision_bench import BOARD, LENS, facing, scene, still
@@ -41,7 +41,7 @@ def test_the_stated_uncertainty_is_that_of_the_corners_in_uneven_light(ratio: fl
     for _ in range(15):
         pose = facing(rng.uniform(-0.03, 0.03), rng.uniform(-0.02, 0.02), 0.4, rng.uniform(5, 35), rng.uniform(-30, 30))
         exact = LENS.project(BOARD.corners_m, cv2.Rodrigues(pose.rotation)[0].ravel(), pose.translation_m)
-        found = sharpen(lit(pose, exact, ratio, rng), exact + rng.normal(0, 0.3, exact.shape), PATTERN)
+        found = refine_corners(lit(pose, exact, ratio, rng), exact + rng.normal(0, 0.3, exact.shape), PATTERN)
         assert found is not None
         squares.append(np.square(found.px - exact).mean())
         stated.append(np.trace(found.covariance, axis1=1, axis2=2).mean() / 2)

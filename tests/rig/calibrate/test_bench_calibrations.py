@@ -230,7 +230,7 @@ def test_an_interlock_ends_the_drive_and_the_valves_vent(truth: RigConfig) -> No
     with virtual(truth, 0, moving_arm=False) as (bench, clock, _):
         driver = BenchDriver(truth, bench, clock, lambda: None)
         with pytest.raises(TrippedError, match="changes by"):
-            driver.let(0, 3.0, 1.0)  # far open: faster than the limit
+            driver.open_valve(0, 3.0, 1.0)  # far open: faster than the limit
     assert np.allclose(bench.readback(), bench.safe_voltages, atol=1e-3)
 
 
@@ -240,7 +240,7 @@ def test_a_frozen_sensor_ends_the_drive_while_the_valve_is_open(truth: RigConfig
         driver.regulate(np.array([2e4, 0, 0]), 0.5)
         plant.faults.inject(sensor_1=SensorFault.FROZEN)
         with pytest.raises(TrippedError, match="has not moved by one count"):
-            driver.let(0, 0.6, 5.0)
+            driver.open_valve(0, 0.6, 5.0)
 
 
 @pytest.mark.parametrize("drive", ["regulate", "let"])
@@ -262,7 +262,7 @@ def test_a_pressed_stop_ends_the_drive_and_vents_valves_that_hold(drive: str) ->
             if drive == "regulate":
                 driver.regulate(np.array([2e4, 0, 0]), 0.3)
             else:
-                driver.let(0, 0.6, 0.3)
+                driver.open_valve(0, 0.6, 0.3)
 
     with pytest.raises(TrippedError, match="emergency stop 'button'"):
         driven()

@@ -21,7 +21,7 @@ from rig.control.step import Sample
 from rig.experiment import run as experiment
 from rig.hardware.bench import BenchScans
 from rig.realtime.scheduling import REAL_TIME, Scheduling
-from rig.realtime.timing_limits import TimingLimits, TimingProfile, remedies, stated, timing_limits
+from rig.realtime.timing_limits import TimingLimits, TimingProfile, remedies, timing_limits, timing_sentence
 from rig.simulator.plant import Plant
 from scripts.rig_process import BRIEF, strict
 from tests.support.plant_bench import mock_rig
@@ -84,14 +84,14 @@ def test_a_stated_hung_s_applies_to_any_bench(granted: Scheduling) -> None:
 
 
 def test_missing_promises_are_reported_with_the_remedy() -> None:
-    said = stated(real_rig(), Scheduling.NONE)
+    said = timing_sentence(real_rig(), Scheduling.NONE)
     assert "100 ms" in said
     assert "no reaction time can be promised" in said
     assert "rtprio" in remedies(Scheduling.NONE)
     assert "memlock" in remedies(Scheduling.NONE)
-    assert "promised" not in stated(real_rig(), REAL_TIME)
-    assert "30 ms" in stated(real_rig(), REAL_TIME)
-    assert "simulated bench" in stated(rig.config.loader.load("mock"), Scheduling.NONE)
+    assert "promised" not in timing_sentence(real_rig(), REAL_TIME)
+    assert "30 ms" in timing_sentence(real_rig(), REAL_TIME)
+    assert "simulated bench" in timing_sentence(rig.config.loader.load("mock"), Scheduling.NONE)
 
 
 def test_scans_of_a_late_simulator_do_not_stop_a_run(

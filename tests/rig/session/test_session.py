@@ -97,7 +97,7 @@ def test_a_rig_that_is_not_open_runs_nothing(folder: Path) -> None:
 
 
 def test_real_valves_are_armed_only_on_request(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.session.session.valves_at_stake", lambda config: True)
+    monkeypatch.setattr("rig.session.session.has_real_valves", lambda config: True)
     with rig.open("mock") as bench, pytest.raises(BadInputError, match="yes=True"):
         bench.run(folder / "step.yaml", fast=True, out=folder / "none")
 
