@@ -6,7 +6,7 @@ from pathlib import Path
 
 import yaml
 
-from protocols.problems import BadInputError, Problem
+from protocols.problems import BadInputError, Problem, bad_input
 from protocols.source_positions import Document, NestingError, Reader, compose, shortened
 from protocols.validation import validate
 
@@ -58,14 +58,14 @@ def parse(text: str, file: str) -> Document:
     except yaml.YAMLError as error:
         raise BadInputError([_syntax_problem(error, text, file)]) from None
     except RecursionError:
-        raise BadInputError([Problem(file, 0, 0, "", "", "the file is nested too deeply")]) from None
+        raise bad_input(file, "", "the file is nested too deeply") from None
     if node is None or (isinstance(node, yaml.ScalarNode) and not node.value and node.style is None):
-        raise BadInputError([Problem(file, 0, 0, "", "", "the file is empty")])
+        raise bad_input(file, "", "the file is empty")
     reader = Reader(file, text)
     data, positions = reader.value(node, ())
     if reader.too_large:
         expected = "the file is too large: with its aliases (*name) spelt out it has far too many values"
-        raise BadInputError([Problem(file, 0, 0, "", "", expected)])
+        raise bad_input(file, "", expected)
     if not isinstance(data, dict):
         kind = "a list" if isinstance(data, list) else shortened(positions.source)
         expected = "a mapping ('key: value' lines) at the top of the file"

@@ -17,7 +17,7 @@ from protocols import document as yaml_document
 from protocols.document import Document
 from protocols.expansion import expand, too_long
 from protocols.parameters import ParameterValue
-from protocols.problems import BadInputError, Problem
+from protocols.problems import BadInputError, Problem, bad_input
 from protocols.schema import InnerSteps, ProtocolFile, Step
 from protocols.source_positions import path_text, shortened
 from protocols.steps.base import LeafStep
@@ -170,7 +170,7 @@ def find(name: str, folder: Path, what: str) -> Path:
     nearby = sorted(candidates[stem] for stem in difflib.get_close_matches(given.stem, candidates))
     expected = f"there is no such file, and no {what} of that name; the names are {', '.join(names)}"
     shown = shortened(name if name.isprintable() else repr(name)) or "''"
-    raise BadInputError([Problem(shown, 0, 0, "", "", expected, " or ".join(nearby))])
+    raise bad_input(shown, "", expected, " or ".join(nearby))
 
 
 def _leaves(steps: Sequence[Step], base: tuple[str | int, ...]) -> Iterator[tuple[tuple[str | int, ...], LeafStep]]:

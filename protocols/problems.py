@@ -51,6 +51,11 @@ class BadInputError(Exception):
         return "\n".join(blocks)
 
 
+def bad_input(place: str, value: str, expected: str, suggestion: str = "") -> BadInputError:
+    """The error of one problem with a whole file, or with an option of a command."""
+    return BadInputError([Problem(place, 0, 0, "", value, expected, suggestion)])
+
+
 def closest(word: str, known: Iterable[str]) -> str:
     """The known word closest to `word`, or an empty string."""
     by_folded = {_folded(name): name for name in known}

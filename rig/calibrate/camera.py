@@ -8,9 +8,9 @@ from pathlib import Path
 from calibration.camera import CameraCalibration, calibrate, calibrate_views
 from calibration.views import View
 from calibration.vision.board import Board
+from protocols.problems import bad_input
 from rig.calibrate import file_sections, inputs, residual_figure
 from rig.calibrate.bench_operator import BenchOperator
-from rig.calibrate.inputs import bad_input
 from rig.calibrate.output_file import OutputFile
 from rig.calibrate.view_collection import collect, pictures
 from rig.config.board_sections import BoardPattern

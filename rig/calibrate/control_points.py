@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calibration.cross_validation import PointObservations
 from protocols import BadInputError, Problem, document
-from protocols.problems import closest
+from protocols.problems import bad_input, closest
 
 Floats = NDArray[np.float64]
 
@@ -65,9 +65,7 @@ def table(path: Path, columns: tuple[str, ...]) -> list[tuple[int, dict[str, str
         expected = f"a line of CSV ({fault})"
         raise BadInputError([Problem(str(path), reader.line_num, 0, "", "", expected)]) from None
     if not rows:
-        raise BadInputError(
-            [Problem(str(path), 0, 0, "", "", f"the file is empty: a header {','.join(columns)} and rows")]
-        )
+        raise bad_input(str(path), "", f"the file is empty: a header {','.join(columns)} and rows")
     line, header = rows[0]
     header = [name.strip() for name in header]
     missing = [name for name in columns if name not in header]

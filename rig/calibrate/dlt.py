@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from calibration.vision.transforms import RigidTransform
+from protocols.problems import bad_input
 from rig.calibrate import inputs
 from rig.calibrate.dlt_boards import from_boards
 from rig.calibrate.dlt_file import dlt_file
 from rig.calibrate.dlt_fit import DLTCalibrationResult
 from rig.calibrate.dlt_points import from_points
-from rig.calibrate.inputs import bad_input
 from rig.calibrate.output_file import OutputFile
 from rig.config import calibration_schema
 from rig.config.calibration_files import sha256_of

@@ -18,9 +18,9 @@ from calibration.extrinsics import CameraSightings, ExtrinsicCalibration, locate
 from calibration.views import View, views_in
 from calibration.vision.board import Board
 from calibration.vision.transforms import RigidTransform
+from protocols.problems import bad_input
 from rig.calibrate import inputs
 from rig.calibrate.dlt_fit import DLTCalibrationResult, fitted, known_lens
-from rig.calibrate.inputs import bad_input
 from rig.config import calibration_schema
 from rig.config.calibration_files import LoadedCalibration, rounded
 from rig.config.schema import RigConfig

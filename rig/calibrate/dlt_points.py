@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from calibration.cross_validation import leave_out
 from calibration.dlt_bundle_adjustment import adjust
 from calibration.vision.transforms import RigidTransform
+from protocols.problems import bad_input
 from rig.calibrate import control_points
 from rig.calibrate.dlt_fit import DLTCalibrationResult, camera_in_world, fitted, known_lens
-from rig.calibrate.inputs import bad_input
 from rig.config.calibration_files import LoadedCalibration
 from rig.config.schema import RigConfig
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from protocols import BadInputError, Problem
-from protocols.problems import closest
+from protocols import BadInputError
+from protocols.problems import bad_input, closest
 from rig.calibrate import file_sections
 from rig.config import calibration_schema
 from rig.config.board_sections import BoardPattern, CheckerboardPattern
@@ -23,11 +23,6 @@ class CameraViews:
 
     camera: str
     views: Path
-
-
-def bad_input(option: str, value: str, expected: str, suggestion: str = "") -> BadInputError:
-    """Return the error of an invalid option."""
-    return BadInputError([Problem(option, 0, 0, "", value, expected, suggestion)])
 
 
 def shown_board(corners: str, square_mm: float, rig: RigConfig | None) -> BoardPattern:

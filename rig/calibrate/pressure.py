@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from protocols.problems import bad_input
 from rig.calibrate.bench_driver import BenchDriver
 from rig.calibrate.bench_operator import BenchOperator, StopRequest
 from rig.calibrate.bench_session import real, virtual
 from rig.calibrate.file_sections import origin
-from rig.calibrate.inputs import bad_input
 from rig.calibrate.output_file import OutputFile
 from rig.calibrate.sensor_scale import Gauge, from_readings, read_gauge, sensor_section, simulated_gauge, typed_gauge
 from rig.calibrate.valve_fit import RateMeasurement

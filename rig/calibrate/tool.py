@@ -16,9 +16,9 @@ from calibration.views import View, views_in
 from calibration.vision.board import grey
 from calibration.vision.transforms import RigidTransform
 from model.statics import statics
+from protocols.problems import bad_input
 from rig.calibrate import file_sections, inputs
 from rig.calibrate.bench_operator import BenchOperator
-from rig.calibrate.inputs import bad_input
 from rig.calibrate.output_file import OutputFile
 from rig.calibrate.view_collection import CAMERA_TIMEOUT_S, store
 from rig.config import calibration_schema

@@ -24,11 +24,11 @@ def _opened(archive: Path) -> Path:
 
 def note(archive: Archive, text: Annotated[str, typer.Argument(metavar="TEXT", help="The note, in quotes.")]) -> None:
     """Add a note to a run; the archive stays as it is."""
-    from protocols.problems import BadInputError, Problem
+    from protocols.problems import bad_input
     from runs.annotation_file import add_note, path_of
 
     if not text.strip():
-        raise BadInputError([Problem("TEXT", 0, 0, "", repr(text), "a note, which is not empty")])
+        raise bad_input("TEXT", repr(text), "a note, which is not empty")
     found = _opened(archive)
     add_note(found, text.strip())
     typer.echo(path_of(found))

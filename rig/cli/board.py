@@ -11,8 +11,8 @@ def board(rig: RigName = None, to: BoardFile = None, replace: Replace = False) -
 
     import typer
 
+    from protocols.problems import bad_input
     from rig.calibrate import board_drawing
-    from rig.calibrate.inputs import bad_input
     from rig.config.loader import chosen_rig, load, path_of
     from runs.overwriting import refuse_existing
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Group
 
-from protocols.problems import BadInputError, Problem
+from protocols.problems import bad_input
 from rig.cli.column_table import ColumnTable
 from rig.config.schema import RigConfig
 from runs.overwriting import refuse_existing
@@ -25,7 +25,7 @@ def check_drawing(to: Path, replace: bool) -> None:
         BadInputError, WouldOverwriteError: before anything is computed.
     """
     if to.suffix.lower() not in KINDS:
-        raise BadInputError([Problem("--to", 0, 0, "", str(to), f"a file whose name ends with {', '.join(KINDS)}")])
+        raise bad_input("--to", str(to), f"a file whose name ends with {', '.join(KINDS)}")
     refuse_existing([to, to.with_suffix(".csv")], replace=replace)
 
 

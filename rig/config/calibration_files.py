@@ -12,7 +12,7 @@ import yaml
 
 from protocols import BadInputError, Problem, document
 from protocols.document import Document
-from protocols.problems import closest
+from protocols.problems import bad_input, closest
 from rig.config.calibration_schema import KINDS, AnyFile, CalibrationFile
 from runs.overwriting import refuse_existing, write_text
 
@@ -94,7 +94,7 @@ def views_beside(path: Path, replace: bool) -> Path:
     folder = path.with_name(f"{path.stem}{_VIEWS}")
     if folder.exists() and not replace:
         expected = f"a name without views beside it; --replace writes over those in {folder}"
-        raise BadInputError([Problem("--to", 0, 0, "", str(path), expected)])
+        raise bad_input("--to", str(path), expected)
     return folder
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from model.variants import VARIANTS
-from protocols import BadInputError, Problem
-from protocols.problems import closest
+from protocols.problems import bad_input, closest
 from rig.config.sections import Variant
 
 
@@ -12,5 +11,5 @@ def variant_named(name: str | None) -> Variant | None:
     """Return the model variant of a name, None for None; raise `BadInputError` for an unknown one."""
     if name is not None and name not in VARIANTS:
         expected = f"one of {', '.join(VARIANTS)}"
-        raise BadInputError([Problem("--model", 0, 0, "", name, expected, closest(name, VARIANTS))])
+        raise bad_input("--model", name, expected, closest(name, VARIANTS))
     return name

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.document import read_text
-from protocols.problems import BadInputError, Problem, closest
+from protocols.problems import BadInputError, Problem, bad_input, closest
 from protocols.source_positions import shortened
 from rig.importing.mapping_sections import TableFormat
 
@@ -66,7 +66,7 @@ class SourceTable(Protocol):
 def read(path: Path, written: TableFormat) -> SourceTable:
     """The table in a file, MATLAB's by the ending `.mat`. `BadInput` where there is none."""
     if path.suffix.lower() in SHEETS:
-        raise _bad(path, "CSV or .mat; save this sheet as CSV", shortened(path.suffix))
+        raise bad_input(str(path), shortened(path.suffix), "CSV or .mat; save this sheet as CSV")
     return _read_mat(path, written) if path.suffix.lower() == ".mat" else _read_csv(path, written)
 
 
@@ -115,12 +115,12 @@ class CsvTable:
             last = self.cells.shape[1] - 1 + self.first_column
             if column > last:
                 expected = f"a column from {self.first_column} to {last}"
-                raise BadInputError([Problem(self.file, 0, 0, "", f"no column {column}", expected)])
+                raise bad_input(self.file, f"no column {column}", expected)
             return column - self.first_column
         if self.names.count(column) != 1:
             found = f"several columns '{column}'" if column in self.names else f"no column '{column}'"
             expected = f"one of {', '.join(self.names)}"
-            raise BadInputError([Problem(self.file, 0, 0, "", found, expected, closest(column, self.names))])
+            raise bad_input(self.file, found, expected, closest(column, self.names))
         return self.names.index(column)
 
     def _no_number(self, row: int, column: Key, cell: str) -> Problem:
@@ -154,7 +154,7 @@ def _read_csv(path: Path, written: TableFormat) -> CsvTable:
     lines = [(number, line) for number, line in lines if line.strip()]
     skipped = written.lines_after_header + written.header
     if len(lines) <= skipped:
-        raise _bad(path, "the file holds no rows of numbers")
+        raise bad_input(str(path), "", "the file holds no rows of numbers")
     delimiter = _delimiter(path, [line for _, line in lines[skipped:]], written)
     names: tuple[str, ...] = ()
     if written.header:
@@ -215,10 +215,10 @@ def _delimiter(path: Path, lines: Sequence[str], written: TableFormat) -> str:
         expected = (
             "another delimiter, as commas are said to be decimal; or 'delimiter: comma', where numbers are quoted"
         )
-        raise BadInputError(
-            [Problem(str(path), 0, 0, "", by_commas, expected, "'decimal: point' in the mapping's file section")]
-        )
-    raise _bad(path, "no delimiter cuts all lines alike; say which it is: 'delimiter:' in the mapping's file section")
+        raise bad_input(str(path), by_commas, expected, "'decimal: point' in the mapping's file section")
+    raise bad_input(
+        str(path), "", "no delimiter cuts all lines alike; say which it is: 'delimiter:' in the mapping's file section"
+    )
 
 
 def _split(path: Path, lines: Sequence[tuple[int, str]], delimiter: str) -> list[tuple[int, list[str]]]:
@@ -247,7 +247,7 @@ class MatTable:
         """See `SourceTable`."""
         values = self._values(column)
         if np.iscomplexobj(values):
-            raise BadInputError([Problem(self.file, 0, 0, "", f"complex numbers in column {column}", "real numbers")])
+            raise bad_input(self.file, f"complex numbers in column {column}", "real numbers")
         numbers = values.astype(np.float64)
         infinite = np.flatnonzero(np.isinf(numbers)).tolist()
         if infinite:
@@ -263,7 +263,7 @@ class MatTable:
         """See `SourceTable`."""
         self._values(column)
         expected = "dates, which only a CSV's columns can hold; or another unit in the mapping"
-        raise BadInputError([Problem(self.file, 0, 0, "", f"numbers in column {column}", expected)])
+        raise bad_input(self.file, f"numbers in column {column}", expected)
 
     def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
         """See `SourceTable`."""
@@ -277,18 +277,16 @@ class MatTable:
         if isinstance(column, str):
             if column not in self.columns:
                 expected = f"one of {', '.join(self.columns)}"
-                raise BadInputError(
-                    [Problem(self.file, 0, 0, "", f"no column '{column}'", expected, closest(column, self.columns))]
-                )
+                raise bad_input(self.file, f"no column '{column}'", expected, closest(column, self.columns))
             return self.columns[column]
         if self.matrix is None:
             expected = "columns by name, or 'variable:' in the mapping's file section, naming a matrix"
             held = f"no single matrix, but {', '.join(self.columns) or 'no numbers'}"
-            raise BadInputError([Problem(self.file, 0, 0, "", held, expected)])
+            raise bad_input(self.file, held, expected)
         at = column - self.first_column
         if at >= self.matrix.shape[1]:
             expected = f"a column from {self.first_column} to {self.matrix.shape[1] - 1 + self.first_column}"
-            raise BadInputError([Problem(self.file, 0, 0, "", f"no column {column}", expected)])
+            raise bad_input(self.file, f"no column {column}", expected)
         return np.asarray(self.matrix[:, at])
 
 
@@ -296,15 +294,15 @@ def _read_mat(path: Path, written: TableFormat) -> MatTable:
     import h5py
 
     if not path.is_file():
-        raise _bad(path, "there is no such file")
+        raise bad_input(str(path), "", "there is no such file")
     load: Callable[[Path], dict[str, Any]] = _load_v73 if h5py.is_hdf5(path) else _load_v5
     if load is _load_v5 and _crashes(path):
-        raise _bad(path, "this MATLAB file is damaged: what reads it crashes")
+        raise bad_input(str(path), "", "this MATLAB file is damaged: what reads it crashes")
     try:
         arrays = _flat(load(path))
     except Exception as fault:
         # SciPy and h5py tell of a broken file by whatever their parsers happen to stumble over.
-        raise _bad(path, f"this is no MATLAB file that can be read ({shortened(str(fault))})") from fault
+        raise bad_input(str(path), "", f"this is no MATLAB file that can be read ({shortened(str(fault))})") from fault
     if written.variable is not None:
         arrays = _chosen(path, arrays, written.variable)
     columns: dict[str, NDArray[Any]] = {}
@@ -362,11 +360,5 @@ def _chosen(path: Path, arrays: Mapping[str, NDArray[Any]], variable: str) -> di
     fields = {name.removeprefix(f"{variable}."): a for name, a in arrays.items() if name.startswith(f"{variable}.")}
     if not fields:
         expected = f"one of {', '.join(arrays)}" if arrays else "a variable with numbers; this file has none"
-        raise BadInputError(
-            [Problem(str(path), 0, 0, "", f"no variable '{variable}'", expected, closest(variable, arrays))]
-        )
+        raise bad_input(str(path), f"no variable '{variable}'", expected, closest(variable, arrays))
     return fields
-
-
-def _bad(path: Path, expected: str, value: str = "") -> BadInputError:
-    return BadInputError([Problem(str(path), 0, 0, "", value, expected)])

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import TracebackType
 
 from protocols import BadInputError, Problem
+from protocols.problems import bad_input
 from rig.config.loader import RigChoice, chosen_rig, load
 from rig.config.schema import RigConfig
 from rig.execution.plan import RunPlan
@@ -186,7 +187,7 @@ class Session:
             _check_arming(*study.request(run), yes, answer)
         if not fast and study.plan.block_prompt and answer is None:
             expected = "a function for the prompts before the blocks, such as answer=input"
-            raise BadInputError([Problem("answer", 0, 0, "", "None", expected)])
+            raise bad_input("answer", "None", expected)
         return run_study(study, FunctionStudyOperator(partial(_run, answer=answer), answer), workers, scheduler)
 
     def _require_entered(self) -> None:
