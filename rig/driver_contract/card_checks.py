@@ -166,13 +166,13 @@ def sampling(subject: CardSubject) -> str:
         raise BrokenContractError(
             f"the newest scan is {(newest_ns - t_ns[-1]) * 1e-6:.1f} ms old: is t_ns CLOCK_MONOTONIC?"
         )
-    rate = (len(t_ns) - 1) / ((t_ns[-1] - t_ns[0]) * 1e-9)
-    if rate < 0.5 * subject.config.control.rate_hz:
-        raise BrokenContractError(f"{rate:.0f} scans/s; control runs at {subject.config.control.rate_hz:g} Hz")
     volts = np.concatenate([s.volts for s in scans])
     if not np.all(np.isfinite(volts)):
         raise BrokenContractError("a voltage is not finite")
     _within_range(subject, volts)
+    rate = (len(t_ns) - 1) / ((t_ns[-1] - t_ns[0]) * 1e-9)
+    if rate < 0.5 * subject.config.control.rate_hz:
+        raise BrokenContractError(f"{rate:.0f} scans/s; control runs at {subject.config.control.rate_hz:g} Hz")
     gaps_ms = np.diff(t_ns) * 1e-6
     lost = sum(s.lost for s in scans)
     return f"{rate:.0f} scans/s, period {np.median(gaps_ms):.2f} ms, longest {gaps_ms.max():.2f} ms, {lost} lost"

@@ -76,10 +76,12 @@ def driver_sample_s() -> float:
     return SAMPLE_S
 
 
+@pytest.mark.realtime
 def test_the_example_driver_keeps_the_contract_by_the_fixtures(driver_check: CheckResult) -> None:
     assert driver_check.verdict is CheckVerdict.PASS, driver_check
 
 
+@pytest.mark.realtime
 def test_the_mock_card_keeps_the_contract(tmp_path: Path) -> None:
     rig_file = write_rig(tmp_path)
     config = loader.load(rig_file)
@@ -109,11 +111,11 @@ def test_the_mock_card_keeps_the_contract(tmp_path: Path) -> None:
         ("sampling", "millivolts", "beyond the range of the input"),
         ("sampling", "one column", "shape"),
         ("sampling", "no scans", "0 scans"),
-        ("sampling", "slow read", "control runs at 200 Hz"),
+        pytest.param("sampling", "slow read", "control runs at 200 Hz", marks=pytest.mark.realtime),
         ("sampling", "not a number", "not finite"),
-        ("durations", "slow read", "read 3"),
-        ("durations", "slow write", "write 3"),
-        ("durations", "now and then a slow read", "calls of read take longer"),
+        pytest.param("durations", "slow read", "read 3", marks=pytest.mark.realtime),
+        pytest.param("durations", "slow write", "write 3", marks=pytest.mark.realtime),
+        pytest.param("durations", "now and then a slow read", "calls of read take longer", marks=pytest.mark.realtime),
         ("second opener", "refuses the watchdog", "no second process, please"),
         ("second opener", "does not name the holder", "softrig cannot end it"),
         ("second opener", "raises an OSError", "OSError: device busy"),
