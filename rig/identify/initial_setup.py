@@ -105,6 +105,11 @@ def _check_rigs(archives: Sequence[Run]) -> tuple[str, ...]:
             if known is not None and known.placement != camera.placement:
                 note = f"{run.header.run_id}: its rig places camera {name} elsewhere than that of {first.header.run_id}"
                 notes.append(f"{note}; one base is estimated for both, but with --per-run base")
+        for name, section in rig_of(run).sections.items():
+            placed = rig.sections.get(name)
+            if placed is not None and placed != section:
+                note = f"{run.header.run_id}: its rig has another section {name} than that of {first.header.run_id}"
+                notes.append(f"{note}; one mounting of its board is estimated for both")
     return tuple(notes)
 
 

@@ -24,6 +24,7 @@ from rig.identify import estimation
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
 from runs.records import DetectionStatus, RunFooter, Status, observation_dtype, sample_dtype
+from tests.support.sectioned_bench import sectioned
 from tests.support.synthetic_runs import header
 
 HOLD_S, HZ = 3, 30
@@ -350,6 +351,23 @@ def test_runs_with_different_camera_placements_are_reported_to_share_one_base(
     said = capsys.readouterr().err
     assert "moved: its rig places camera front elsewhere than that of one" in said
     assert "--per-run base" in said
+
+
+def test_runs_with_different_sections_of_one_name_are_reported_to_share_one_mounting(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def begun(*_: object) -> None:
+        raise NoDataError("the search began")
+
+    monkeypatch.setattr("rig.identify.estimation.most_likely_fit", begun)
+    rigs = {"first": sectioned(text("mock-charuco"))}
+    rigs["moved"] = rigs["first"].replace("at_mm: 85", "at_mm: 90")
+    pressures = np.array([[0.1, 0, 0], [0.3, 0, 0]])
+    first, moved = (str(archive(tmp_path, name, pressures, np.zeros(2), rig_file)) for name, rig_file in rigs.items())
+    rig(first, moved, status=2)
+    said = capsys.readouterr().err
+    assert "moved: its rig has another section middle than that of first" in said
+    assert "section lower" not in said
 
 
 def test_a_base_per_run_is_reported_for_each_run_and_its_mean_is_written(
