@@ -86,7 +86,7 @@ def _panels() -> None:
             ).classes("legend")
         with _panel("plane", "tip in the plane of motion [mm]"):
             ui.echart({"series": []}).classes("chart chart-plane")
-        with _panel("arm", "arm, actuators by pressure, measured sections; drag to turn"):
+        with _panel("arm", "arm with sections; drag to turn"):
             _part("canvas", "arm-view", label="the arm's axis and actuators in space")
         with _panel("pressures", "pressures [bar], set-points dashed"):
             ui.echart({"series": []}).classes("chart chart-pressure")

@@ -57,7 +57,7 @@ export class ArmView {
     this.cy = 0.12 * height;
     const ink = getComputedStyle(document.body);
     this.floor(length, ink.getPropertyValue("--rule"), ink.getPropertyValue("--muted"));
-    if (this.lines && this.lines[0][0][0] !== null) this.tubes(ink);
+    if (this.lines && this.lines[0][0][0] !== null) this.tubes(ink, height - 32);
     this.sections(ink);
     this.scaleBar(width, height, ink);
   }
@@ -96,7 +96,8 @@ export class ArmView {
     }
   }
 
-  tubes(ink) {
+  // Numbers of actuators stand no lower than `lowest`, where the bar of colours begins.
+  tubes(ink, lowest) {
     const [axis, ...actuators] = this.lines;
     const limit = this.about.limit_bar;
     const segments = [];
@@ -132,7 +133,7 @@ export class ArmView {
     context.fillStyle = ink.getPropertyValue("--ink");
     actuators.forEach((points, i) => {
       const [u, v] = this.project(points.at(-1));
-      context.fillText(String(i + 1), u - 5, v + 13 * this.scale + 18);
+      context.fillText(String(i + 1), u - 5, Math.min(v + 13 * this.scale + 18, lowest));
     });
   }
 

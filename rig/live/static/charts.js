@@ -67,7 +67,7 @@ export class Charts {
       type: "value", scale: true, axisLabel: { color: muted, fontSize: 13 }, nameTextStyle: { color: muted, fontSize: 13 },
       axisLine: { lineStyle: { color: muted } }, splitLine: { lineStyle: { color: rule } }, ...more,
     });
-    const time = (more) => axis({ min: "dataMin", max: "dataMax", axisLabel: { color: muted, fontSize: 13, showMinLabel: false, showMaxLabel: false, formatter: (v) => Math.round(v) + " s" }, ...more });
+    const time = (more) => axis({ min: "dataMin", max: "dataMax", axisLabel: { color: muted, fontSize: 13, showMinLabel: false, showMaxLabel: false, formatter: (v) => Math.round(100 * v) / 100 + " s" }, ...more });
     const common = { animation: false, textStyle: { color: ink }, grid: { left: 46, right: 14, top: 26, bottom: 26 } };
     const legend = (data) => ({ data, top: 0, right: 8, itemHeight: 8, textStyle: { color: ink, fontSize: 13 } });
     const line = (name, colour, more) => ({
