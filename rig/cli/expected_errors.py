@@ -100,8 +100,8 @@ def _status(error: Exception) -> int | None:
     return next((EXPECTED_ERRORS[name] for name in names if name in EXPECTED_ERRORS), None)
 
 
-EXTRAS = {"numba": "rig", "piqp": "rig", "nicegui": "live"}
-"""Extra of the package that brings a library."""
+EXTRAS = {"numba": "rig", "piqp": "rig"} | dict.fromkeys(("nicegui", "fastapi", "starlette", "uvicorn"), "live")
+"""Extra of the package that brings a library; nicegui brings the servers."""
 
 
 def _extra_of(error: Exception) -> str:
