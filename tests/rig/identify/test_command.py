@@ -395,7 +395,10 @@ def test_damping_is_free_by_default_where_a_run_moves(
 ) -> None:
     monkeypatch.setattr(estimation, "identify", lambda data, start, free, *_, **__: free)
     free: Any = estimation.from_poses(
-        load("mock"), [cast(Poses, SimpleNamespace(moving=moving, has_orientation=np.zeros(1, np.bool_)))], (), {}
+        load("mock"),
+        [cast(Poses, SimpleNamespace(moving=moving, has_orientation=np.zeros(1, np.bool_), sections=()))],
+        (),
+        {},
     )
     assert ("damping_s" in free) == damped
     assert {"a1_per_n", "a2_per_n2", "rpe_per_bar", "base", "sensor_offsets"} <= set(free)
