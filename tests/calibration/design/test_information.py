@@ -61,7 +61,7 @@ def test_a_hundred_repeats_make_bars_that_measurement_decides_ten_times_smaller(
 
 
 def test_expected_error_bars_contain_the_model_error_that_an_identification_adds(unknowns: Unknowns) -> None:
-    """Few plateaus do not exclude it: the bars would be a sixth too small."""
+    """Few plateaus do not exclude it: the bars would be a tenth too small."""
     data = plan("levels", PRESSURES, errors=ERRORS)
     stated = rig_uncertainties(load("mock"), unknowns.start)
     beside = nuisance_parameters(unknowns.start, [data], unknowns.free)
@@ -76,7 +76,7 @@ def test_expected_error_bars_contain_the_model_error_that_an_identification_adds
     ]
     found = np.median([[fit[name].std or np.nan for name in expected.names] for fit in fits], axis=0)
     np.testing.assert_allclose(found, expected.std, rtol=0.15)
-    assert (expected.std / expected.alone).max() > 1.15
+    assert (expected.std / expected.alone).max() > 1.1
 
 
 def test_twice_the_data_make_the_error_bars_smaller_by_root_two(unknowns: Unknowns) -> None:

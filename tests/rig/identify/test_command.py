@@ -14,6 +14,7 @@ import pytest
 
 import runs
 from calibration.identify import NoDataError, Poses, Setup
+from calibration.identify.model_error import TERMS
 from calibration.identify.parameters import groups, known
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 from rig.cli.app import main
@@ -146,7 +147,7 @@ def test_json_holds_the_predictions_with_intervals_from_which_their_coverage_fol
     )
     assert {one["on"] for one in facts["residual_dependence"]} >= {"pressure", "load", "direction"}
     effects = facts["model_error"]["effects"]
-    assert len(effects) == 7
+    assert [one["name"] for one in effects] == [term.name for term in TERMS]
     assert all(0 <= one["probability"] <= 1 and one["below_95"] >= 0 for one in effects)
     assert facts["model_error"]["effective_parameters"] == any(one["found"] for one in effects)
     measured, predicted = np.array(found["measured_mm"]), np.array(found["predicted_mm"])
