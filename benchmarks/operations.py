@@ -26,7 +26,7 @@ from model import Arm
 from model.dynamics import Dynamics
 from model.kernels.axis import place_tip
 from model.kernels.layout import LANES, OTHERS, STATE, SUMS
-from model.kernels.shooting import TOLERANCE_IN_MOTION
+from model.kernels.shooting import TOLERANCE_IN_MOTION, Workspace
 from model.kernels.time_stepping import advance
 
 COUNTED = ("add", "multiply", "divide", "root")
@@ -148,30 +148,34 @@ def second(variant: str, nodes: int) -> dict[str, int]:
     moving = Dynamics(arm, DT, nodes=nodes)
     moving.start(path[0])
     problem, total, passes = moving._problem, Counter[str](), 0
-    room = type(moving._room)(*(given(part) for part in moving._room))
-    work, past_states, x = (given(a) for a in (problem.prepared, moving._past_states, moving._x))
+    workspace = Workspace(*(given(part) for part in moving.workspace))
+    # Walls without branches have no past of their own.
+    workspace = workspace._replace(walls_past=workspace.history)
+    state = moving.state
+    work, past_states, x = (given(a) for a in (problem.work(), state.past_states, state.x))
     place, turned = given(np.zeros((1, 3))), given(np.zeros((1, 3, 3)))
-    before = moving._before
     for row in path[1:]:
         # With up to three tubes, there are no others: what is added for them is no operation.
         work[OTHERS * LANES : (OTHERS + SUMS) * LANES] = 0.0
         done = advance(
-            work, problem.walls, problem.rest[0], problem.per_pressure[0], problem.free_per_pa, before,
-            row, moving._load, moving._loaded, moving._tip, problem.length_m, moving._segments, problem.scale,
-            moving._coefficients, past_states, x, room, TOLERANCE_IN_MOTION,
+            work, problem.walls, problem.rest[0], problem.per_pressure[0], problem.free_per_pa, state.before,
+            row, moving._load, moving._loaded, moving._tip, problem.length_m, state.segments, problem.scale,
+            state.coefficients, past_states, x, state.branch_factors, state.branch_strains, workspace,
+            TOLERANCE_IN_MOTION,
         )  # fmt: skip
         assert done > 0
         passes += done
         place_tip(x, problem.length_m, problem.centre_m, place, turned, 0)
         # Of the history: v, u, q, w at the nodes and their slopes, and between the nodes the slopes of v and u alone.
-        history = room.history.reshape(4, nodes + 1, STATE)
+        history = workspace.history.reshape(4, nodes + 1, STATE)
         carried = [*history[:3, :, :12].ravel(), *history[3, :, :6].ravel(), *x.ravel()]
         total += count([*needed, *carried, *place.ravel(), *turned.ravel()])
         needed.clear()
         known.clear()
         work[:] = given(work)
         past_states, x = given(past_states), given(x)
-        room = room._replace(history=given(room.history))
+        history_after = given(workspace.history)
+        workspace = workspace._replace(history=history_after, walls_past=history_after)
     counted = {kind: total[kind] for kind in COUNTED}
     return {"steps": len(path) - 1, "passes": passes, "all": sum(counted.values()), **counted}
 
