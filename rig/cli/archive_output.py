@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
@@ -130,23 +131,24 @@ def summary_facts(archive: Path) -> dict[str, Any]:
     return facts
 
 
-def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
+def summary_table(summary: Summary, counters: Mapping[str, int]) -> Group:
     """Return a run's summary: one row per segment, then the whole run; `counters` are the executor's.
 
     A run in virtual time, a model run and an import have no deadlines, hence no rows about them.
     """
-    table = ColumnTable()
+    steps = ColumnTable()
     for head in ("segment", "error [mm]", "normalised [%]", "settled after [s]", "overshoot [bar]"):
-        table.add_column(head, justify="left" if head == "segment" else "right")
+        steps.add_column(head, justify="left" if head == "segment" else "right")
     for step in summary.steps:
-        table.add_row(
+        steps.add_row(
             step.label or step.kind,
             _number(step.error_mm, 2),
             _number(step.normalised_percent, 2),
             _number(step.settling_s, 2),
             _number(step.overshoot_bar, 4),
         )
-    table.add_section()
+    # The names of the whole run are longer than those of segments: they have columns of their own.
+    table = facts_table()
     simulated = " (simulated)" if summary.simulated else ""
     if summary.camera:
         table.add_row(
@@ -175,10 +177,10 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Table:
             drift_ppm = counters.get(f"{card}_scan_drift_ppb", 0) * 1e-3
             table.add_row(f"card {card} samples every [us]", f"{period_ns * 1e-3:.3f}")
             table.add_row("longer by the computer's clock [ppm]", f"{drift_ppm:+.1f}")
-    return table
+    return Group(steps, table)
 
 
-def _add_tip_path(table: ColumnTable, path: TipErrorSummary) -> None:
+def _add_tip_path(table: Table, path: TipErrorSummary) -> None:
     """Add the errors of the tip on its paths."""
     errors = [("measured", path.measured)]
     if path.truth is not None:
@@ -191,7 +193,7 @@ def _add_tip_path(table: ColumnTable, path: TipErrorSummary) -> None:
     table.add_row("  predicted by the model", _number(path.predicted_mm, 3))
 
 
-def _add_tip_plans(table: ColumnTable, plans: TipPlans) -> None:
+def _add_tip_plans(table: Table, plans: TipPlans) -> None:
     """Add what the tip controller needed."""
     failed = [
         f"{count} {words}" for count, words in ((plans.not_solved, "not solved"), (plans.refused, "refused")) if count

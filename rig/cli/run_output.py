@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.console import Console, Group
+from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -193,7 +193,7 @@ def last_screen(screen: Console, result: RunResult) -> None:
     """Print how the run ended, its summary and its files. A closed terminal raises no error."""
     outcome = result.outcome
     ending = f"{outcome.status}: {outcome.message}" if outcome.message else str(outcome.status)
-    parts: list[Text | Table | str] = [Text(printable(ending), _STATUS[outcome.status])]
+    parts: list[RenderableType] = [Text(printable(ending), _STATUS[outcome.status])]
     if (summary := result.summary) is not None:
         from rig.cli.archive_output import summary_table
 

@@ -204,13 +204,18 @@ def _pressures(sample: NDArray[np.void]) -> list[str]:
     return [f"{i}: {_bar(s).strip()} / {_bar(m).strip()}" for i, (s, m) in enumerate(pairs, 1)]
 
 
+def _reference(observation: NDArray[np.void]) -> str:
+    """Return the reference of the tip; a coordinate that is not controlled has none."""
+    return " ".join(f"{1e3 * x:8.2f}" if np.isfinite(x) else f"{'free':>8}" for x in observation["reference_m"])
+
+
 def _uncertainty(std_m: NDArray[np.float64]) -> str:
     """Return standard uncertainties [mm] with two significant digits: a small one is not zero."""
     return " ".join(f"{1e3 * value:#.2g}" for value in std_m)
 
 
 def _tip(progress: Progress, observation: NDArray[np.void]) -> list[Text]:
-    """Return the tips of measurement and model, and their distance."""
+    """Return the tips of measurement, model and reference, and their distances."""
     seen = DetectionStatus(int(observation["seen"]))
     solved = "" if observation["model_ok"] else ", model not solved"
     model = Text.assemble(f"model tip {_point(observation['model_m'])} mm", (solved, "yellow"))
@@ -219,11 +224,17 @@ def _tip(progress: Progress, observation: NDArray[np.void]) -> list[Text]:
     if seen is not DetectionStatus.MEASURED:
         return [Text(f"tip not measured: {seen.words}", "yellow"), model]
     std_mm = _uncertainty(np.sqrt(np.diagonal(observation["covariance_m2"])))
-    return [
-        Text(f"error {_error_mm(progress):.2f} mm", "bold cyan"),
+    error = f"error {_error_mm(progress):.2f} mm"
+    if np.isfinite(path := _path_error_mm(observation)):
+        error += f", path error {path:.2f} mm"
+    lines = [
+        Text(error, "bold cyan"),
         Text(f"measured tip {_point(observation['measured_m'])} mm, +- {std_mm} mm"),
         model,
     ]
+    if observation["tip_motion"]:
+        lines.append(Text(f"reference {_reference(observation)} mm"))
+    return lines
 
 
 def _estimates(adapted: Sequence[Quantity], row: NDArray[np.void]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -222,6 +223,17 @@ def test_a_terminal_that_is_too_small_cuts_off_the_least_important_lines() -> No
     assert "0.123 / 0.124" in screen
     assert "measured tip -123.45 6.78 187.65 mm" in " ".join(screen.split())
     assert "p pauses" not in screen
+
+
+@pytest.mark.parametrize("lines", [24, 10])
+def test_a_run_on_a_tip_path_shows_its_distance_from_the_reference(lines: int) -> None:
+    progress = replace(running(), adaptation=None)
+    assert progress.observation is not None
+    progress.observation["tip_motion"] = 1
+    progress.observation["reference_m"] = (-0.12345, np.nan, 0.18725)
+    screen = live(progress, 80, lines)
+    assert "path error 0.40 mm" in " ".join(screen.split())
+    assert ("-123.45     free   187.25" in screen) is (lines == 24)
 
 
 def test_a_small_uncertainty_is_not_shown_as_zero() -> None:
