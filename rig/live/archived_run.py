@@ -30,6 +30,7 @@ from rig.live.view_state import (
     ViewState,
     estimates,
     inputs,
+    path_error,
     sections,
 )
 from rig.observation.overlay import arm_lines
@@ -192,7 +193,7 @@ class ArchivedRun:
         return TimingView(missed, dropped, float(recent[-1]), float(recent.max()))
 
     def _tip(self, frame: int) -> TipView:
-        tip = self.run.tip
+        tip, reference = self.run.tip, self.run.reference
         return TipView(
             frame=int(tip.frame[frame]),
             seen=DetectionStatus(int(tip.seen[frame])).words,
@@ -200,6 +201,7 @@ class ArchivedRun:
             error_mm=float(tip.error_mm[frame]),
             mean_error_mm=float(self.mean[frame]),
             reprojection_px=float(tip.reprojection_px[frame]),
+            path_error_mm=None if reference is None else path_error(float(reference.error_mm[frame])),
         )
 
     def _sections(self, frame: int) -> tuple[SectionView, ...]:

@@ -33,9 +33,11 @@ from rig.live.view_state import (
     ViewState,
     estimates,
     inputs,
+    path_error,
     sections,
 )
 from rig.realtime.shared_state import Stage
+from runs.columns.tip_control import reference_error_mm
 from runs.records import DetectionStatus, Event
 
 CHART_DECIMATION = 10
@@ -272,6 +274,7 @@ class LiveRunViewer:
             reprojection_px=float(row["reprojection_px"]),
             age_ms=(time.monotonic_ns() - int(row["t_ns"])) * 1e-6,
             sent_ms=time.time() * 1e3,
+            path_error_mm=path_error(float(reference_error_mm(np.array([row]))[0])),
         )
 
     def _state(self, waiting: int) -> str:

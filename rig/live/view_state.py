@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -66,7 +67,10 @@ class PressureView:
 
 @dataclass(frozen=True)
 class TipView:
-    """The frame that is shown; live, `age_ms` is that of its picture at `sent_ms`, a moment since 1970."""
+    """The frame that is shown; live, `age_ms` is that of its picture at `sent_ms`, a moment since 1970.
+
+    `path_error_mm`: distance of the measured tip from its reference; None outside tip paths.
+    """
 
     frame: int
     seen: str
@@ -76,6 +80,12 @@ class TipView:
     reprojection_px: float
     age_ms: float | None = None
     sent_ms: float | None = None
+    path_error_mm: float | None = None
+
+
+def path_error(error_mm: float) -> float | None:
+    """The distance from the reference, None where there is none."""
+    return error_mm if math.isfinite(error_mm) else None
 
 
 class InputView(NamedTuple):

@@ -25,7 +25,8 @@ class SolveStatus(IntEnum):
     """The control loop cannot follow it (not finite, not in order, out of limits, old): it follows the one before."""
 
 
-def _reference_error_mm(rows: NDArray[np.void]) -> Values:
+def reference_error_mm(rows: NDArray[np.void]) -> Values:
+    """Distance of the measured tip from the reference in the controlled coordinates; NaN where either is unknown."""
     off = (rows["measured_m"] - rows["reference_m"]) * MM_PER_M
     known = np.isfinite(rows["reference_m"]).any(axis=1) & np.isfinite(rows["measured_m"]).all(axis=1)
     return np.where(known, np.sqrt(np.nansum(off**2, axis=1)), np.nan)
@@ -55,7 +56,7 @@ class Reference(Table):
         about="number of the path's period, from 1; 0 outside and in the lead-in; 1 without periods",
     )
     error_mm = Column(
-        of=_reference_error_mm, unit="mm", about="distance between measured tip and reference, controlled coordinates"
+        of=reference_error_mm, unit="mm", about="distance between measured tip and reference, controlled coordinates"
     )
 
 

@@ -85,7 +85,7 @@ function numbers() {
   at("clock").textContent = `${clock(protocol.time_s)} of ${clock(about.duration_s)}`;
   at("error").textContent = fixed(tip.error_mm, 2);
   at("error").dataset.frame = tip.frame ?? "";
-  at("error-more").textContent = `mean ${fixed(tip.mean_error_mm, 2)} mm${tip.seen && tip.seen !== "measured" ? `; tip: ${tip.seen}` : ""}${tip.model_ok === false ? "; model not solved" : ""}`;
+  at("error-more").textContent = `mean ${fixed(tip.mean_error_mm, 2)} mm${tip.path_error_mm === undefined ? "" : `; path error ${fixed(tip.path_error_mm, 2)} mm`}${tip.seen && tip.seen !== "measured" ? `; tip: ${tip.seen}` : ""}${tip.model_ok === false ? "; model not solved" : ""}`;
   if (!about.measured) at("error-more").textContent = "the rig has no camera: the tip is not measured";
   if (pressure) {
     const led = pressure.setpoint_bar.reduce((best, p, i) => (p > pressure.setpoint_bar[best] ? i : best), 0);

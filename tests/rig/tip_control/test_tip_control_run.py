@@ -18,9 +18,11 @@ from benchmarks.random_tip_paths import stated_rig
 from rig.cli.app import app
 from rig.config import loader
 from rig.config.schema import RigConfig
+from rig.live.archived_run import ArchivedRun
 from rig.tip_control.session import TipControlSession
 from rig.tip_planning.inverse import RigTipInverse
-from runs.records import Status
+from runs.columns.tip_control import reference_error_mm
+from runs.records import Status, observation_dtype
 from runs.report.comparison import reference_distances
 from runs.report.page import page
 from runs.run import Run
@@ -177,6 +179,22 @@ def test_the_figure_that_compares_runs_shows_the_true_distance_from_the_referenc
     assert truth.truth is not None
     assert np.nanmax(first) >= truth.truth.max_mm > np.nanmax(second)
     assert [str(line.get_label()).split("(")[1] for line in axes.lines] == ["horizon)", "horizon, learned from 1)"]
+
+
+def test_the_page_shows_the_distance_from_the_reference_on_the_path_only(controlled: dict[str, Run]) -> None:
+    run = controlled["horizon"]
+    assert run.path is not None
+    assert run.reference is not None
+    played = ArchivedRun(run.path)
+    for frame in (int(np.flatnonzero(run.reference.motion > 0)[20]), len(run.tip.frame) - 1):
+        tip = played.now(float(run.tip.time_s[frame]), frame, playing=False).tip
+        assert tip is not None
+        expected = run.reference.error_mm[frame]
+        assert tip.path_error_mm == (pytest.approx(expected) if np.isfinite(expected) else None)
+        row = np.zeros(1, observation_dtype(3))
+        row["reference_m"] = 1e-3 * run.reference.reference_mm[frame]
+        row["measured_m"] = 1e-3 * run.tip.measured_mm[frame]
+        assert reference_error_mm(row)[0] == pytest.approx(expected, nan_ok=True)
 
 
 def test_the_summary_counts_the_plans(controlled: dict[str, Run]) -> None:
