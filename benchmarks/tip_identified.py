@@ -31,7 +31,7 @@ import protocols
 from benchmarks.random_tip_paths import stated_rig
 from benchmarks.tip_closed_loop import Truth
 from benchmarks.tip_control import drawn
-from benchmarks.virtual_tip_run import SHARED_HORIZON, in_this_process, perform
+from benchmarks.virtual_tip_run import SHARED_HORIZON, distances_m, in_this_process, perform
 from calibration.identify import parameters_document
 from rig.config import parameters_overlay
 from rig.config.loader import RigFile, read
@@ -114,11 +114,8 @@ def errors_mm(config: RigConfig, seed: int, controllers: Sequence[str]) -> Row:
                 record, outcome = perform(config, trajectory, seed, CONTROLLERS[name])
                 if outcome.message:
                     raise RuntimeError(outcome.message)
-                frames = np.concatenate(record.frames)
-                at = frames["protocol_s"]
-                counted = frames[(at > motion.path_s + 2 / frequency_hz) & (at < motion.stop_s)]
-                apart = counted["truth_m"] - counted["reference_m"]
-                rms = 1e3 * float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
+                off = distances_m(record, motion, motion.path_s + 2 / frequency_hz)
+                rms = 1e3 * float(np.sqrt(np.mean(off**2)))
                 found[f"{path}, {frequency_hz:g} Hz, {name}"] = round(rms, 4)
     return found
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 import protocols
 from benchmarks.random_tip_paths import stated_rig
-from benchmarks.virtual_tip_run import SHARED_HORIZON, perform
+from benchmarks.virtual_tip_run import SHARED_HORIZON, distances_m, perform
 from protocols import SetPointTrajectory
 from rig.config import loader
 from rig.config.schema import RigConfig
@@ -118,9 +118,7 @@ def errors_mm(config: RigConfig, trajectory: SetPointTrajectory, seed: int, cont
     if outcome.message:
         raise RuntimeError(outcome.message)
     (motion,) = trajectory.tip.motions
-    frames = np.concatenate(record.frames)
-    on = frames[(frames["protocol_s"] > motion.path_s) & (frames["protocol_s"] < motion.stop_s)]
-    off = 1e3 * np.linalg.norm(on["truth_m"] - on["reference_m"], axis=1)
+    off = 1e3 * distances_m(record, motion, motion.path_s)
     return float(np.sqrt(np.mean(off**2))), float(off.max())
 
 

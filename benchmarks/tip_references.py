@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 import protocols
 from benchmarks.random_tip_paths import SHAPES, drawn_rig, stated_rig, tip_step
-from benchmarks.virtual_tip_run import perform
+from benchmarks.virtual_tip_run import distances_m, perform
 from protocols import BadInputError, SetPointTrajectory
 from rig.config.schema import RigConfig
 from rig.experiment.preflight import check
@@ -73,16 +73,13 @@ def judged(k: int, seed: int, config: RigConfig, inverse: RigTipInverse) -> Row:
 def followed(config: RigConfig, trajectory: SetPointTrajectory, seed: int) -> Row:
     """Run a trajectory on a simulated rig in virtual time; how it ended, and how far the tip was from its path."""
     record, outcome = perform(config, trajectory, seed)
-    cycles, frames = np.concatenate(record.cycles), np.concatenate(record.frames)
+    cycles = np.concatenate(record.cycles)
     (motion,) = trajectory.tip.motions
-    setpoint, axes = cycles["setpoint_pa"], list(motion.coordinates)
+    setpoint = cycles["setpoint_pa"]
     rate = np.abs(np.diff(setpoint, axis=0)) * config.control.rate_hz
     limit, fastest = config.limits.pressure_bar * PA_PER_BAR, config.limits.rate_bar_per_s * PA_PER_BAR
     beyond = (setpoint < -ROUNDING) | (setpoint > limit * (1 + ROUNDING))
-    at = frames["protocol_s"]
-    on_path = frames[(at > motion.path_s) & (at < motion.stop_s)]
-    apart = on_path["truth_m"] - on_path["reference_m"]
-    off = 1e3 * np.linalg.norm(apart[:, axes], axis=1)
+    off = 1e3 * distances_m(record, motion, motion.path_s)
     times = cycles["protocol_s"]
     on = (times[:-1] > motion.path_s) & (times[:-1] < motion.stop_s)
     bound = (setpoint[:-1] <= 1) | (setpoint[:-1] >= limit - 1) | (rate > 0.999 * fastest)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols import SetPointTrajectory
+from protocols.tip_reference import TipMotion
 from rig.config.schema import RigConfig
 from rig.execution.plan import NullOperator, Outcome, RunPlan
 from rig.simulator.mock_camera import Exposure
@@ -24,6 +25,8 @@ from rig.tip_control.interface import TipControlSettings
 from rig.virtual import executor
 from rig.virtual.frame_pipeline import FrameResult, FrameSamples, FrameStages
 from runs.records import Event, Picture
+
+Array = NDArray[np.float64]
 
 
 class KeptRecord:
@@ -116,6 +119,19 @@ def in_this_process() -> Iterator[None]:
         yield
     finally:
         executor.FramePipeline = usual  # type: ignore[misc]
+
+
+def distances_m(record: KeptRecord, motion: TipMotion, from_s: float) -> Array:
+    """Distances (n,) of the true tip from the reference in the controlled coordinates, after a protocol time.
+
+    `protocol_s` of a frame is that of the cycle before it, so the last frames may be beyond the path and have no
+    reference.
+    """
+    frames, axes = np.concatenate(record.frames), list(motion.coordinates)
+    counted = frames[(frames["protocol_s"] > from_s) & (frames["protocol_s"] < motion.stop_s)]
+    counted = counted[np.isfinite(counted["reference_m"][:, axes]).all(axis=1)]
+    found: Array = np.linalg.norm((counted["truth_m"] - counted["reference_m"])[:, axes], axis=1)
+    return found
 
 
 def perform(
