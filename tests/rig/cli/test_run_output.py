@@ -225,7 +225,7 @@ def test_a_terminal_that_is_too_small_cuts_off_the_least_important_lines() -> No
     assert "p pauses" not in screen
 
 
-@pytest.mark.parametrize("lines", [24, 10])
+@pytest.mark.parametrize("lines", [24, 7])
 def test_a_run_on_a_tip_path_shows_its_distance_from_the_reference(lines: int) -> None:
     progress = replace(running(), adaptation=None)
     assert progress.observation is not None
