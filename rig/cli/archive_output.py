@@ -152,9 +152,9 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Group:
     simulated = " (simulated)" if summary.simulated else ""
     if summary.camera:
         table.add_row(
-            Text(f"whole run{simulated}: mean error", "bold"), Text(_number(summary.error_mm.mean, 2), "bold")
+            Text(f"whole run{simulated}: mean error [mm]", "bold"), Text(_number(summary.error_mm.mean, 2), "bold")
         )
-        table.add_row("largest error", _number(summary.error_mm.max, 2))
+        table.add_row("largest error [mm]", _number(summary.error_mm.max, 2))
         table.add_row("frames measured", f"{summary.frames_measured} of {summary.frames_expected}")
         table.add_row("frames dropped", str(summary.frames_dropped))
     else:
