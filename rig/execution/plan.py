@@ -20,9 +20,9 @@ from runs.records import AuxiliaryChannel, Event, Picture, Quantity, Status
 class RunPlan:
     """The plan of one run; immutable."""
 
-    config: RigConfig
+    config: RigConfig = field(repr=False)
     rig_file: Path
-    trajectory: SetPointTrajectory
+    trajectory: SetPointTrajectory = field(repr=False)
     variant: Variant
     seed: int
     adapted: tuple[Quantity, ...] = ()
