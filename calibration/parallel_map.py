@@ -84,7 +84,8 @@ def parallel_results(
 ) -> Generator[tuple[int, Result], None, None]:
     """Do `work` on the `remaining` tasks; yield number and result of each when it is done.
 
-    Arguments and errors are those of `parallel_map`. Close the generator to cancel the tasks that have not begun.
+    Arguments and errors are those of `parallel_map`. Close the generator to cancel the other tasks;
+    on this machine those that have begun are ended, too.
     """
     count = min(workers or os.cpu_count() or 1, max(len(remaining), 1))
     if scheduler is not None:
@@ -99,7 +100,7 @@ def parallel_results(
 def _on_cores(
     work: Callable[[Task], Result], tasks: Sequence[Task], remaining: Sequence[int], workers: int
 ) -> Iterator[tuple[int, Result]]:
-    missing, deaths = list(remaining), 0
+    missing, deaths, others = list(remaining), 0, multiprocessing.active_children()
     while missing:
         # Spawn, not fork: threads of the parent (live page, BLAS) do not survive a fork.
         context = multiprocessing.get_context("spawn")
@@ -118,6 +119,12 @@ def _on_cores(
                     ) from broken
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
+                # Nobody takes the results of what they still do.
+                begun = [worker for worker in multiprocessing.active_children() if worker not in others]
+                for worker in begun:
+                    worker.kill()
+                for worker in begun:
+                    worker.join()
                 raise
 
 

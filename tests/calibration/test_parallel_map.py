@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from multiprocessing import active_children
 from pathlib import Path
 
 import pytest
 
-from calibration.parallel_map import NoClusterError, WorkerDiedError, parallel_map
-from tests.support.parallel_tasks import Task, deadly, profiled, squared, squared_but_killed_once
+from calibration.parallel_map import NoClusterError, WorkerDiedError, parallel_map, parallel_results
+from tests.support.parallel_tasks import Task, deadly, profiled, squared, squared_but_killed_once, written_or_waiting
 
 
 def tasks(folder: Path, n: int = 6) -> list[Task]:
@@ -40,6 +41,14 @@ def test_stored_results_are_not_computed_again(tmp_path: Path) -> None:
     assert [float(r[0]) for r in found] == [0, 1, 4, 9, 16]
     assert calls(tmp_path) == [0, 1, 2, 3, 4]
     assert not list(store.glob("*.part"))
+
+
+def test_an_interruption_ends_the_tasks_that_have_begun(tmp_path: Path) -> None:
+    found = parallel_results(written_or_waiting, [tmp_path / "first", tmp_path / "endless"], range(2), 2, None)
+    assert next(found)[0] == 0
+    found.close()
+    assert [child.name for child in active_children()] == []
+    assert [path.name for path in tmp_path.iterdir()] == ["first"]
 
 
 def test_a_task_that_kills_every_worker_raises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import signal
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -49,3 +50,10 @@ def profiled(task: Task) -> Array:
     """Whether the Dask worker of this task runs its profiler."""
     distributed: Any = importlib.import_module("distributed")
     return np.array([distributed.get_worker().periodic_callbacks["profile"].is_running()], float)
+
+
+def written_or_waiting(path: Path) -> Path:
+    """Write a file at once; one of the name `endless` after a minute."""
+    time.sleep(60.0 if path.name == "endless" else 0.0)
+    path.touch()
+    return path
