@@ -86,6 +86,15 @@ class Separation:
         seen = self.numbers * float(np.log1p(self.distance2 / self.numbers))
         return float(norm.cdf((seen + penalty - MIN_DECISIVE) / (2 * np.sqrt(seen))))
 
+    def repeated(self, count: float) -> Separation:
+        """The separation by so many repeats of the experiment, about: the priors count again with each."""
+        return replace(
+            self,
+            distance2=self.distance2 * (count if self.separable else 1.0),
+            numbers=round(self.numbers * count),
+            independent=self.independent * count,
+        )
+
 
 def closest(law: RivalLaw, planned: Poses, tip_m: Array) -> RivalLaw:
     """The law with those values of its own parameters that bring its tips closest to given ones (K, 3)."""

@@ -82,6 +82,7 @@ def separations(found: LawDesign, to: Path, source: str, *, as_json: bool) -> No
             "protocol": str(to),
             "errors": _errors(found.errors, source),
             "sufficient": found.sufficient,
+            "right_in_longest": [one.share for one in found.longest],
             "cases": rows,
         }
         print_json(facts)
@@ -104,8 +105,11 @@ def separations(found: LawDesign, to: Path, source: str, *, as_json: bool) -> No
                 "number of parameters then decides, or `rig identify compare` says that the data do not decide.",
                 soft_wrap=True,
             )
-    if all(one.separable for one in found.separations) and not found.sufficient:
+    if min(one.share for one in found.separations) < RIGHT:
+        least = min(found.longest, key=lambda one: one.share)
         screen.print(
-            f"fewer than {100 * RIGHT:.0f} % right decisions are expected: allow more --duration-s", soft_wrap=True
+            f"fewer than {100 * RIGHT:.0f} % right decisions are expected: allow more --duration-s; the longest one "
+            f"that the rig's limits allow reaches {share_text(least)}",
+            soft_wrap=True,
         )
     typer.echo(to)

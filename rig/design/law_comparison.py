@@ -35,7 +35,8 @@ _FEWEST = 6
 class LawDesign:
     """A protocol that separates two laws, its text, and the expected separation with either law true.
 
-    laws: with the arm that the design assumes of each. planned: what an identification would read from the run.
+    longest: the separations by a protocol as long as the rig's limits allow. laws: with the arm that the design assumes
+    of each. planned: what an identification would read from the run.
     errors: those that are assumed.
     """
 
@@ -44,6 +45,7 @@ class LawDesign:
     laws: tuple[RivalLaw, RivalLaw]
     planned: Poses
     separations: tuple[Separation, Separation]
+    longest: tuple[Separation, Separation]
     errors: MeasurementErrors
 
     @property
@@ -96,8 +98,10 @@ def design_comparison(
         raise BadInputError(list(problems))
     expected_run = expected_poses("design", trajectory, config, errors)
     found = (separation(first, second, expected_run), separation(second, first, expected_run))
+    repeats = (longest - ends_s(config)) / (count * level_s(config))
+    at_most = (found[0].repeated(repeats), found[1].repeated(repeats))
     text = _text(protocol, config, (found, errors), seed)
-    return LawDesign(protocol, text, (first, second), expected_run, found, errors)
+    return LawDesign(protocol, text, (first, second), expected_run, found, at_most, errors)
 
 
 def share_text(found: Separation) -> str:

@@ -82,6 +82,8 @@ def test_the_expected_share_is_that_of_a_normal_likelihood_ratio() -> None:
     assert far.share == pytest.approx(norm.cdf((12.0 - 2) / 2 / np.sqrt(12.0)), abs=1e-3)
     assert replace(far, more=1).share > far.share > replace(far, more=-1).share
     assert replace(far, distance2=0.0).share == 0.0
+    assert far.repeated(4.0).share == pytest.approx(norm.cdf((48.0 - 2) / 2 / np.sqrt(48.0)), abs=1e-3)
+    assert replace(far, distance2=0.5, more=1).repeated(100.0).share == pytest.approx(chi2.cdf(np.log(1e8) - 2, 1))
     assert replace(far, distance2=0.0, more=2).share == pytest.approx(chi2.cdf(2 * np.log(1e6) - 2, 2))
 
 

@@ -127,4 +127,5 @@ def test_the_command_prints_the_expected_decisions(tmp_path: Path, capsys: pytes
     found = json.loads(capsys.readouterr().out)
     assert [case["true"] for case in found["cases"]] == ["homogeneous+rpe", "inhomogeneous+rpe, pointwise"]
     assert found["cases"][1]["right"] > 0.99
+    assert found["cases"][0]["right"] < 0.95 < found["right_in_longest"][0]
     assert "--between 'homogeneous+rpe' 'inhomogeneous+rpe, pointwise'" in file.read_text()
