@@ -24,7 +24,7 @@ from runs.pressure_cycles import pressure_cycles
 from runs.records import MODEL_ALONE
 
 INDEX = ".catalogue.json"
-_FORM = 3
+_FORM = 4
 """Increased when `Entry` changes."""
 _TEXTS = ("run_id", "title", "start_time", "status", "executor", "operator", "notes")
 _READ = (

@@ -13,7 +13,8 @@ def pressure_cycles(measured_bar: NDArray[np.float64]) -> int:
     """The number of pressure cycles in measured pressures (n, actuators), of the actuator that has most.
 
     A cycle is a rise by `THRESHOLD_BAR` or more, then a fall by `THRESHOLD_BAR` or more: turning points with a
-    hysteresis. A level that is approached in steps is one rise. NaN is left out.
+    hysteresis. A level that is approached in steps is one rise. The valves make a run safe when it is over, so a rise
+    that it ends with is a cycle, too. NaN is left out.
     """
     return max((_cycles(column[np.isfinite(column)].tolist()) for column in measured_bar.T), default=0)
 
@@ -31,4 +32,4 @@ def _cycles(pressures_bar: list[float]) -> int:
         if turned:
             count += rising
             rising, extreme = not rising, pressure
-    return count
+    return count + rising
