@@ -52,7 +52,8 @@ class Unknowns:
 class ErrorBars:
     """Expected standard errors `std` (n,), with names, units, values and spans, of the shared free parameters.
 
-    alone (n,): the part by measurement and priors, without the model error.
+    alone (n,): the part by measurement and priors, without the model error. by_arm (arms, n): std of each arm, of which
+    `std` is the median: fine measurements make it depend on the arm.
     """
 
     names: tuple[str, ...]
@@ -61,6 +62,7 @@ class ErrorBars:
     spans: Array
     std: Array
     alone: Array
+    by_arm: Array
 
     @property
     def decided(self) -> NDArray[np.bool_]:
@@ -112,7 +114,7 @@ def error_bars_of_repeats(
 
     # The kernels of the rod model release the interpreter.
     with ThreadPoolExecutor(max_workers=min(len(arms), os.cpu_count() or 1)) as pool:
-        by_arm = list(pool.map(of_arm, arms, range(len(arms))))
+        found = list(pool.map(of_arm, arms, range(len(arms))))
     problem = unknowns.problem([])
     chosen = [i for i, one in enumerate(problem.unknowns) if one.parameter in unknowns.free]
     names = tuple(problem.unknowns[i].parameter.name for i in chosen)
@@ -120,9 +122,11 @@ def error_bars_of_repeats(
     values = problem.values(np.zeros(len(problem.unknowns)))[chosen]
     spans = np.array([problem.unknowns[i].span for i in chosen])
     out = []
-    for own in zip(*by_arm, strict=True):
+    for own in zip(*found, strict=True):
         alone, whole = np.array([one for one, _ in own]), np.concatenate([both for _, both in own])
-        out.append(ErrorBars(names, units, values, spans, np.median(whole, 0)[chosen], np.median(alone, 0)[chosen]))
+        by_arm = np.array([np.median(both, axis=0)[chosen] for _, both in own])
+        std, without = np.median(whole, axis=0)[chosen], np.median(alone, axis=0)[chosen]
+        out.append(ErrorBars(names, units, values, spans, std, without, by_arm))
     return tuple(out)
 
 

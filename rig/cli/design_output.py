@@ -21,31 +21,43 @@ def error_bars(found: Design, to: Path, source: str, *, as_json: bool) -> None:
     bars, library, repeated = found.bars, found.library.std.tolist(), found.repeated.std.tolist()
     numbers = list(zip(bars.values.tolist(), bars.std.tolist(), bars.alone.tolist(), library, repeated, strict=True))
     labels = list(zip(bars.names, bars.units, bars.decided.tolist(), strict=True))
+    of_arms = list(zip(bars.by_arm.min(axis=0).tolist(), bars.by_arm.max(axis=0).tolist(), strict=True))
     if as_json:
         rows = {
             name: {
                 "value": value,
                 "std": std,
+                "std_of_arms": arms,
                 "std_without_model_error": alone,
                 "std_library": other,
                 f"std_{REPEATS}_runs": least,
                 "unit": unit,
                 "identified": decided,
             }
-            for (name, unit, decided), (value, std, alone, other, least) in zip(labels, numbers, strict=True)
+            for (name, unit, decided), (value, std, alone, other, least), arms in zip(
+                labels, numbers, of_arms, strict=True
+            )
         }
         print_json({"protocol": str(to), "errors": _errors(found.errors, source), "parameters": rows})
         return
     table = ColumnTable(
-        "parameter", "value", "design +-", "library +-", "ratio", f"{REPEATS} runs +-", "unit", "identified"
+        "parameter", "value", "design +-", "of arms", "library +-", "ratio", f"{REPEATS} runs +-", "unit", "identified"
     )
-    for (name, unit, decided), (value, std, _, other, least) in zip(labels, numbers, strict=True):
-        shown = (f"{value:.4g}", f"{std:.3g}", f"{other:.3g}", f"{std / other:.2f}", f"{least:.2g}")
+    for (name, unit, decided), (value, std, _, other, least), (low, high) in zip(labels, numbers, of_arms, strict=True):
+        shown = (
+            f"{value:.4g}",
+            f"{std:.3g}",
+            f"{low:.2g}..{high:.2g}",
+            f"{other:.3g}",
+            f"{std / other:.2f}",
+            f"{least:.2g}",
+        )
         table.add_row(name, *shown, unit, "yes" if decided else "no")
     screen = console()
     screen.print(table)
     screen.print(
-        f"expected standard errors; library: {', '.join(LIBRARY)} together; {REPEATS} runs: of the design\n"
+        f"expected standard errors: median and range of {len(bars.by_arm)} arms as uncertain as the rig's\n"
+        f"library: {', '.join(LIBRARY)} together; {REPEATS} runs: of the design\n"
         f"{_assumed(found.errors, source)}\n"
         "plateaus count as held for long: nothing relaxes\n"
         "of an arm that obeys the model, with the errors of the model that its run cannot exclude; an arm that shows "
