@@ -29,6 +29,8 @@ from rig.realtime.timing_limits import TimingLimits, timing_limits
 
 PERIOD_MS = 2
 PATIENCE_S = 0.5
+EXIT_S = 0.25
+"""How long a killed process may take to begin to exit, on a busy machine."""
 
 
 def main() -> int:
@@ -71,7 +73,7 @@ def main() -> int:
         print(f"{message}: the process that held the card was ended to make the valves safe", file=sys.stderr)
     outputs.close()
     disable_realtime_scheduling()
-    if reason and not trouble and supervisor.exited:
+    if reason and not trouble and _supervisor_exits(memory, supervisor):
         report_unconfirmed(verify_venting(job.plan.config, vent=memory.vents))
     return 1 if trouble else 0
 
@@ -79,6 +81,17 @@ def main() -> int:
 def _make_safe(outputs: WatchdogOutputs, memory: SharedState, patience_s: float = PATIENCE_S) -> str:
     """Write the safe state; retry a failing card for `patience_s`. Returns the reason of a failure, else empty."""
     return failure_of(lambda: outputs.make_safe(vent=memory.vents), patience_s)
+
+
+def _supervisor_exits(memory: SharedState, supervisor: ProcessMonitor) -> bool:
+    """Return True once the supervisor has exited, False if it is alive: it then verifies the safe state itself."""
+    began_ns = time.monotonic_ns()
+    while not supervisor.exited:
+        now_ns = time.monotonic_ns()
+        if memory.heartbeat_ns("supervisor") > began_ns or now_ns - began_ns > EXIT_S * 1e9:
+            return False
+        time.sleep(PERIOD_MS * 1e-3)
+    return True
 
 
 def _watch(
