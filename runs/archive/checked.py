@@ -18,7 +18,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from runs.archive import checksum
+from runs.archive import checksum, global_heap
 from runs.archive.schema import BYTES, TEXT, ExpectedDataset
 from runs.archive.structure import Fields, SchemaViolationError, StructureCheck, shown, text_of
 
@@ -193,7 +193,11 @@ def _checked(path: Path, file: h5py.File, wanted: frozenset[str] | None) -> Fiel
     """Check the structure of an archive, or of the wanted part of it, and return the datasets that it has."""
     check = StructureCheck(file)
     try:
+        # Before any text is read: the library would not return from such a heap.
+        global_heap.check(path)
         return check.everything(wanted)
+    except global_heap.EndlessHeapError as fault:
+        raise ArchiveError(f"{path}: cannot be read ({fault})") from None
     except SchemaViolationError as fault:
         raise ArchiveError(f"{path}: {check.where}{fault}") from None
     except _FAULTS as fault:

@@ -270,6 +270,17 @@ def test_a_text_for_a_dimension_list_crashes_nothing(copy: Path, readers: Reader
     assert readers.troubles(copy, thorough=False) == []
 
 
+def test_a_heap_that_never_ends_is_refused(copy: Path, readers: Readers) -> None:
+    content = bytearray(copy.read_bytes())
+    heap = content.index(b"GCOL")
+    # Index 0 is the free rest of a heap; the library goes on by its size.
+    content[heap + 16 : heap + 32] = bytes(16)
+    copy.write_bytes(content)
+    assert readers.troubles(copy, thorough=False) == []
+    with pytest.raises(ArchiveError, match=f"the global heap at byte {heap} has an empty object at byte {heap + 16}"):
+        runs.open(copy)
+
+
 def test_datasets_that_no_archive_has_are_ignored(copy: Path) -> None:
     spoil(copy, lambda f: f["entry"].create_dataset("mine", data="a remark"))
     assert runs.open(copy).header.operator == "A. Tester"
