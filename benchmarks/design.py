@@ -96,7 +96,7 @@ def planned_runs(kind: str, config: RigConfig, free: tuple[str, ...], errors: Me
     return [expected_poses(name, one.expand(config.actuators), config, errors) for name, one in found]
 
 
-def told(expected: ErrorBars, found: Array) -> None:
+def print_error_bars(expected: ErrorBars, found: Array) -> None:
     """Print, by parameter, the median of stated bars over the expected one, and the rms of errors over it.
 
     arms: the medians over the arms of the design; own arm: over the bar that is expected for the drawn arm itself, as
@@ -151,7 +151,7 @@ def main() -> None:
     task = BarsTrial(tuple(planned), start, free, beside, dict(unknowns.priors), stated, errors, 0)
     tasks = [replace(task, seed=given.seed * 1_000_003 + k) for k in range(given.trials)]
     found = np.array(parallel_map(run_trial, tasks, given.workers, store=given.store))
-    told(error_bars(planned, unknowns), found)
+    print_error_bars(error_bars(planned, unknowns), found)
     print(f"{given.trials} arms in {time.perf_counter() - began:.0f} s")
 
 

@@ -174,7 +174,7 @@ def draw(file: Path, seed: int) -> None:
     save(figures.estimates, (9, 5.5), file, fit, (), true)
 
 
-def told(found: Coverage) -> None:
+def print_coverage(found: Coverage) -> None:
     """Print how often the intervals held the truth."""
     for name, share, column in zip(found.names, found.share, found.z.T, strict=True):
         z = column[np.isfinite(column)]
@@ -233,7 +233,7 @@ def main() -> None:
         took = time.perf_counter() - began
         rate = given.trials * count / took * 60
         print(f"{workers} workers: {given.trials} times {count} runs in {took:.0f} s, {rate:.0f} runs/min")
-        told(found)
+        print_coverage(found)
 
 
 if __name__ == "__main__":

@@ -85,7 +85,7 @@ def trials_of(rig: str, names: tuple[str, str], duration_s: float, count: int, s
     ]  # fmt: skip
 
 
-def told(bic: Array, names: tuple[str, str]) -> tuple[int, int]:
+def print_decisions(bic: Array, names: tuple[str, str]) -> tuple[int, int]:
     """Print the decisions by BIC (trials, 2) for each true law; return how many are right, and how many wrong."""
     half = len(bic) // 2
     right, wrong = 0, 0
@@ -118,7 +118,7 @@ def main() -> None:
     for first, second in given.laws or PAIRS:
         tasks = trials_of(given.rig, (first, second), given.duration_s, given.trials, given.seed)
         bic = np.array(parallel_map(run_trial, tasks, given.workers, store=given.store))
-        hits, misses = told(bic, (first, second))
+        hits, misses = print_decisions(bic, (first, second))
         right, wrong = right + hits, wrong + misses
         count += len(bic)
     took = f"{time.perf_counter() - began:.0f} s"

@@ -97,7 +97,7 @@ def trial(task: Trial) -> Array:
     return out
 
 
-def told(title: str, found: Array, alone: Array) -> None:
+def print_coverage(title: str, found: Array, alone: Array) -> None:
     """Print coverage and median error bars of trials (n, 2, parameters), and these over those by the tip alone."""
     z = found[:, 0] / found[:, 1]
     known = np.isfinite(z)
@@ -130,7 +130,7 @@ def main() -> None:
         began = time.process_time()
         found = np.array(parallel_map(trial, tasks, given.workers))
         alone = found if alone is None else alone
-        told(title, found, alone)
+        print_coverage(title, found, alone)
         print(f"  {time.process_time() - began:.0f} s of CPU in this process", flush=True)
 
 

@@ -70,16 +70,8 @@ TO_IDENTIFY: list[Row] = [
 
 def rig_of(truth: Truth) -> Row:
     """The rig file of mock-3 with a tracker, whose simulated arm is the truth."""
-    data, material = stated_rig(), truth.arm.material
-    data["simulator"]["material"] = {
-        "youngs_modulus_pa": material.youngs_modulus_pa,
-        "a1_per_N": material.a1_per_n,
-        "a2_per_N2": material.a2_per_n2,
-        "rpe_per_bar": material.rpe_per_bar,
-        "shear_ratio": material.shear_ratio,
-        "density_kg_m3": material.density_kg_m3,
-        "damping_s": material.damping_s,
-    }
+    data = stated_rig()
+    data["simulator"]["material"] = parameters_document.material_section(truth.arm.material)
     data["simulator"]["cap_mass_g"] = 1e3 * truth.arm.cap_mass_kg
     data["simulator"]["arm_effects"] = [{"type": "gains", "gains": truth.strength.tolist()}]
     return data

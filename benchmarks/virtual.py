@@ -17,14 +17,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from rig.simulator.mock_camera import Exposure
-    from rig.virtual.frame_pipeline import FrameResult, FrameSamples, FrameStages
+from benchmarks.inline_pipeline import InlinePipeline
 
 
 class Stopwatch:
@@ -96,6 +93,7 @@ def parts(protocol: str) -> None:
     begun = time.process_time()
     from rig.cli import run_output, terminal  # noqa: F401 - what the command imports
     from rig.control import control_loop
+    from rig.execution.plan import NullOperator
     from rig.experiment import report_process
     from rig.experiment import run as experiment
     from rig.observation import picture_recorder
@@ -108,7 +106,7 @@ def parts(protocol: str) -> None:
 
     imports_s = time.process_time() - begun
     watch = Stopwatch()
-    executor.FramePipeline = _SameProcess  # type: ignore[misc,assignment]
+    executor.FramePipeline = InlinePipeline  # type: ignore[misc,assignment]
     watch.around(executor._VirtualRun, "__init__", "start")
     watch.around(executor._VirtualRun, "_cycle", "the loop itself")
     watch.around(control_loop.ControlLoop, "cycle", "control")
@@ -126,7 +124,7 @@ def parts(protocol: str) -> None:
         request = experiment.request(protocol, "mock", folder=Path(folder), fast=True, seed=1, report=False)
         decided = experiment.plan(request)
         begun = time.process_time()
-        left = experiment.run(request, decided, _NoOperator())
+        left = experiment.run(request, decided, NullOperator())
         assert left.archive is not None
         report_process.here(left.archive)
         spent = time.process_time() - begun
@@ -138,52 +136,6 @@ def parts(protocol: str) -> None:
     outside = sum(result[part] for part in ("imports", "start", "archive", "report", "else"))
     loop_s = imports_s + spent - outside
     print(f"{'the whole loop':24s}{loop_s:8.2f}, {decided.trajectory.duration_s / loop_s:.1f} times real time")
-
-
-class _SameProcess:
-    """A frame pipeline that does its work at once in this process, so that each part is timed alone."""
-
-    def __init__(self, stages: FrameStages, cameras: int, shape: tuple[int, int]) -> None:
-        self._stages = stages
-        self._results: deque[FrameResult] = deque()
-
-    def __enter__(self) -> _SameProcess:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    @property
-    def in_flight(self) -> int:
-        return len(self._results)
-
-    def submit(self, index: int, due_ns: int, exposures: Sequence[Exposure | None], samples: FrameSamples) -> None:
-        self._results.append(self._stages.measure(self._stages.render(index, due_ns, exposures), samples))
-
-    def result(self) -> FrameResult:
-        return self._results.popleft()
-
-
-class _NoOperator:
-    """An operator who watches and never stops the run."""
-
-    def show(self, progress: object) -> None:
-        """Show nothing."""
-
-    def report(self, event: object) -> None:
-        """Report nothing."""
-
-    def answered(self) -> bool:
-        """Never."""
-        return False
-
-    def pause_toggled(self) -> bool:
-        """Never."""
-        return False
-
-    def stop_requested(self) -> str | None:
-        """Never."""
-        return None
 
 
 def main() -> None:

@@ -6,8 +6,7 @@ measures the tip in place of the camera.
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,15 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.inline_pipeline import InlinePipeline
 from protocols import SetPointTrajectory
 from protocols.tip_reference import TipMotion
 from rig.config.schema import RigConfig
 from rig.execution.plan import NullOperator, Outcome, RunPlan
-from rig.simulator.mock_camera import Exposure
 from rig.tip_control.horizon import HorizonControl
 from rig.tip_control.interface import TipControlSettings
 from rig.virtual import executor
-from rig.virtual.frame_pipeline import FrameResult, FrameSamples, FrameStages
 from runs.records import Event, Picture
 
 Array = NDArray[np.float64]
@@ -66,33 +64,6 @@ class KeptRecord:
         """There is no camera."""
 
 
-class SameProcess:
-    """A frame pipeline that measures at once in this process: there are no pictures to render beside control."""
-
-    def __init__(self, stages: FrameStages, cameras: int, shape: tuple[int, int]) -> None:
-        self._stages = stages
-        self._results: deque[FrameResult] = deque()
-
-    def __enter__(self) -> SameProcess:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    @property
-    def in_flight(self) -> int:
-        """Frame sets whose results have not been returned."""
-        return len(self._results)
-
-    def submit(self, index: int, due_ns: int, exposures: Sequence[Exposure | None], samples: FrameSamples) -> None:
-        """Measure a frame set."""
-        self._results.append(self._stages.measure(self._stages.render(index, due_ns, exposures), samples))
-
-    def result(self) -> FrameResult:
-        """The result of the oldest frame set."""
-        return self._results.popleft()
-
-
 _BUILT: dict[str, HorizonControl] = {}
 
 
@@ -114,7 +85,7 @@ SHARED_HORIZON = f"{__name__}:{SharedHorizon.__name__}"
 def in_this_process() -> Iterator[None]:
     """Let runs in virtual time measure their frames in this process."""
     usual = executor.FramePipeline
-    executor.FramePipeline = SameProcess  # type: ignore[misc,assignment]
+    executor.FramePipeline = InlinePipeline  # type: ignore[misc,assignment]
     try:
         yield
     finally:

@@ -17,6 +17,7 @@ from calibration.identify.profile_likelihood import LikelihoodProfile
 from calibration.identify.results import Estimate, RunFit, SectionFit
 from calibration.identify.setup import Setup
 from model.actuation import PA_PER_BAR
+from model.material import Material
 
 VERSION = 2
 _MM = 1e3
@@ -170,19 +171,26 @@ def _residuals(run: RunFit) -> list[list[float]]:
     return rows
 
 
+def material_section(material: Material) -> dict[str, float]:
+    """Return the keys of a material in rig and parameter files, without the branches of its memory."""
+    return {
+        "youngs_modulus_pa": material.youngs_modulus_pa,
+        "a1_per_N": material.a1_per_n,
+        "a2_per_N2": material.a2_per_n2,
+        "rpe_per_bar": material.rpe_per_bar,
+        "shear_ratio": material.shear_ratio,
+        "density_kg_m3": material.density_kg_m3,
+        "damping_s": material.damping_s,
+    }
+
+
 def _arm(setup: Setup) -> dict[str, Any]:
     arm = setup.turned_arm
     material = arm.material
     return {
         "geometry": _geometry(setup),
         "material": {
-            "youngs_modulus_pa": material.youngs_modulus_pa,
-            "a1_per_N": material.a1_per_n,
-            "a2_per_N2": material.a2_per_n2,
-            "rpe_per_bar": material.rpe_per_bar,
-            "shear_ratio": material.shear_ratio,
-            "density_kg_m3": material.density_kg_m3,
-            "damping_s": material.damping_s,
+            **material_section(material),
             "branches": [{"relative_modulus": b.relative_modulus, "time_s": b.time_s} for b in material.branches],
         },
         "actuation": {

@@ -22,6 +22,7 @@ from calibration.identify.simulated_experiments import MeasurementErrors, covera
 from calibration.identify.tip_predictor import Predictor
 from model.dynamics import Dynamics
 from model.material import MaxwellBranch
+from tests.support.finite_differences import check_slopes
 
 Array = NDArray[np.float64]
 
@@ -87,12 +88,7 @@ def test_slopes_of_orientations_are_the_finite_differences_of_the_gaps(period_s:
     poses = perform(planned, truth, np.random.default_rng(2), WITH)
     names = ("a1_per_n", "rpe_per_bar", "cap_mass_kg", "base", "tool", "tool_rotation", "sensor_offsets")
     problem = LeastSquaresProblem([poses], START, named(names, 3))
-    z = np.linspace(-0.3, 0.3, len(problem.unknowns))
-    slopes = problem.slopes(z, range(len(z)))[0]
-    assert slopes.shape == (12, 6, len(z))
-    for i, step in enumerate(np.eye(len(z)) * 1e-4):
-        numerical = (problem.gaps(z - step)[0] - problem.gaps(z + step)[0]) / 2e-4
-        np.testing.assert_allclose(slopes[:, :, i], numerical, atol=2e-5 * max(1.0, np.abs(numerical).max()))
+    check_slopes(problem, (12, 6))
 
 
 def test_the_tool_rotation_is_a_nuisance_parameter_only_where_orientations_are_measured() -> None:

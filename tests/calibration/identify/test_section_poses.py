@@ -20,6 +20,7 @@ from calibration.identify.poses import split_at
 from calibration.identify.section_mounts import mount_parameter, mount_priors
 from calibration.identify.setup import SectionMount
 from calibration.identify.simulated_experiments import MeasurementErrors, coverage, exact, perform, plan
+from tests.support.finite_differences import check_slopes
 
 Array = NDArray[np.float64]
 
@@ -48,12 +49,7 @@ def test_slopes_of_sections_are_the_finite_differences_of_the_gaps(period_s: flo
     names = ("a1_per_n", "shear_ratio", "length_m", "base", "tool", "sensor_offsets")
     mounts = ("section_middle_x_m", "section_middle_rz_rad", "section_low_y_m", "section_low_rx_rad")
     problem = LeastSquaresProblem([poses], START, named((*names, *mounts), 3))
-    z = np.linspace(-0.3, 0.3, len(problem.unknowns))
-    slopes = problem.slopes(z, range(len(z)))[0]
-    assert slopes.shape == (12, 18, len(z))
-    for i, step in enumerate(np.eye(len(z)) * 1e-4):
-        numerical = (problem.gaps(z - step)[0] - problem.gaps(z + step)[0]) / 2e-4
-        np.testing.assert_allclose(slopes[:, :, i], numerical, atol=2e-5 * max(1.0, np.abs(numerical).max()))
+    check_slopes(problem, (12, 18))
 
 
 def test_sections_tell_shear_from_bending_stiffness_and_mounting_and_the_tip_alone_does_not() -> None:
