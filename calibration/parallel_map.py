@@ -119,7 +119,7 @@ def _on_cores(
                     ) from broken
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
-                # Nobody takes the results of what they still do.
+                # The results of the tasks that still run are not used.
                 begun = [worker for worker in multiprocessing.active_children() if worker not in others]
                 for worker in begun:
                     worker.kill()

@@ -11,7 +11,7 @@ from calibration.identify.setup import Setup
 Read = Callable[[Setup], float]
 Write = Callable[[Setup, float], Setup]
 
-# Standard uncertainties of mountings that nobody measured.
+# Standard uncertainties of mountings that were not measured.
 MOUNTING_M, MOUNTING_RAD = 2e-3, 0.03
 
 

@@ -67,5 +67,5 @@ def mount_parameters(data: Sequence[Poses]) -> tuple[Parameter, ...]:
 
 
 def mount_priors(data: Sequence[Poses]) -> dict[str, Prior]:
-    """Their values as stated, with the uncertainty of a mounting that nobody measured."""
+    """Priors of these parameters: zero, with the stated uncertainty, or that of a mounting that was not measured."""
     return {one.name: Prior(0.0, one.uncertainty(0.0)) for one in mount_parameters(data)}

@@ -17,7 +17,7 @@ EMULATED_S = 400.0
 EMULATED_SLOW = 0.1
 """The emulator stalls for longer than a control period now and then."""
 SKIPPED = ("vanished device", "silence")
-"""Nobody pulls the card, and it does not vent by itself."""
+"""The card is not pulled, and it does not vent by itself."""
 
 
 @pytest.mark.parametrize("check", CARD_CHECKS, ids=lambda check: check.name.replace(" ", "-"))
