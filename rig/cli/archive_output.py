@@ -177,7 +177,7 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Group:
             drift_ppm = counters.get(f"{card}_scan_drift_ppb", 0) * 1e-3
             table.add_row(f"card {card} samples every [us]", f"{period_ns * 1e-3:.3f}")
             table.add_row("longer by the computer's clock [ppm]", f"{drift_ppm:+.1f}")
-    return Group(steps, table)
+    return Group(*((steps,) if summary.steps else ()), table)
 
 
 def _add_tip_path(table: Table, path: TipErrorSummary) -> None:
