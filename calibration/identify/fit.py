@@ -73,9 +73,9 @@ def identify(
         raise NoDataError("the runs are of arms with different numbers of actuators")
     parameters = named(free, actuators)
     held = () if stated is None else nuisance_parameters(start, data, parameters)
-    believed = {**mount_priors(data), **(stated or {})}
+    stated_priors = {**mount_priors(data), **(stated or {})}
     given = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
-    known = {p.name: believed[p.name] for p in held} | given
+    known = {p.name: stated_priors[p.name] for p in held} | given
     every = with_own_values((*parameters, *held), per_run, actuators)
     problem = LeastSquaresProblem(data, start, every, known, substeps=substeps)
     first = initial_point(problem, progress) if initial_values is None else point_of(problem, initial_values)
@@ -88,7 +88,7 @@ def identify(
     estimates, covariance = _estimates(problem, solution, joint, fixed, nuisances, wide)
     rates = problem.rates(solution.z)
     estimates = tuple(
-        replace(e, stated=believed.get(e.name) if stated else None, prior=known.get(e.name)) for e in estimates
+        replace(e, stated=stated_priors.get(e.name) if stated else None, prior=known.get(e.name)) for e in estimates
     )
     return Fit(
         setup=with_means_of_runs(problem.setup(solution.z), estimates),

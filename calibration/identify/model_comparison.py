@@ -291,10 +291,16 @@ def sentence(rows: Sequence[ComparisonRow], best: ComparisonRow, parts: str = "r
         else:
             text += f"; but the data do not pay for it (BIC {'lower' if worth > 0 else 'higher'} by {abs(worth):.0f})"
     text += "."
+    closest = min(rows, key=lambda row: row.error_m)
+    if closest is not best and closest.candidate.start.arm.remembers:
+        nearer = 100 * (1 - closest.error_m / best.error_m)
+        text += (
+            f" {name(closest)} predicts them {nearer:.0f} % better, but a memory must gain {100 * _MEMORY_GAIN:.0f} %."
+        )
     fittest = min(rows, key=lambda row: row.bic)
     if (better := best.bic - fittest.bic) > _MIN_BIC_GAIN and fittest not in simpler:
         text += (
-            f" All {parts} together {name(fittest)} meets better (BIC lower by {better:.0f}): the {parts} are too few, "
+            f" {name(fittest)} fits all {parts} together better (BIC lower by {better:.0f}): the {parts} are too few, "
         )
         text += "or too different, for each to be predicted from the others."
     return text

@@ -12,8 +12,9 @@ import model
 from calibration.identify import NoDataError, Poses, Prior, Setup, identify
 from calibration.identify.candidates import Candidate, candidates
 from calibration.identify.memory_parameters import ALL_NAMES
-from calibration.identify.model_comparison import ComparisonRow, compare_models, compared, decision, sentence
+from calibration.identify.model_comparison import ComparisonRow, best_of, compare_models, compared, decision, sentence
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
+from model.material import MaxwellBranch
 
 RAMP = np.linspace(0.15e5, 0.65e5, 6)[:, None]
 ERRORS = MeasurementErrors((1e-4, 1e-4, 1e-4), 10.0, 0.0)
@@ -73,13 +74,27 @@ def test_the_bic_of_frames_is_that_of_their_means_on_plateaus() -> None:
 def test_the_conclusion_warns_if_the_bic_prefers_another_model() -> None:
     asked = [c for c in candidates(START) if c.name.endswith(("pointwise", "paper-secant"))]
     pointwise, secant = compare_models(data(model.Arm.paper()), asked, workers=1).rows
-    assert "meets better" not in sentence((pointwise, secant), pointwise)
+    assert "together better" not in sentence((pointwise, secant), pointwise)
     lucky = replace(secant, error_m=0.5 * pointwise.error_m)
     text = sentence((pointwise, lucky), lucky)
     assert text.startswith("inhomogeneous+rpe, paper-secant predicts runs left out best")
-    assert "All runs together inhomogeneous+rpe, pointwise meets better (BIC lower by" in text
+    assert "inhomogeneous+rpe, pointwise fits all runs together better (BIC lower by" in text
     nearly = replace(lucky, bic=pointwise.bic + 5)
-    assert "meets better" not in sentence((pointwise, nearly), nearly)
+    assert "together better" not in sentence((pointwise, nearly), nearly)
+
+
+def test_the_conclusion_names_a_memory_that_predicts_better_but_gains_too_little() -> None:
+    one = candidates(START)[0]
+    arm = START.arm
+    branch = MaxwellBranch(0.1, 1.0)
+    memory = replace(one, name="branch", start=Setup(replace(arm, material=replace(arm.material, branches=(branch,)))))
+    plain = ComparisonRow(one, 1.0, 1e-3, 0.0, 100.0, 5, None)
+    near = ComparisonRow(memory, 1.0, 0.97e-3, 0.0, 100.0, 7, None)
+    assert best_of((plain, near)) is plain
+    assert "branch predicts them 3 % better, but a memory must gain 5 %." in sentence((plain, near), plain)
+    far = replace(near, error_m=0.9e-3)
+    assert best_of((plain, far)) is far
+    assert "must gain" not in sentence((plain, far), far)
 
 
 def test_a_single_run_is_compared_by_parts_that_are_left_out() -> None:
