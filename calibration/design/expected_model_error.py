@@ -9,19 +9,19 @@ from numpy.typing import NDArray
 
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.likelihood import Discrepancy
-from calibration.identify.model_error import lacking
+from calibration.identify.model_error import CoefficientPrior, lacking
 from calibration.identify.model_error_posterior import PRESENT, effect_columns, normal_equations, sample
 
 Array = NDArray[np.float64]
 
 
 def columns_and_amplitude(problem: LeastSquaresProblem) -> tuple[list[Array], Array]:
-    """Response (K, D, m) of each run's predictions to the coefficients, and their standard deviations (m,) before data.
+    """Response (K, D, m) of each run's predictions to the coefficients, and their rms (m,) before data.
 
     With the probability that an effect is absent; see `model_error_posterior`.
     """
-    columns, term, scale = _effects(problem)
-    return columns, np.sqrt(PRESENT) * scale[term]
+    columns, prior, scale = _effects(problem)
+    return columns, np.sqrt(PRESENT) * scale[prior.term] * prior.rms
 
 
 def added_variances(problem: LeastSquaresProblem, draws: int, rng: np.random.Generator) -> Array:
@@ -35,19 +35,19 @@ def added_variances(problem: LeastSquaresProblem, draws: int, rng: np.random.Gen
     exact = problem.solution(z, range(n), weights, Discrepancy(0.0), True)
     # Frames without errors have a correlation that means nothing.
     solution = replace(exact, correlation=(1.0,) * len(problem.data))
-    columns, term, scale = _effects(problem)
+    columns, prior, scale = _effects(problem)
     equations = normal_equations(problem, solution, np.zeros(n), columns, Discrepancy(0.0))
     # The gradient of unit normal residuals has the information as its covariance.
     values, vectors = np.linalg.eigh(equations.seen)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     found = [
-        sample([replace(equations, at_fit=np.zeros(n), gradient=root @ drawn)], term, scale).second
+        sample([replace(equations, at_fit=np.zeros(n), gradient=root @ drawn)], prior, scale).second
         for drawn in rng.standard_normal((draws, len(values)))
     ]
     return np.array([np.diagonal(one)[:n] - np.diagonal(equations.inverse) for one in found])
 
 
-def _effects(problem: LeastSquaresProblem) -> tuple[list[Array], NDArray[np.intp], Array]:
-    """Columns of every run at the start, the term (m,) of each, and the scale of each term."""
-    columns, term = effect_columns(problem, np.zeros(len(problem.unknowns)))
-    return columns, term, np.array([one.scale for one in lacking(problem.start.arm)])
+def _effects(problem: LeastSquaresProblem) -> tuple[list[Array], CoefficientPrior, Array]:
+    """Columns of every run at the start, the prior of the coefficients, and the scale of each term."""
+    columns, prior = effect_columns(problem, np.zeros(len(problem.unknowns)))
+    return columns, prior, np.array([one.scale for one in lacking(problem.start.arm)])

@@ -82,7 +82,9 @@ def identify(
     searched = search(problem, first, starts, seed, progress)
     joint = searched.best
     nuisances = {p.name for p in held}
-    found = determined_fit(problem, joint, nuisances, with_model_error=stated is not None, hold=hold_undetermined)
+    found = determined_fit(
+        problem, joint, nuisances, with_model_error=stated is not None, hold=hold_undetermined, progress=progress
+    )
     solution, fixed, posterior = found.solution, found.held, found.posterior
     wide = posterior.wide
     estimates, covariance = _estimates(problem, solution, joint, fixed, nuisances, wide)

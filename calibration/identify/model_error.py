@@ -3,10 +3,13 @@
 Each term is an error of the pressures that push the arm, or of the load, linear in a few coefficients. The tips respond
 to it as they respond to pressures and loads. So an error that the fitted parameters absorb on the fitted poses shows up
 in other poses as far as the model says.
+
+Dissipation has a known sign: creep and hysteresis make the push lag behind the pressure, and damage softens an arm.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -22,6 +25,7 @@ Array = NDArray[np.float64]
 _PA_PER_BAR = 1e5
 # Highest pressure and way of the pressure, over the reference pressure, at which most of the softening has happened.
 _SOFT_PEAK, _SOFT_TRAVEL = 0.5, 3.0
+_HALF_NORMAL_MEAN = math.sqrt(2.0 / math.pi)
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,7 @@ class ModelErrorTerm:
     reference pressure [Pa], the pressure errors (K, N, m) [Pa] per unit of its m coefficients; None for the load, whose
     one coefficient is a relative error of its effect. by_pair: its
     coefficients belong to pairs of actuators. unit, factor: of its size for readers. modelled: whether an arm's model
-    has the effect already.
+    has the effect already. sign: that of the errors of every actuator per unit of `push`, in any arm; 0 if both occur.
     """
 
     name: str
@@ -43,16 +47,32 @@ class ModelErrorTerm:
     unit: str = "%"
     factor: float = 100.0
     modelled: Callable[[Arm], bool] = lambda _: False
+    sign: int = 0
+
+    def groups(self, coefficients: Array, actuators: int) -> Array:
+        """Coefficients (.., m) by groups (.., G, C): in each, one for every actuator or pair, then a common one."""
+        count = actuators * (actuators - 1) if self.by_pair else actuators
+        return coefficients.reshape(*coefficients.shape[:-1], -1, count + 1)
+
+    def unit_prior(self, count: int, actuators: int) -> tuple[Array, Array]:
+        """Mean and standard deviation of its m = `count` coefficients for an amplitude of one.
+
+        The sum of an actuator's errors over the groups, per unit of `push`, has a mean square of the number of groups.
+        With a known sign it has the mean and the variance of a half-normal distribution. Half of the variance is common
+        to all actuators.
+        """
+        mean, std = np.zeros(count), np.ones(count)
+        if self.sign:
+            groups = self.groups(mean, actuators)
+            groups[:, -1] = self.sign * _HALF_NORMAL_MEAN * math.sqrt(2.0 / len(groups))
+            std[:] = math.sqrt(1.0 - _HALF_NORMAL_MEAN**2)
+        return mean, std
 
     def size(self, coefficients: Array, actuators: int) -> Array:
-        """Root mean square (S,) over the actuators, or pairs of them, of the errors by coefficients (S, m).
-
-        The coefficients are one or more groups, each with one coefficient per actuator or pair and a common one.
-        """
+        """Root mean square (S,) over the actuators, or pairs of them, of the errors by coefficients (S, m)."""
         if self.push is None:
             return np.abs(coefficients[:, 0])
-        count = actuators * (actuators - 1) if self.by_pair else actuators
-        groups = coefficients.reshape(len(coefficients), -1, count + 1)
+        groups = self.groups(coefficients, actuators)
         total = (groups[:, :, :-1] + groups[:, :, -1:]).sum(axis=1) / np.sqrt(2.0)
         rms: Array = np.sqrt((total**2).mean(axis=1))
         return rms
@@ -113,13 +133,13 @@ TERMS = (
     ModelErrorTerm("combination", "a push that depends on the pressures of the others", 0.04, _sum_curvature),
     ModelErrorTerm(
         "direction", "hysteresis: the direction of the last change", 0.01, _direction, unit="mbar", factor=1000.0,
-        modelled=lambda arm: bool(arm.actuation.stops),
+        modelled=lambda arm: bool(arm.actuation.stops), sign=-1,
     ),
     ModelErrorTerm(
         "time since step", "creep behind the pressure", 0.04, _creep,
-        modelled=lambda arm: bool(arm.material.branches),
+        modelled=lambda arm: bool(arm.material.branches), sign=-1,
     ),
-    ModelErrorTerm("softening", "softening by the pressures so far", 0.03, _softening),
+    ModelErrorTerm("softening", "softening by the pressures so far", 0.03, _softening, sign=1),
     ModelErrorTerm("load", "an arm that is stiffer or softer under loads", 0.03, None),
 )  # fmt: skip
 
@@ -130,16 +150,34 @@ def lacking(arm: Arm) -> tuple[ModelErrorTerm, ...]:
 
 
 @dataclass(frozen=True)
+class CoefficientPrior:
+    """What is known of m coefficients before any data, for given amplitudes of their terms.
+
+    term (m,): the number of the coefficient's term. mean, std (m,): of independent normal distributions, over the
+    amplitude of the term.
+    """
+
+    term: NDArray[np.intp]
+    mean: Array
+    std: Array
+
+    @property
+    def rms(self) -> Array:
+        """Root mean square (m,), over the amplitude of the term."""
+        return np.hypot(self.mean, self.std)
+
+
+@dataclass(frozen=True)
 class ErrorInputs:
     """What the coefficients of the terms change at K poses, per unit of each of the m coefficients.
 
     push_pa (K, N, m): the pressures that push the arm [Pa], as its sensors read them. load (m,): the load, relative to
-    its amount. term (m,): the number of the coefficient's term.
+    its amount.
     """
 
     push_pa: Array
     load: Array
-    term: NDArray[np.intp]
+    prior: CoefficientPrior
 
     def columns(self, response: PushResponse) -> Array:
         """Derivatives (K, D, m) of predictions by the coefficients, for predictions that respond so."""
@@ -165,13 +203,18 @@ class ErrorInputs:
 
 def error_inputs(poses: Poses, reference_pa: float, terms: Sequence[ModelErrorTerm]) -> ErrorInputs:
     """What the coefficients of some terms change at some poses."""
-    push, load, numbers = [], [], []
+    push, load, numbers, means, stds = [], [], [], [], []
     for k, term in enumerate(terms):
         own = np.zeros((*poses.pressure_pa.shape, 1)) if term.push is None else term.push(poses, reference_pa)
+        count = own.shape[2]
+        mean, std = term.unit_prior(count, poses.actuators)
         push.append(own)
-        load += [float(term.push is None)] * own.shape[2]
-        numbers += [k] * own.shape[2]
-    return ErrorInputs(np.concatenate(push, axis=2), np.array(load), np.array(numbers))
+        load += [float(term.push is None)] * count
+        numbers += [k] * count
+        means.append(mean)
+        stds.append(std)
+    prior = CoefficientPrior(np.array(numbers), np.concatenate(means), np.concatenate(stds))
+    return ErrorInputs(np.concatenate(push, axis=2), np.array(load), prior)
 
 
 def reference_pressure_pa(data: Sequence[Poses]) -> float:

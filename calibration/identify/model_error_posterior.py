@@ -1,7 +1,7 @@
 """Posterior of the model error given the residuals of a fit, and its effect on the parameters.
 
 Each term is present or absent. The coefficients of a term that is present are random effects with normal distributions
-and a common standard deviation, the term's amplitude. Presence, amplitudes and the independent error of the tips are
+in proportion to the term's amplitude. Presence, amplitudes and the independent error of the tips are
 averaged over their posterior distribution by Gibbs sampling (Kennedy and O'Hagan 2001 with a parametric discrepancy;
 George and McCulloch 1993 for the selection of terms).
 """
@@ -20,7 +20,13 @@ from scipy.special import ndtri
 
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.likelihood import Discrepancy, Weights, outlying, whitened
-from calibration.identify.model_error import ModelErrorTerm, error_inputs, lacking, reference_pressure_pa
+from calibration.identify.model_error import (
+    CoefficientPrior,
+    ModelErrorTerm,
+    error_inputs,
+    lacking,
+    reference_pressure_pa,
+)
 
 Array = NDArray[np.float64]
 
@@ -107,13 +113,14 @@ class NormalEquations:
 def model_error_posterior(problem: LeastSquaresProblem, solution: Solution, assumed: Array) -> ModelErrorPosterior:
     """The posterior at the solution of a fit; assumed (n,): information on unknowns that are held, in spans."""
     terms = lacking(problem.start.arm)
-    columns, term = effect_columns(problem, solution.z)
+    columns, prior = effect_columns(problem, solution.z)
+    term = prior.term
     off = solution.discrepancy
     shares = _NOISE_SHARES if any(off.of_kinds.values()) else (0.0,)
     noises = [off.scaled(share) for share in shares]
     equations = [normal_equations(problem, solution, assumed, columns, noise) for noise in noises]
     scale = np.array([one.scale for one in terms])
-    drawn = sample(equations, term, scale)
+    drawn = sample(equations, prior, scale)
     sizes = np.column_stack(
         [one.size(drawn.coefficients[:, term == k], problem.data[0].actuators) for k, one in enumerate(terms)]
     )
@@ -131,15 +138,15 @@ def model_error_posterior(problem: LeastSquaresProblem, solution: Solution, assu
     )
 
 
-def effect_columns(problem: LeastSquaresProblem, z: Array) -> tuple[list[Array], NDArray[np.intp]]:
-    """Derivatives (K, D, m) of each run's predictions by the coefficients at z (n,), and the term (m,) of each."""
+def effect_columns(problem: LeastSquaresProblem, z: Array) -> tuple[list[Array], CoefficientPrior]:
+    """Derivatives (K, D, m) of each run's predictions by the coefficients at z (n,), and their prior."""
     terms, reference_pa = lacking(problem.start.arm), reference_pressure_pa(problem.data)
     inputs = [error_inputs(poses, reference_pa, terms) for poses in problem.data]
     columns = [
         own.columns(predictor.push_response(problem.setup(z, run)))
         for run, (own, predictor) in enumerate(zip(inputs, problem.predictors(z), strict=True))
     ]
-    return columns, inputs[0].term
+    return columns, inputs[0].prior
 
 
 def _effect(term: ModelErrorTerm, probability: float, size: Array, present: NDArray[np.bool_]) -> Effect:
@@ -208,18 +215,19 @@ class Sampled:
 
 
 def sample(
-    equations: Sequence[NormalEquations], term: NDArray[np.intp], scale: Array, sweeps: int = _SWEEPS
+    equations: Sequence[NormalEquations], prior: CoefficientPrior, scale: Array, sweeps: int = _SWEEPS
 ) -> Sampled:
-    """Gibbs samples given the normal equations for each noise, the term (m,) of each coefficient, and scale (terms,).
+    """Gibbs samples given the normal equations for each noise, the prior of the m coefficients, and scale (terms,).
 
     Each sweep draws the amplitude of each term given the others (zero: absent), and the noise; the coefficients are
     integrated out. The seed is fixed.
     """
     rng = np.random.default_rng(0)
+    term = prior.term
     count, m = len(scale), len(term)
     n = len(equations[0].at_fit)
     levels = np.concatenate([[0.0], ndtri(0.5 + 0.5 * _QUANTILES)])
-    prior = np.log(np.concatenate([[1 - PRESENT], np.full(len(_QUANTILES), PRESENT / len(_QUANTILES))]))
+    chances = np.log(np.concatenate([[1 - PRESENT], np.full(len(_QUANTILES), PRESENT / len(_QUANTILES))]))
     level, noise = [0] * count, len(equations) - 1
     second, probability, absent = np.zeros((n + m, n + m)), np.zeros(count), 0.0
     coefficients, present, noises = [], [], []
@@ -233,15 +241,17 @@ def sample(
     def level_chance(k: int, others: tuple[int, ...], noise: int) -> Array:
         trial = np.tile(amplitude(others), (len(levels), 1))
         trial[:, term == k] = (scale[k] * levels)[:, None]
-        return _normalised(log_evidence(equations[noise], trial) + prior)
+        return _normalised(log_evidence(equations[noise], trial * prior.std, trial * prior.mean) + chances)
 
     @cache
     def noise_chance(level: tuple[int, ...]) -> Array:
-        return _normalised(np.array([log_evidence(one, amplitude(level)[None])[0] for one in equations]))
+        own = amplitude(level)[None]
+        return _normalised(np.array([log_evidence(one, own * prior.std, own * prior.mean)[0] for one in equations]))
 
     @cache
     def given(level: tuple[int, ...], noise: int) -> tuple[Array, Array, Array]:
-        mean, root = coefficients_given(equations[noise], amplitude(level))
+        own = amplitude(level)
+        mean, root = coefficients_given(equations[noise], own * prior.std, own * prior.mean)
         return mean, root, _second(equations[noise], mean, root)
 
     for sweep in range(-_BURN_IN, sweeps):
@@ -270,21 +280,24 @@ def _normalised(log: Array) -> Array:
     return out
 
 
-def log_evidence(equations: NormalEquations, amplitudes: Array) -> Array:
-    """Log evidence (S,) for the standard deviations (S, m) of the coefficients, up to a common constant."""
-    scaled = np.eye(amplitudes.shape[1]) + amplitudes[:, :, None] * equations.seen * amplitudes[:, None, :]
+def log_evidence(equations: NormalEquations, deviations: Array, means: Array) -> Array:
+    """Log evidence (S,) for prior standard deviations and means (S, m) of the coefficients, up to a common constant."""
+    scaled = np.eye(deviations.shape[1]) + deviations[:, :, None] * equations.seen * deviations[:, None, :]
     lower = np.linalg.cholesky(scaled)
-    pulled = np.linalg.solve(lower, (amplitudes * equations.gradient)[:, :, None])[:, :, 0]
+    known = means @ equations.seen
+    pulled = np.linalg.solve(lower, (deviations * (equations.gradient - known))[:, :, None])[:, :, 0]
     log_root = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
-    out: Array = equations.constant - log_root + 0.5 * (pulled**2).sum(axis=1)
+    at_means = (means * (equations.gradient - 0.5 * known)).sum(axis=1)
+    out: Array = equations.constant + at_means - log_root + 0.5 * (pulled**2).sum(axis=1)
     return out
 
 
-def coefficients_given(equations: NormalEquations, amplitude: Array) -> tuple[Array, Array]:
-    """Mean (m,) of the coefficients with the standard deviations (m,), and a root (m, m) of their covariance."""
-    scaled = np.eye(len(amplitude)) + amplitude[:, None] * equations.seen * amplitude
-    root: Array = amplitude[:, None] * np.linalg.inv(np.linalg.cholesky(scaled)).T
-    return root @ (root.T @ equations.gradient), root
+def coefficients_given(equations: NormalEquations, deviation: Array, mean: Array) -> tuple[Array, Array]:
+    """Mean (m,) of the coefficients with prior standard deviations and means (m,), and a root (m, m) of their
+    covariance."""
+    scaled = np.eye(len(deviation)) + deviation[:, None] * equations.seen * deviation
+    root: Array = deviation[:, None] * np.linalg.inv(np.linalg.cholesky(scaled)).T
+    return mean + root @ (root.T @ (equations.gradient - equations.seen @ mean)), root
 
 
 def _second(equations: NormalEquations, mean: Array, root: Array) -> Array:

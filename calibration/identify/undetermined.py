@@ -13,6 +13,7 @@ from calibration.identify.information import covariance as covariance_of
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.model_error_posterior import ModelErrorPosterior, model_error_posterior
 from calibration.identify.results import Verdict
+from calibration.identify.search import Progress
 
 Array = NDArray[np.float64]
 
@@ -63,7 +64,13 @@ class DeterminedFit:
 
 
 def determined_fit(
-    problem: LeastSquaresProblem, joint: Solution, nuisances: Collection[str], *, with_model_error: bool, hold: bool
+    problem: LeastSquaresProblem,
+    joint: Solution,
+    nuisances: Collection[str],
+    *,
+    with_model_error: bool,
+    hold: bool,
+    progress: Progress = lambda text: None,
 ) -> DeterminedFit:
     """Hold undetermined unknowns at their start and fit the others again; without `hold`, keep the joint solution.
 
@@ -80,12 +87,15 @@ def determined_fit(
         by_data = _worst_first(scaled_information(solution.information, solution.z), left, beside)
         more = {i: Held(_verdict(one.alone)) for i, one in by_data.items()}
         if not more:
+            progress("posterior of the parameters and of the effects that the model lacks")
             posterior = _posterior(problem, solution, held, with_model_error)
             if posterior.model_error is not None:
+                progress("fit together with these effects")
                 more = _obscured(problem, solution, held, posterior.model_error, left)
             if not more:
                 return DeterminedFit(solution, held, posterior)
         held |= more
+        progress(f"fit with {len(held)} undetermined unknowns held")
         at = np.array([0.0 if i in held else value for i, value in enumerate(joint.z)])
         solution = problem.solve(at, sorted(held))
 

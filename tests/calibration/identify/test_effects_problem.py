@@ -29,7 +29,7 @@ def effects_problem(seed: int) -> EffectsProblem:
     poses = perform(planned, START, np.random.default_rng(seed), ERRORS, felt_pa=1e5 * GROWN_BAR)
     stated = stated_values(START, {})
     problem = LeastSquaresProblem([poses], START, named(FREE, 3), {"sensor_1_gain": stated["sensor_1_gain"]})
-    coefficients = len(error_inputs(poses, 1e5, TERMS).term)
+    coefficients = len(error_inputs(poses, 1e5, TERMS).load)
     return EffectsProblem(problem, np.full(coefficients, 0.03))
 
 

@@ -17,7 +17,7 @@ from calibration.identify.findings import findings
 from calibration.identify.information import covariance as covariance_of
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.likelihood import Discrepancy
-from calibration.identify.model_error import TERMS, error_inputs
+from calibration.identify.model_error import TERMS, CoefficientPrior, error_inputs
 from calibration.identify.model_error_posterior import (
     PRESENT,
     NormalEquations,
@@ -73,30 +73,33 @@ def linear_problem() -> tuple[NormalEquations, Array, Array, Array, Array]:
 
 def test_the_evidence_is_the_marginal_likelihood_of_a_linear_gaussian_model() -> None:
     equations, residual, jacobian, effect, prior = linear_problem()
-    amplitudes = np.abs(np.random.default_rng(0).standard_normal((6, 12))) * 0.05
-    amplitudes[0] = 0.0
+    rng = np.random.default_rng(0)
+    deviations = np.abs(rng.standard_normal((6, 12))) * 0.05
+    means = rng.standard_normal((6, 12)) * 0.01
+    deviations[0] = means[0] = means[1] = 0.0
     without = np.eye(len(residual)) + jacobian @ prior @ jacobian.T
     dense = [
-        multivariate_normal.logpdf(residual, cov=without + (effect * a**2) @ effect.T, allow_singular=False)
-        for a in amplitudes
+        multivariate_normal.logpdf(residual, effect @ mean, without + (effect * std**2) @ effect.T)
+        for std, mean in zip(deviations, means, strict=True)
     ]
-    found = log_evidence(equations, amplitudes)
+    found = log_evidence(equations, deviations, means)
     assert found - found[0] == pytest.approx(np.array(dense) - dense[0], abs=1e-6)
     assert np.ptp(dense) > 1.0
 
 
 def test_coefficients_and_unknowns_have_the_posterior_of_a_linear_gaussian_model() -> None:
     equations, residual, jacobian, effect, prior = linear_problem()
-    amplitude = np.linspace(0.01, 0.06, 12)
-    mean, root = coefficients_given(equations, amplitude)
+    deviation, expected = np.linspace(0.01, 0.06, 12), np.linspace(-0.02, 0.03, 12)
+    mean, root = coefficients_given(equations, deviation, expected)
     covariance = root @ root.T
     both = np.concatenate([jacobian, effect], axis=1)
     inverse = np.zeros((15, 15))
     inverse[:3, :3] = np.linalg.inv(prior)
-    inverse[3:, 3:] = np.diag(1 / amplitude**2)
+    inverse[3:, 3:] = np.diag(1 / deviation**2)
     posterior = np.linalg.inv(both.T @ both + inverse)
+    about = np.concatenate([np.zeros(3), expected])
     assert covariance == pytest.approx(posterior[3:, 3:], rel=1e-6, abs=1e-10)
-    assert mean == pytest.approx((posterior @ (both.T @ residual))[3:], rel=1e-6, abs=1e-9)
+    assert mean == pytest.approx((posterior @ (both.T @ residual + inverse @ about))[3:], rel=1e-6, abs=1e-9)
     crossed = -equations.absorbed @ covariance
     assert crossed == pytest.approx(posterior[:3, 3:], rel=1e-5, abs=1e-9)
     assert equations.inverse - crossed @ equations.absorbed.T == pytest.approx(posterior[:3, :3], rel=1e-5, abs=1e-9)
@@ -122,15 +125,19 @@ def synthetic(seed: int, noise: float) -> NormalEquations:
 
 def test_samples_agree_with_the_enumeration_of_all_amplitudes_and_noises() -> None:
     equations = [synthetic(1, noise) for noise in (1.0, 1.5)]
-    scale, term = np.array([0.3, 0.2]), np.array([0, 0, 1])
+    scale, prior = np.array([0.3, 0.2]), CoefficientPrior(np.array([0, 0, 1]), np.array([0.0, 0.0, 0.8]), np.ones(3))
     levels = np.concatenate([[0.0], halfnorm.ppf((np.arange(6) + 0.5) / 6)])
     chance = np.concatenate([[1 - PRESENT], np.full(6, PRESENT / 6)])
+
+    def evidence(one: NormalEquations, amplitude: Array) -> float:
+        return float(log_evidence(one, (amplitude * prior.std)[None], (amplitude * prior.mean)[None])[0])
+
     total, present, absent, second, first_noise = 0.0, np.zeros(2), 0.0, np.zeros((4, 4)), 0.0
-    biggest = max(float(log_evidence(one, np.array([[0.3, 0.3, 0.0]]))[0]) for one in equations)
+    biggest = max(evidence(one, np.array([0.3, 0.3, 0.0])) for one in equations)
     for k, (i, j) in itertools.product(range(2), itertools.product(range(7), repeat=2)):
         amplitude = np.array([scale[0] * levels[i]] * 2 + [scale[1] * levels[j]])
-        weight = chance[i] * chance[j] * np.exp(float(log_evidence(equations[k], amplitude[None])[0]) - biggest)
-        mean, root = coefficients_given(equations[k], amplitude)
+        weight = chance[i] * chance[j] * np.exp(evidence(equations[k], amplitude) - biggest)
+        mean, root = coefficients_given(equations[k], amplitude * prior.std, amplitude * prior.mean)
         covariance = root @ root.T
         u, a = equations[k].at_fit, equations[k].absorbed
         onto = np.concatenate([-a, np.eye(3)])
@@ -142,7 +149,7 @@ def test_samples_agree_with_the_enumeration_of_all_amplitudes_and_noises() -> No
         absent += weight * (i == j == 0)
         first_noise += weight * (k == 0)
         second += weight * square
-    found = sample(equations, term, scale, sweeps=3000)
+    found = sample(equations, prior, scale, sweeps=3000)
     assert 0.2 < present[1] / total < 0.8
     assert found.probability == pytest.approx(present / total, abs=0.02)
     assert found.absent == pytest.approx(absent / total, abs=0.01)
@@ -150,6 +157,24 @@ def test_samples_agree_with_the_enumeration_of_all_amplitudes_and_noises() -> No
     assert found.second == pytest.approx(second / total, rel=0.05, abs=0.002)
     drawn = found.coefficients.T @ found.coefficients / len(found.coefficients)
     assert drawn == pytest.approx(second[1:, 1:] / total, rel=0.05, abs=0.004)
+
+
+def test_effects_of_dissipation_have_their_sign_and_their_amplitude_in_the_prior_and_others_have_no_sign() -> None:
+    poses = plan("one", RAMP * [1, 1, 1], errors=ERRORS)
+    signs = {term.name: term.sign for term in TERMS if term.sign}
+    assert signs == {"direction": -1, "time since step": -1, "softening": 1}
+    rng = np.random.default_rng(0)
+    for term in TERMS:
+        prior = error_inputs(poses, 0.65e5, [term]).prior
+        drawn = prior.mean + prior.std * rng.standard_normal((20_000, len(prior.mean)))
+        groups = term.groups(drawn, 3) if term.push else drawn[:, None]
+        of_each = (groups[:, :, :-1] + groups[:, :, -1:]).sum(axis=1) / np.sqrt(2) if term.push else drawn
+        mean, square = of_each.mean(axis=0), (of_each**2).mean(axis=0)
+        assert square == pytest.approx(np.full(square.shape, groups.shape[1]), rel=0.05)
+        assert mean / np.sqrt(square) == pytest.approx(np.full(mean.shape, term.sign * halfnorm.mean()), abs=0.05)
+    # Creep makes the push lag behind a rising pressure.
+    rising = error_inputs(poses, 0.65e5, [term for term in TERMS if term.name == "time since step"])
+    assert (rising.push_pa @ rising.prior.mean < 0).all()
 
 
 @cache

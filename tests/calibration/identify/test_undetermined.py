@@ -61,8 +61,17 @@ def test_an_effect_that_the_model_lacks_is_not_published_as_a_parameter_far_from
     errors = MeasurementErrors((3e-5, 3e-5, 3e-5), 20.0, 100.0)
     grown = 1e5 * bar * (1 + growth_per_bar * bar)
     poses = perform(plan("ramp-a", 1e5 * bar, errors=errors), START, np.random.default_rng(2), errors, felt_pa=grown)
-    fit = identify([poses], START, ("law", "rpe_per_bar", "base"), stated=stated_values(START, {}))
+    steps: list[str] = []
+    stated = stated_values(START, {})
+    fit = identify([poses], START, ("law", "rpe_per_bar", "base"), stated=stated, progress=steps.append)
     assert fit["rpe_per_bar"].verdict is Verdict.OBSCURED
+    # What follows the search takes as long as the search, so it is reported, too.
+    after = [step for step in steps if not step.startswith("start 1")]
+    assert after[-2:] == [
+        "posterior of the parameters and of the effects that the model lacks",
+        "fit together with these effects",
+    ]
+    assert sum(step.endswith("undetermined unknowns held") for step in after) >= 1
     interval = fit["a1_per_n"].interval
     assert interval is None or interval[0] < START.arm.material.a1_per_n < interval[1]
     assert interval is not None or growth_per_bar > 0.2
