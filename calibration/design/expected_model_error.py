@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.likelihood import Discrepancy
 from calibration.identify.model_error import CoefficientPrior, lacking
-from calibration.identify.model_error_posterior import PRESENT, effect_columns, normal_equations, sample
+from calibration.identify.model_error_posterior import effect_columns, normal_equations
+from calibration.identify.model_error_sampler import PRESENT, AmplitudeSampler
 
 Array = NDArray[np.float64]
 
@@ -40,10 +41,8 @@ def added_variances(problem: LeastSquaresProblem, draws: int, rng: np.random.Gen
     # The gradient of unit normal residuals has the information as its covariance.
     values, vectors = np.linalg.eigh(equations.seen)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    found = [
-        sample([replace(equations, at_fit=np.zeros(n), gradient=root @ drawn)], prior, scale).second
-        for drawn in rng.standard_normal((draws, len(values)))
-    ]
+    sampler = AmplitudeSampler([replace(equations, at_fit=np.zeros(n))], prior, scale)
+    found = [sampler.sample([root @ drawn]).second for drawn in rng.standard_normal((draws, len(values)))]
     return np.array([np.diagonal(one)[:n] - np.diagonal(equations.inverse) for one in found])
 
 

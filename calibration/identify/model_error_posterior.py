@@ -1,9 +1,9 @@
 """Posterior of the model error given the residuals of a fit, and its effect on the parameters.
 
 Each term is present or absent. The coefficients of a term that is present are random effects with normal distributions
-in proportion to the term's amplitude. Presence, amplitudes and the independent error of the tips are
-averaged over their posterior distribution by Gibbs sampling (Kennedy and O'Hagan 2001 with a parametric discrepancy;
-George and McCulloch 1993 for the selection of terms).
+in proportion to the term's amplitude. Presence, amplitudes and the independent error of the tips are averaged over
+their posterior distribution by Gibbs sampling (Kennedy and O'Hagan 2001 with a parametric discrepancy; George and
+McCulloch 1993 for the selection of terms).
 """
 
 from __future__ import annotations
@@ -11,12 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
-from scipy.special import ndtri
 
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.likelihood import Discrepancy, Weights, outlying, whitened
@@ -27,17 +25,12 @@ from calibration.identify.model_error import (
     lacking,
     reference_pressure_pa,
 )
+from calibration.identify.model_error_sampler import LEVELS, AmplitudeSampler, NormalEquations
 
 Array = NDArray[np.float64]
 
-# Probability that a term is present before anything is known of this arm.
-PRESENT = 0.5
 # Probability above which a term counts as found.
 FOUND = 0.95
-# Amplitudes of a term that is present: these quantiles of a half-normal distribution, all equally probable.
-_QUANTILES = (np.arange(6) + 0.5) / 6
-# Sweeps of the sampler, and those before them that do not count.
-_SWEEPS, _BURN_IN = 200, 30
 # Independent errors of the tips that are considered, as shares of the discrepancy of the fit.
 _NOISE_SHARES = (0.05, 0.3, 0.6, 1.0)
 # Smallest amplitude of a term that is stated, as a share of its scale.
@@ -95,21 +88,6 @@ class ModelErrorPosterior:
         return tuple(one for one in self.effects if one.found)
 
 
-@dataclass(frozen=True)
-class NormalEquations:
-    """Normal equations of unknowns d and coefficients c: sums of squares, marginal over d."""
-
-    inverse: Array
-    at_fit: Array
-    """Best d without a model error (n,)."""
-    absorbed: Array
-    """Change of d by c, with the opposite sign (n, m)."""
-    seen: Array
-    """Information on c (m, m)."""
-    gradient: Array
-    constant: float
-
-
 def model_error_posterior(problem: LeastSquaresProblem, solution: Solution, assumed: Array) -> ModelErrorPosterior:
     """The posterior at the solution of a fit; assumed (n,): information on unknowns that are held, in spans."""
     terms = lacking(problem.start.arm)
@@ -120,7 +98,7 @@ def model_error_posterior(problem: LeastSquaresProblem, solution: Solution, assu
     noises = [off.scaled(share) for share in shares]
     equations = [normal_equations(problem, solution, assumed, columns, noise) for noise in noises]
     scale = np.array([one.scale for one in terms])
-    drawn = sample(equations, prior, scale)
+    drawn = AmplitudeSampler(equations, prior, scale).sample()
     sizes = np.column_stack(
         [one.size(drawn.coefficients[:, term == k], problem.data[0].actuators) for k, one in enumerate(terms)]
     )
@@ -152,7 +130,7 @@ def effect_columns(problem: LeastSquaresProblem, z: Array) -> tuple[list[Array],
 def _effect(term: ModelErrorTerm, probability: float, size: Array, present: NDArray[np.bool_]) -> Effect:
     chosen = size[present] if present.any() else np.zeros(1)
     # The smallest amplitude that is considered.
-    least = float(ndtri(0.5 + 0.5 * _QUANTILES[0])) * term.scale
+    least = float(LEVELS[1]) * term.scale
     return Effect(
         term, probability, float(chosen.mean()), float(chosen.std()), max(least, float(np.quantile(size, 0.95)))
     )
@@ -197,115 +175,3 @@ def normal_equations(
     root = solve_triangular(triangle, np.eye(n))
     constant += 0.5 * float(onto_rows @ onto_rows) - float(np.log(np.abs(np.diagonal(triangle))).sum())
     return NormalEquations(root @ root.T, root @ onto_rows, root @ onto_effect, rest.T @ rest, rest.T @ rows, constant)
-
-
-@dataclass(frozen=True)
-class Sampled:
-    """Samples of the model error: coefficients (S, m), present (S, terms), noise (S,) as its number.
-
-    second (n + m, n + m): as of `ModelErrorPosterior`. probability (terms,) of presence; absent: that of no term.
-    """
-
-    second: Array
-    coefficients: Array
-    present: NDArray[np.bool_]
-    noise: NDArray[np.intp]
-    probability: Array
-    absent: float
-
-
-def sample(
-    equations: Sequence[NormalEquations], prior: CoefficientPrior, scale: Array, sweeps: int = _SWEEPS
-) -> Sampled:
-    """Gibbs samples given the normal equations for each noise, the prior of the m coefficients, and scale (terms,).
-
-    Each sweep draws the amplitude of each term given the others (zero: absent), and the noise; the coefficients are
-    integrated out. The seed is fixed.
-    """
-    rng = np.random.default_rng(0)
-    term = prior.term
-    count, m = len(scale), len(term)
-    n = len(equations[0].at_fit)
-    levels = np.concatenate([[0.0], ndtri(0.5 + 0.5 * _QUANTILES)])
-    chances = np.log(np.concatenate([[1 - PRESENT], np.full(len(_QUANTILES), PRESENT / len(_QUANTILES))]))
-    level, noise = [0] * count, len(equations) - 1
-    second, probability, absent = np.zeros((n + m, n + m)), np.zeros(count), 0.0
-    coefficients, present, noises = [], [], []
-
-    def amplitude(level: tuple[int, ...]) -> Array:
-        out: Array = (scale * levels[list(level)])[term]
-        return out
-
-    # The sampler returns to few states again and again.
-    @cache
-    def level_chance(k: int, others: tuple[int, ...], noise: int) -> Array:
-        trial = np.tile(amplitude(others), (len(levels), 1))
-        trial[:, term == k] = (scale[k] * levels)[:, None]
-        return _normalised(log_evidence(equations[noise], trial * prior.std, trial * prior.mean) + chances)
-
-    @cache
-    def noise_chance(level: tuple[int, ...]) -> Array:
-        own = amplitude(level)[None]
-        return _normalised(np.array([log_evidence(one, own * prior.std, own * prior.mean)[0] for one in equations]))
-
-    @cache
-    def given(level: tuple[int, ...], noise: int) -> tuple[Array, Array, Array]:
-        own = amplitude(level)
-        mean, root = coefficients_given(equations[noise], own * prior.std, own * prior.mean)
-        return mean, root, _second(equations[noise], mean, root)
-
-    for sweep in range(-_BURN_IN, sweeps):
-        for k in range(count):
-            level[k] = 0
-            chance = level_chance(k, tuple(level), noise)
-            if sweep >= 0:
-                probability[k] += (1 - chance[0]) / sweeps
-                absent += chance[0] / (count * sweeps) if not any(level) else 0.0
-            level[k] = int(rng.choice(len(levels), p=chance))
-        if len(equations) > 1:
-            chance = noise_chance(tuple(level))
-            noise = int(rng.choice(len(equations), p=chance))
-        if sweep >= 0:
-            mean, root, own_second = given(tuple(level), noise)
-            second += own_second / sweeps
-            coefficients.append(mean + root @ rng.standard_normal(m))
-            present.append([one > 0 for one in level])
-            noises.append(noise)
-    return Sampled(second, np.array(coefficients), np.array(present), np.array(noises), probability, absent)
-
-
-def _normalised(log: Array) -> Array:
-    chance = np.exp(log - log.max())
-    out: Array = chance / chance.sum()
-    return out
-
-
-def log_evidence(equations: NormalEquations, deviations: Array, means: Array) -> Array:
-    """Log evidence (S,) for prior standard deviations and means (S, m) of the coefficients, up to a common constant."""
-    scaled = np.eye(deviations.shape[1]) + deviations[:, :, None] * equations.seen * deviations[:, None, :]
-    lower = np.linalg.cholesky(scaled)
-    known = means @ equations.seen
-    pulled = np.linalg.solve(lower, (deviations * (equations.gradient - known))[:, :, None])[:, :, 0]
-    log_root = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
-    at_means = (means * (equations.gradient - 0.5 * known)).sum(axis=1)
-    out: Array = equations.constant + at_means - log_root + 0.5 * (pulled**2).sum(axis=1)
-    return out
-
-
-def coefficients_given(equations: NormalEquations, deviation: Array, mean: Array) -> tuple[Array, Array]:
-    """Mean (m,) of the coefficients with prior standard deviations and means (m,), and a root (m, m) of their
-    covariance."""
-    scaled = np.eye(len(deviation)) + deviation[:, None] * equations.seen * deviation
-    root: Array = deviation[:, None] * np.linalg.inv(np.linalg.cholesky(scaled)).T
-    return mean + root @ (root.T @ (equations.gradient - equations.seen @ mean)), root
-
-
-def _second(equations: NormalEquations, mean: Array, root: Array) -> Array:
-    """Mean squares and products (n + m, n + m) of unknowns and coefficients; root: of the coefficients' covariance."""
-    absorbed = equations.absorbed
-    centre = np.concatenate([equations.at_fit - absorbed @ mean, mean])
-    spread = np.concatenate([-absorbed @ root, root])
-    out: Array = np.outer(centre, centre) + spread @ spread.T
-    n = len(equations.at_fit)
-    out[:n, :n] += equations.inverse
-    return out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -18,13 +19,13 @@ from calibration.identify.information import covariance as covariance_of
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.likelihood import Discrepancy
 from calibration.identify.model_error import TERMS, CoefficientPrior, error_inputs
-from calibration.identify.model_error_posterior import (
+from calibration.identify.model_error_posterior import normal_equations
+from calibration.identify.model_error_sampler import (
     PRESENT,
+    AmplitudeSampler,
     NormalEquations,
     coefficients_given,
     log_evidence,
-    normal_equations,
-    sample,
 )
 from calibration.identify.nuisance import stated_values
 from calibration.identify.poses import Poses
@@ -82,7 +83,7 @@ def test_the_evidence_is_the_marginal_likelihood_of_a_linear_gaussian_model() ->
         multivariate_normal.logpdf(residual, effect @ mean, without + (effect * std**2) @ effect.T)
         for std, mean in zip(deviations, means, strict=True)
     ]
-    found = log_evidence(equations, deviations, means)
+    found = np.array([log_evidence(equations, std, mean) for std, mean in zip(deviations, means, strict=True)])
     assert found - found[0] == pytest.approx(np.array(dense) - dense[0], abs=1e-6)
     assert np.ptp(dense) > 1.0
 
@@ -130,7 +131,7 @@ def test_samples_agree_with_the_enumeration_of_all_amplitudes_and_noises() -> No
     chance = np.concatenate([[1 - PRESENT], np.full(6, PRESENT / 6)])
 
     def evidence(one: NormalEquations, amplitude: Array) -> float:
-        return float(log_evidence(one, (amplitude * prior.std)[None], (amplitude * prior.mean)[None])[0])
+        return log_evidence(one, amplitude * prior.std, amplitude * prior.mean)
 
     total, present, absent, second, first_noise = 0.0, np.zeros(2), 0.0, np.zeros((4, 4)), 0.0
     biggest = max(evidence(one, np.array([0.3, 0.3, 0.0])) for one in equations)
@@ -149,7 +150,7 @@ def test_samples_agree_with_the_enumeration_of_all_amplitudes_and_noises() -> No
         absent += weight * (i == j == 0)
         first_noise += weight * (k == 0)
         second += weight * square
-    found = sample(equations, prior, scale, sweeps=3000)
+    found = AmplitudeSampler(equations, prior, scale, sweeps=3000).sample()
     assert 0.2 < present[1] / total < 0.8
     assert found.probability == pytest.approx(present / total, abs=0.02)
     assert found.absent == pytest.approx(absent / total, abs=0.01)
@@ -157,6 +158,20 @@ def test_samples_agree_with_the_enumeration_of_all_amplitudes_and_noises() -> No
     assert found.second == pytest.approx(second / total, rel=0.05, abs=0.002)
     drawn = found.coefficients.T @ found.coefficients / len(found.coefficients)
     assert drawn == pytest.approx(second[1:, 1:] / total, rel=0.05, abs=0.004)
+
+
+def test_samples_for_another_gradient_are_those_of_equations_with_that_gradient() -> None:
+    equations = [synthetic(1, noise) for noise in (1.0, 1.5)]
+    scale, prior = np.array([0.3, 0.2]), CoefficientPrior(np.array([0, 0, 1]), np.array([0.0, 0.0, 0.8]), np.ones(3))
+    gradients = [synthetic(2, noise).gradient for noise in (1.0, 1.5)]
+    sampler = AmplitudeSampler(equations, prior, scale)
+    first = sampler.sample()
+    changed = sampler.sample(gradients)
+    own = [replace(one, gradient=gradient) for one, gradient in zip(equations, gradients, strict=True)]
+    expected = AmplitudeSampler(own, prior, scale).sample()
+    assert (changed.coefficients == expected.coefficients).all()
+    assert (changed.second == expected.second).all()
+    assert np.abs(changed.second - first.second).max() > 1e-3
 
 
 def test_effects_of_dissipation_have_their_sign_and_their_amplitude_in_the_prior_and_others_have_no_sign() -> None:

@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import protocols
+from calibration.design.information import error_bars
 from calibration.identify.data import at_rest, in_motion
+from calibration.identify.simulated_experiments import MeasurementErrors
 from rig.cli.app import main
 from rig.config.loader import load
-from rig.design.design import design
-from rig.design.expected_poses import errors_of_run
+from rig.design.design import unknowns_of
+from rig.design.expected_poses import errors_of_run, expected_poses
 from rig.execution.plan import NullOperator
 from rig.experiment import run as experiment
 from runs.run import Run
@@ -26,10 +29,15 @@ steps:
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    folder = tmp_path_factory.mktemp("measured")
-    protocol = folder / "levels.yaml"
-    protocol.write_text(STEPS)
+def protocol(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("measured") / "levels.yaml"
+    file.write_text(STEPS)
+    return file
+
+
+@pytest.fixture(scope="module")
+def run(protocol: Path) -> Run:
+    folder = protocol.parent
     request = experiment.request(str(protocol), "mock", folder=folder, fast=True, seed=4, report=False)
     archive = experiment.run(request, experiment.plan(request), NullOperator()).archive
     assert archive is not None
@@ -50,10 +58,11 @@ def test_errors_are_those_that_an_identification_reads_from_the_run(run: Run) ->
 
 
 def test_a_design_with_the_errors_of_a_run_says_which(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Run, protocol: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file = tmp_path / "design.yaml"
-    words = ["design", "--rig", "mock", "--duration-s", "12", "--free", "law", "--errors-of", str(run.path)]
+    monkeypatch.setattr("rig.design.design.LIBRARY", (str(protocol),))
+    file, config = tmp_path / "design.yaml", load("mock")
+    words = ["design", "--rig", "mock", "--duration-s", "8", "--free", "law", "--errors-of", str(run.path)]
     with pytest.raises(SystemExit) as left:
         main([*words, "--to", str(file), "--json"])
     assert left.value.code in (0, None)
@@ -61,6 +70,7 @@ def test_a_design_with_the_errors_of_a_run_says_which(
     assert found["errors"]["source"] == str(run.path)
     assert tuple(found["errors"]["tip_m"]) == errors.tip_m
     assert "# Standard deviations: tips " in file.read_text()
-    coarse = design(load("mock"), ("law",), 12.0)
-    finer = [found["parameters"][name]["std"] for name in coarse.bars.names]
-    assert (np.array(finer) < coarse.bars.std).all()
+    usual = expected_poses("design", protocols.load(str(file)).expand(config.actuators), config, MeasurementErrors())
+    coarse = error_bars([usual], unknowns_of(config, ("law",), [usual]))
+    finer = [found["parameters"][name]["std"] for name in coarse.names]
+    assert (np.array(finer) < coarse.std).all()
