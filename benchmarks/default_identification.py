@@ -135,7 +135,7 @@ def run_trial(trial: DefaultTrial) -> Array:
         file = Path(folder) / "drawn.yaml"
         file.write_text(yaml.safe_dump(drawn_rig(rig.text, rig.config, rng)), encoding="utf-8")
         archive = _performed(read(file), protocol, trial.seed, Path(folder))
-        fit = identify([archive]).best
+        fit = identify([archive]).fit
         truth = truth_of(Run(archive))
     moving = any(poses.moving for poses in fit.problem.data)
     rows = np.full((5, len(estimated_names(rig.config, True))), np.nan)

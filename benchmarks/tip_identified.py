@@ -88,7 +88,7 @@ def identified(rig: RigFile, folder: Path, seed: int) -> RigFile:
     if done.archive is None:
         raise RuntimeError("; ".join(done.warnings))
     found = identify([done.archive])
-    file = parameters_document.write(found.best, folder / "arm.params.yaml", baseline=found.baseline)
+    file = parameters_document.write(found.fit, folder / "arm.params.yaml", baseline=found.baseline)
     return rig.identified(parameters_overlay.read(file))
 
 

@@ -1,19 +1,16 @@
-"""The paper's own identification (5.2): from elongations to mu, R_m, a, E, a1, a2."""
+"""The paper's own identification (5.2): from elongations to a, E, a1 and a2."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 import model
 from calibration.identify.errors import NoDataError
 from calibration.identify.poses import PA_PER_BAR, Poses
-from model.tube import BallooningError, Tube
 
 Array = NDArray[np.float64]
 
@@ -24,7 +21,6 @@ PUBLISHED_MODULUS_PA = 289142.05
 _UNPRESSURISED_PA = 2e3
 # A measured force below this is the noise of its sensor.
 _UNLOADED_N = 0.02
-_TUBE_NAMES = ("shear_modulus_pa", "interface_radius_m", "fibre_modulus_pa", "fibre_angle_deg", "rubber_fraction")
 
 
 @dataclass(frozen=True)
@@ -60,33 +56,15 @@ class Softening:
 
 
 @dataclass(frozen=True)
-class TubeFit:
-    """The continuum model of section 3, fitted.
-
-    free: which numbers were fitted. std: their standard deviations, None for what the elongations do not decide.
-    rpe_per_bar, rpe_r2: the a of eq 30 by the fitted tube, over `rpe_to_pa`, up to which the tube does not balloon.
-    """
-
-    tube: Tube
-    free: tuple[str, ...]
-    std: tuple[float | None, ...]
-    rms_strain: float
-    rpe_per_bar: float
-    rpe_r2: float
-    rpe_to_pa: float
-
-
-@dataclass(frozen=True)
 class PaperIdentification:
-    """Everything of 5.2 that elongations give. tube is None where no elongation under pressure was given."""
+    """What the elongations give of 5.2."""
 
     modulus_pa: float
     modulus_std_pa: float
     modulus_r2: float
     softening: Softening
-    rpe_measured: RegressionLine | None
+    rpe_measured: RegressionLine
     """Free strain per bar left over when the push on the caps is taken off by eq 32."""
-    tube: TubeFit | None
 
 
 @dataclass(frozen=True)
@@ -185,127 +163,18 @@ def published_modulus(
     )
 
 
-def fit_tube(
-    data: Sequence[Elongation], start: Tube, free: Sequence[str] = ("shear_modulus_pa", "interface_radius_m")
-) -> TubeFit:
-    """Fit the continuum model of section 3 to elongations under pressure and under weights together.
-
-    free: any of shear_modulus_pa, interface_radius_m, fibre_modulus_pa, fibre_angle_deg, rubber_fraction; what is not
-    free keeps the value it has in `start`.
-
-    Raises:
-        NoDataError: fewer elongations than free numbers.
-        ValueError: a name that the tube does not have.
-    """
-    for name in free:
-        if name not in _TUBE_NAMES:
-            raise ValueError(f"a tube has no {name}; free can be {', '.join(_TUBE_NAMES)}")
-    pressure = np.concatenate([d.pressure_pa for d in data])
-    force = np.concatenate([d.force_n for d in data])
-    strain = np.concatenate([d.strain for d in data])
-    if len(strain) <= len(free):
-        raise NoDataError(f"{len(strain)} elongations cannot decide {len(free)} numbers")
-    low, high = _tube_bounds(start, free)
-    first = np.clip([getattr(start, name) for name in free], low * 1.001, high * 0.999)
-
-    def tube_at(z: Array) -> Tube:
-        return replace(start, **dict(zip(free, (z * first).tolist(), strict=True)))
-
-    def gap(z: Array) -> Array:
-        out: Array = (predict_strain(tube_at(z), pressure, force) - strain) * 1e3
-        return out
-
-    found = least_squares(gap, np.ones(len(free)), bounds=(low / first, high / first), diff_step=1e-5, max_nfev=100)
-    tube = tube_at(found.x)
-    rest = found.fun / 1e3
-    noise = float(rest @ rest) / (len(rest) - len(free))
-    rpe, r2, reach = radial_pressure_effect(tube, float(pressure.max()) or 0.65 * PA_PER_BAR)
-    return TubeFit(
-        tube,
-        tuple(free),
-        _deviations(found.jac / 1e3, first, noise),
-        math.sqrt(float(np.mean(rest**2))),
-        rpe,
-        r2,
-        reach,
-    )
-
-
-def predict_strain(tube: Tube, pressure_pa: Array, force_n: Array) -> Array:
-    """Axial strain (K,) of a closed tube; beyond ballooning it grows steeply, so that an optimiser turns back."""
-    out = np.empty(len(pressure_pa))
-    for k, (p, n) in enumerate(zip(pressure_pa, force_n, strict=True)):
-        try:
-            out[k] = (tube.under_pressure(p) if p else tube.under_force(n)).axial - 1
-        except BallooningError as lost:
-            out[k] = 1 + 10 * ((p or n) / lost.limit - 1)
-    return out
-
-
-def radial_pressure_effect(tube: Tube, to_pa: float, steps: int = 11) -> tuple[float, float, float]:
-    """Eq 30 of a tube: strain per bar under radial pressure alone, its R^2, and up to which pressure it was taken."""
-    pressures, strains = [], []
-    for pressure in np.linspace(to_pa / steps, to_pa, steps):
-        try:
-            strains.append(tube.under_radial_pressure(float(pressure)).axial - 1)
-        except BallooningError:
-            break
-        pressures.append(float(pressure))
-    if not pressures:
-        return math.nan, math.nan, 0.0
-    fit = line(np.array(pressures) / PA_PER_BAR, np.array(strains))
-    return fit.slope, fit.r2, pressures[-1]
-
-
 def identify_paper(
-    under_weights: Elongation,
-    under_pressure: Elongation | None,
-    geometry: model.Geometry,
-    tube: Tube | None = None,
-    free: Sequence[str] = ("shear_modulus_pa", "interface_radius_m"),
+    under_weights: Elongation, under_pressure: Elongation, geometry: model.Geometry
 ) -> PaperIdentification:
-    """All of 5.2 from the two extension experiments; `tube` is where the fit of section 3 starts, if it is wanted."""
+    """Return E, a1, a2 and the free strain from the two extension experiments."""
     force, strain = under_weights.force_n, under_weights.strain
     beta = line(force, strain)
     soft = softening(force, strain)
     modulus = 1 / (geometry.wall_area_m2 * beta.slope)
-    measured = None
-    if under_pressure is not None:
-        push = under_pressure.pressure_pa * geometry.chamber_area_m2
-        left = under_pressure.strain - soft.a1_per_n * push - soft.a2_per_n2 * push**2
-        measured = line(under_pressure.pressure_pa / PA_PER_BAR, left)
-    data = [under_weights] if under_pressure is None else [under_weights, under_pressure]
-    fitted = fit_tube(data, tube, free) if tube is not None and under_pressure is not None else None
-    return PaperIdentification(modulus, modulus * beta.slope_std / beta.slope, beta.r2, soft, measured, fitted)
-
-
-def _tube_bounds(start: Tube, free: Sequence[str]) -> tuple[Array, Array]:
-    inner, outer = start.inner_radius_m, start.outer_radius_m
-    bounds = {
-        "shear_modulus_pa": (1e3, 1e7),
-        "interface_radius_m": (inner + 1e-3 * (outer - inner), outer),
-        "fibre_modulus_pa": (1e3, 1e10),
-        "fibre_angle_deg": (1e-3, 89.0),
-        "rubber_fraction": (1e-3, 10.0),
-    }
-    low, high = zip(*(bounds[name] for name in free), strict=True)
-    return np.array(low), np.array(high)
-
-
-def _deviations(slope: Array, scale: Array, noise: float) -> tuple[float | None, ...]:
-    """Standard deviations, None for what leaves one larger than the value itself, found with the others held."""
-    out: list[float | None] = [None] * len(scale)
-    only = list(range(len(scale)))
-    while only:
-        values, vectors = np.linalg.eigh(slope[:, only].T @ slope[:, only])
-        relative = np.sqrt((vectors**2 / np.maximum(values, 1e-12)).sum(axis=1) * noise)
-        worst = int(np.argmax(relative))
-        if relative[worst] < 1:
-            for k, share in zip(only, relative, strict=True):
-                out[k] = float(share * scale[k])
-            break
-        only.pop(worst)
-    return tuple(out)
+    push = under_pressure.pressure_pa * geometry.chamber_area_m2
+    left = under_pressure.strain - soft.a1_per_n * push - soft.a2_per_n2 * push**2
+    measured = line(under_pressure.pressure_pa / PA_PER_BAR, left)
+    return PaperIdentification(modulus, modulus * beta.slope_std / beta.slope, beta.r2, soft, measured)
 
 
 def _r2(values: Array, rest: Array) -> float:

@@ -20,10 +20,8 @@ from calibration.identify.results import Estimate, Fit, RunFit, SectionFit
 from rig.cli.column_table import ColumnTable
 from rig.cli.console import console
 from rig.cli.json_output import print_json
-from rig.identify.estimation import FitsByStart
 from rig.identify.from_archives import Identification
 from rig.identify.model_comparison import RunComparison
-from rig.reproduce.identification import PaperEstimate, PaperEstimates
 
 # A source that gives more than this share of the variance of an estimate is named beside it.
 _MOST = 0.5
@@ -39,23 +37,12 @@ def notes(lines: Iterable[str]) -> None:
 def identification(
     done: Identification, predicted: Sequence[Prediction], dependences: Sequence[Dependence], as_json: bool
 ) -> None:
-    """Print the likelihood by initial rig, the estimates and the errors of the runs that were held out."""
-    _fits_by_start(done.found)
+    """Print the estimates and the errors of the runs that were held out."""
     if as_json:
-        _print_json(done.best, done.baseline, predicted, dependences)
+        _print_json(done.fit, done.baseline, predicted, dependences)
     else:
-        _estimates(done.best, dependences)
+        _estimates(done.fit, dependences)
     _prediction_errors(predicted, as_json)
-
-
-def _fits_by_start(found: FitsByStart) -> None:
-    """Print the likelihood from each initial rig, if there are several."""
-    if len(found.fits) > 1:
-        notes(
-            f"from {name}: log likelihood {fit.log_likelihood:.1f}, rms {1e3 * fit.rms_m:.3f} mm"
-            f"{', chosen' if name == found.best else ''}"
-            for name, fit in found.fits.items()
-        )
 
 
 def _print_json(
@@ -342,30 +329,3 @@ def _row_facts(row: ComparisonRow) -> dict[str, object]:
         "bic": row.bic,
         "fitted": row.dof,
     }
-
-
-def paper_estimates(found: PaperEstimates, as_json: bool) -> None:
-    """Print the quantities of section 5.2 of the paper."""
-    if as_json:
-        facts: dict[str, object] = {
-            e.name: {"value": e.value, "std": e.std, "unit": e.unit, "r2": e.r2, "verdict": e.verdict or None}
-            for e in found.estimates
-        }
-        print_json({**facts, "published": found.published})
-        return
-    screen = console()
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for head in ("quantity", "value", "+-", "unit", "R^2"):
-        table.add_column(head, justify="right" if head in ("value", "+-", "R^2") else "left")
-    for e in found.estimates:
-        table.add_row(e.name, *_paper_cells(e))
-    screen.print(table)
-    for line in found.missing:
-        screen.print(line, soft_wrap=True)
-    screen.print(f"The published E: {found.published}", soft_wrap=True)
-
-
-def _paper_cells(e: PaperEstimate) -> tuple[str, str, str, str]:
-    value = "-" if e.value is None else f"{e.value:.6g}"
-    std = e.verdict if e.std is None else f"{e.std:.2g}"
-    return value, std, e.unit, "" if e.r2 is None else f"{e.r2:.5f}"

@@ -45,13 +45,13 @@ Between = Annotated[
 ]
 
 
-InitialRigs = Annotated[
-    list[str] | None,
+InitialRig = Annotated[
+    str | None,
     typer.Option(
         "--start",
         metavar="RIG",
         autocompletion=completion.rigs,
-        help="Initial rig, by name or file; default: the first run's. Of several, the likeliest is used.",
+        help="Initial rig, by name or file; default: the first run's.",
     ),
 ]
 PerRun = Annotated[
@@ -102,7 +102,7 @@ def fit(
     archives: Archives,
     free: Free = "",
     prior: Priors = None,
-    start: InitialRigs = None,
+    start: InitialRig = None,
     per_run: PerRun = "",
     starts: Starts = None,
     quasi_static: QuasiStatic = False,
@@ -139,20 +139,20 @@ def fit(
         to = rig_file.with_suffix(".parameters.yaml")
     _check_places({"--report": report, "--to": to, "--rig-file": rig_file}, replace)
     priors = _priors(prior or [])
-    opened = _opened(archives, leave_out or [], one_arm=bool(start))
-    data = read_data(opened, start=start or [], quasi_static=quasi_static, every=every, split_s=split_s, read=_read)
+    opened = _opened(archives, leave_out or [], one_arm=start is not None)
+    data = read_data(opened, start=start, quasi_static=quasi_static, every=every, split_s=split_s, read=_read)
     with state_of("searching") as show:
         done = from_data(data, free=_names(free), priors=priors, per_run=_names(per_run), starts=starts, progress=show)
-    if done.best.worse_than_start:
-        output.failure(done.best)
+    if done.fit.worse_than_start:
+        output.failure(done.fit)
         raise typer.Exit(FAULT)
-    predictions, dependences = done.predictions(), residual_dependence(done.best)
+    predictions, dependences = done.predictions(), residual_dependence(done.fit)
     output.identification(done, predictions, dependences, json)
-    intervals = _profiles(done.best, json) if profile else ()
-    refits = _bootstrap(done.best, bootstrap, scheduler, store, json) if bootstrap else None
+    intervals = _profiles(done.fit, json) if profile else ()
+    refits = _bootstrap(done.fit, bootstrap, scheduler, store, json) if bootstrap else None
     if report is not None:
         truth = truth_of(opened.seen[0])
-        typer.echo(write_report(done.best, report, dependences, intervals, refits, predictions, truth), err=json)
+        typer.echo(write_report(done.fit, report, dependences, intervals, refits, predictions, truth), err=json)
     if to is not None:
         _write_parameters(done, to, rig_file, intervals, json)
 
@@ -196,11 +196,11 @@ def _write_parameters(
     from calibration.identify.parameters_document import write
     from rig.identify.estimation import rig_with
 
-    written = write(done.best, to, intervals, done.baseline)
+    written = write(done.fit, to, intervals, done.baseline)
     typer.echo(written, err=json)
     if rig_file is not None:
         rig_file.parent.mkdir(parents=True, exist_ok=True)
-        rig_file.write_text(rig_with(done.found.rigs[done.found.best], written), encoding="utf-8")
+        rig_file.write_text(rig_with(done.rig, written), encoding="utf-8")
         typer.echo(rig_file, err=json)
 
 
@@ -231,16 +231,6 @@ def compare(
         config = initial_setup.rig_of(seen[0]) if between else None
         found = model_comparison.compare(start, data, _names(free), priors, scheduler, store, progress, between, config)
     output.comparison(found, json)
-
-
-@app.command(cls=EstimationCommand)
-def paper(archives: Archives, json: AsJson = False) -> None:
-    """Identify as section 5.2 of the paper does, from its two extension experiments."""
-    from rig.cli import identification_output as output
-    from rig.reproduce.identification import estimate
-
-    seen = _opened(archives).seen
-    output.paper_estimates(estimate(seen), json)
 
 
 def _opened(archives: Sequence[Path], leave_out: Sequence[Path] = (), *, one_arm: bool = False) -> OpenedRuns:

@@ -19,7 +19,7 @@ def identify(
     *,
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
-    start: Sequence[str] = (),
+    start: str | None = None,
     per_run: Sequence[str] = (),
     starts: int | None = None,
     quasi_static: bool = False,
@@ -37,7 +37,7 @@ def identify(
     from rig.identify.from_archives import from_data, open_runs, read_data
     from runs.run import paths_of
 
-    opened = open_runs(paths_of(runs), paths_of(leave_out), one_arm=bool(start))
+    opened = open_runs(paths_of(runs), paths_of(leave_out), one_arm=start is not None)
     data = read_data(opened, start=start, quasi_static=quasi_static, every=every, split_s=split_s)
     return from_data(data, free=free, priors=priors or {}, per_run=per_run, starts=starts)
 

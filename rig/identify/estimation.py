@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.identify.data import poses_of, quasi_static_poses
@@ -36,15 +35,6 @@ SENSOR_FILTER_S = 0.003
 
 Progress = Callable[[int, int], None]
 """Called with the number of finished tasks and of all tasks."""
-
-
-@dataclass(frozen=True)
-class FitsByStart:
-    """The fit from each initial rig, by its name; `best` has the maximum likelihood."""
-
-    rigs: Mapping[str, RigFile]
-    fits: Mapping[str, Fit]
-    best: str
 
 
 def rig_with(rig: RigFile, parameters: Path) -> str:
@@ -85,20 +75,6 @@ def from_runs(archives: Sequence[Run], free: Sequence[str], priors: Mapping[str,
     """
     config = rig_of(archives[0])
     return from_poses(config, read_poses(archives), free, priors)
-
-
-def most_likely_fit(
-    rigs: Mapping[str, RigFile],
-    data: Sequence[Poses],
-    free: Sequence[str],
-    priors: Mapping[str, Prior],
-    starts: int | None = None,
-    progress: SearchProgress = lambda text: None,
-    per_run: Sequence[str] = (),
-) -> FitsByStart:
-    """Identify from each initial rig, as `from_poses` does; the best fit is the one of maximum likelihood."""
-    fits = {name: from_poses(rig.config, data, free, priors, starts, progress, per_run) for name, rig in rigs.items()}
-    return FitsByStart(rigs, fits, max(fits, key=lambda name: fits[name].log_likelihood))
 
 
 def from_poses(

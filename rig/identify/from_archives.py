@@ -19,7 +19,6 @@ from calibration.identify.search import Progress as SearchProgress
 from protocols import BadInputError, Problem
 from rig.config.loader import RigFile
 from rig.identify import estimation, initial_setup
-from rig.identify.estimation import FitsByStart
 from runs.run import Run
 
 Reader = Callable[[Sequence[Run], bool], list[Poses]]
@@ -36,24 +35,20 @@ class OpenedRuns:
 
 @dataclass(frozen=True)
 class Identification:
-    """The fits by initial rig, the best of them, and its predictions of the data that were held out.
+    """The fit, the rig that it began with, and the data that were held out.
 
     `baseline` is the geometry that the estimates are relative to.
     """
 
-    found: FitsByStart
+    rig: RigFile
+    fit: Fit
     baseline: Baseline | None
     held_out: tuple[Poses, ...]
     notes: tuple[str, ...]
 
-    @property
-    def best(self) -> Fit:
-        """The fit of maximum likelihood."""
-        return self.found.fits[self.found.best]
-
     def predictions(self) -> list[Prediction]:
         """Predict the data that were held out."""
-        return [predict(self.best, poses) for poses in self.held_out]
+        return [predict(self.fit, poses) for poses in self.held_out]
 
 
 def open_runs(archives: Sequence[Path], leave_out: Sequence[Path] = (), *, one_arm: bool = False) -> OpenedRuns:
@@ -77,10 +72,10 @@ def open_runs(archives: Sequence[Path], leave_out: Sequence[Path] = (), *, one_a
 
 @dataclass(frozen=True)
 class IdentificationData:
-    """Initial rigs by name, the data to identify from, and the data to predict."""
+    """The initial rig, the data to identify from, and the data to predict."""
 
     opened: OpenedRuns
-    rigs: Mapping[str, RigFile]
+    rig: RigFile
     seen: list[Poses]
     held_out: list[Poses]
     from_recorded_rig: bool
@@ -89,27 +84,27 @@ class IdentificationData:
 def read_data(
     opened: OpenedRuns,
     *,
-    start: Sequence[str] = (),
+    start: str | None = None,
     quasi_static: bool = False,
     every: int = 1,
     split_s: float | None = None,
     read: Reader = estimation.read_poses,
 ) -> IdentificationData:
-    """Read the runs; the initial rigs are `start`, else the first run's own.
+    """Read the runs; the initial rig is `start`, by name or file, else the first run's own.
 
     Raises:
         NoDataError: a run has no usable data.
         BadInputError: an option is invalid, or a rig or a run has another number of actuators.
     """
     _check_numbers(quasi_static, every, split_s)
-    rigs = initial_setup.starting_rigs(opened.seen[0], start)
+    rig = initial_setup.initial_rig(opened.seen[0], start)
     data = read(opened.seen, quasi_static)
     held_out = read(opened.held_out, quasi_static) if opened.held_out else []
-    _check_actuators(data[0].actuators, rigs, held_out)
+    _check_actuators(data[0].actuators, rig, held_out)
     data, held_out = _split(data, held_out, split_s, every)
-    if start:
+    if start is not None:
         data = [dataclasses.replace(poses, live_m=None) for poses in data]
-    return IdentificationData(opened, rigs, data, held_out, from_recorded_rig=not start)
+    return IdentificationData(opened, rig, data, held_out, from_recorded_rig=start is None)
 
 
 def from_data(
@@ -121,7 +116,7 @@ def from_data(
     starts: int | None = None,
     progress: SearchProgress = lambda text: None,
 ) -> Identification:
-    """Identify from each initial rig as `estimation.most_likely_fit` does.
+    """Identify as `estimation.from_poses` does.
 
     Raises:
         UnknownParameter: a name is unknown, or a prior or `per_run` names a parameter without effect on the data.
@@ -129,13 +124,12 @@ def from_data(
     """
     if starts is not None and starts < 1:
         raise BadInputError([Problem("--starts", 0, 0, "", str(starts), "an integer of at least 1")])
-    found = estimation.most_likely_fit(data.rigs, data.seen, free, priors, starts, progress, per_run)
-    best = found.fits[found.best]
+    fit = estimation.from_poses(data.rig.config, data.seen, free, priors, starts, progress, per_run)
     baseline = None
-    if not best.worse_than_start:
+    if not fit.worse_than_start:
         first = data.opened.seen[0]
-        baseline = initial_setup.baseline_geometry(first, best.start, data.from_recorded_rig)
-    return Identification(found, baseline, tuple(data.held_out), data.opened.notes)
+        baseline = initial_setup.baseline_geometry(first, fit.start, data.from_recorded_rig)
+    return Identification(data.rig, fit, baseline, tuple(data.held_out), data.opened.notes)
 
 
 def _check_numbers(quasi_static: bool, every: int, split_s: float | None) -> None:
@@ -150,12 +144,11 @@ def _check_numbers(quasi_static: bool, every: int, split_s: float | None) -> Non
         raise BadInputError(problems)
 
 
-def _check_actuators(actuators: int, rigs: Mapping[str, RigFile], held_out: Sequence[Poses]) -> None:
-    """Refuse initial rigs and held-out runs with another number of actuators than the runs."""
-    for name, rig in rigs.items():
-        if rig.config.actuators != actuators:
-            reason = f"{name} has {rig.config.actuators} actuators, the runs have {actuators}"
-            raise BadInputError([Problem("--start", 0, 0, "", "", reason)])
+def _check_actuators(actuators: int, rig: RigFile, held_out: Sequence[Poses]) -> None:
+    """Refuse an initial rig and held-out runs with another number of actuators than the runs."""
+    if rig.config.actuators != actuators:
+        reason = f"{rig.file} has {rig.config.actuators} actuators, the runs have {actuators}"
+        raise BadInputError([Problem("--start", 0, 0, "", "", reason)])
     for poses in held_out:
         if poses.actuators != actuators:
             reason = f"{poses.run_id} is of {poses.actuators} actuators, the others are of {actuators}"

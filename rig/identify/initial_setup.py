@@ -24,15 +24,14 @@ from rig.identify.recorded_gravity import check_gravity, gravity_files
 from runs.run import Run
 
 
-def starting_rigs(first: Run, names: Sequence[str]) -> dict[str, RigFile]:
-    """Return the initial rigs by name: the named ones, with the run's measured gravity, or else the first run's own.
+def initial_rig(first: Run, name: str | None) -> RigFile:
+    """Return the initial rig: the named one, with the run's measured gravity, or else the first run's own.
 
     Raises:
-        BadInputError: a named rig is invalid.
+        BadInputError: the named rig is invalid.
         NoDataError: no rig is named, and the archive is an import without one.
     """
-    measured = gravity_files(first)
-    return {name: read(name).calibrated_as(measured) for name in names} or {first.header.rig_name: recorded_rig(first)}
+    return recorded_rig(first) if name is None else read(name).calibrated_as(gravity_files(first))
 
 
 def open_archives(paths: Sequence[Path]) -> tuple[list[Run], tuple[str, ...]]:

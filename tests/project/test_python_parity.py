@@ -115,7 +115,6 @@ COUNTERPARTS = {
         },
     ),
     "identify compare": Counterpart("rig.identify:compare", RUNS | {"prior": "priors"}),
-    "identify paper": Counterpart("rig.reproduce.identification:estimate"),
     "calibrate dlt": Counterpart("rig.calibrate.dlt:DLTCalibrationRequest", {"calibration": "calibrations"}, OUTPUT),
     "calibrate camera": Counterpart("rig.calibrate.camera:CameraCalibrationRequest", elsewhere=OUTPUT),
     "calibrate tool": Counterpart("rig.calibrate.tool:ToolCalibrationRequest", elsewhere=OUTPUT),

@@ -25,7 +25,7 @@ from rig.config.loader import read
 from rig.experiment.provenance import quantities
 from rig.identify.estimation import rig_uncertainties
 from rig.identify.from_archives import open_runs
-from rig.identify.initial_setup import recorded_rig, starting_rigs
+from rig.identify.initial_setup import initial_rig, recorded_rig
 from runs.run import Run
 from tests.support.import_bench import run_imported, warnings_of
 from tests.support.shared_data import shared_data
@@ -117,7 +117,7 @@ def test_identification_estimates_gravity_with_the_measured_uncertainty(measured
 def test_a_rig_named_for_the_start_takes_the_measured_direction(measured: Run) -> None:
     gravity = measured.header.measured_gravity
     assert gravity is not None
-    (rig,) = starting_rigs(measured, ["mock-3"]).values()
+    rig = initial_rig(measured, "mock-3")
     np.testing.assert_allclose(rig.config.arm.gravity_direction, gravity.value, atol=1e-5)
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from rig.reproduce.backbones import backbones
 from rig.reproduce.table4 import SCHEMES, Table4Row, drawing, table4
 from runs.report.drawing import save
+from scripts.backbones import backbones
 
 
 @pytest.fixture(scope="module")

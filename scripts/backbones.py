@@ -1,4 +1,4 @@
-"""The model's side of Figs 11 and 12, by the printed numbers: `python -m rig.reproduce.backbones FILE` draws it."""
+"""The model's side of Figs 11 and 12, by the printed numbers: `python -m scripts.backbones FILE` draws it."""
 
 from __future__ import annotations
 
