@@ -15,12 +15,16 @@ from __future__ import annotations
 import hmac
 import ipaddress
 import secrets
+from contextlib import suppress
 from dataclasses import dataclass, field
-from http.cookies import CookieError, SimpleCookie
 from importlib.resources import files
 from urllib.parse import parse_qs
 
+from starlette.datastructures import MutableHeaders
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
+from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocketClose
 
 from rig.live.admission import CONNECTION, ClientClass
 from rig.realtime.control_socket import display_name
@@ -36,13 +40,13 @@ _POLICY = (
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; object-src 'none'; base-uri 'none'; "
     "form-action 'self'; frame-ancestors 'none'"
 )
-_HEADERS = [
-    (b"content-security-policy", _POLICY.encode()),
-    (b"x-content-type-options", b"nosniff"),
-    (b"referrer-policy", b"same-origin"),  # with no-referrer, browsers post with a null origin
-    (b"cross-origin-resource-policy", b"same-origin"),
-    (b"cross-origin-opener-policy", b"same-origin"),
-]
+_HEADERS = {
+    "content-security-policy": _POLICY,
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "same-origin",  # with no-referrer, browsers post with a null origin
+    "cross-origin-resource-policy": "same-origin",
+    "cross-origin-opener-policy": "same-origin",
+}
 
 
 @dataclass(frozen=True)
@@ -101,24 +105,24 @@ class AuthenticationMiddleware:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
-        if refusal := self._foreign(scope, headers):
-            await _refuse(scope, receive, send, 403, refusal)
-        elif (session := self._session(headers)) is not None:
+        asked = HTTPConnection(scope)
+        refusal = self._foreign(asked)
+        session = self._tokens.session(asked.cookies.get(self._cookie, ""))
+        if session is not None and refusal is None:
             if connection := scope.get("state", {}).get(CONNECTION):
                 connection.raise_to(ClientClass.OPERATOR if session.operator else ClientClass.GUEST)
             await self._app({**scope, SESSION: session}, receive, _with_headers(send))
-        elif scope["type"] == "http" and scope["path"] == "/login":
-            await self._login(scope, receive, send)
-        elif scope["type"] == "http" and scope["method"] == "GET" and scope["path"] == "/login.js":
-            await _page(send, 200, "text/javascript", "login.js")
-        elif scope["type"] == "http" and scope["method"] == "GET" and "text/html" in headers.get("accept", ""):
-            await self._form(send, 401)
+        elif scope["type"] == "websocket":
+            await WebSocketClose(1008)(scope, receive, send)
         else:
-            await _refuse(scope, receive, send, 401, "log in first")
+            answer = await self._answer(Request(scope, receive), refusal)
+            # Connections without a session close after each answer.
+            answer.headers.update({"cache-control": "no-store", "connection": "close"})
+            await answer(scope, receive, _with_headers(send))
 
-    def _foreign(self, scope: Scope, headers: dict[str, str]) -> str | None:
+    def _foreign(self, asked: HTTPConnection) -> str | None:
         """Return the reason why a request is cross-site; None where it is not."""
+        headers = asked.headers
         host = headers.get("host", "")
         if self._tokens.owner is not None and not _is_local(host):
             return "this page answers to the names of its own machine only"
@@ -126,37 +130,37 @@ class AuthenticationMiddleware:
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
             return "this request comes from another site"
         site = headers.get("sec-fetch-site", "none")
-        arriving = scope["type"] == "http" and scope["method"] == "GET" and headers.get("sec-fetch-mode") == "navigate"
-        if site not in ("same-origin", "none") and not arriving:
+        navigates = asked.scope.get("method") == "GET" and headers.get("sec-fetch-mode") == "navigate"
+        if site not in ("same-origin", "none") and not navigates:
             return "this request comes from another site"
         return None
 
-    def _session(self, headers: dict[str, str]) -> LoginSession | None:
-        try:
-            morsel = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
-        except CookieError:
-            return None
-        return self._tokens.session(morsel.value) if morsel is not None else None
+    async def _answer(self, request: Request, refusal: str | None) -> Response:
+        """Return the answer to a request without a session, or with a reason to refuse it."""
+        if refusal is not None:
+            return PlainTextResponse(refusal, 403)
+        path = request.scope["path"]  # not that of `request.url`, which holds the Host header
+        if path == "/login":
+            return await self._login(request) if request.method == "POST" else self._form(200)
+        if path == "/login.js" and request.method == "GET":
+            return Response(_static("login.js"), media_type="text/javascript")
+        if request.method == "GET" and "text/html" in request.headers.get("accept", ""):
+            return self._form(401)
+        return PlainTextResponse("log in first", 401)
 
-    async def _login(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["method"] != "POST":
-            await self._form(send, 200)
-            return
-        form = parse_qs((await _body(receive)).decode("utf-8", "replace"))
+    async def _login(self, request: Request) -> Response:
+        form = parse_qs((await _body(request)).decode("utf-8", "replace"))
         cookie = self._tokens.open(form.get("token", [""])[0], form.get("name", [""])[0])
         if cookie is None:
-            await self._form(send, 403, b"wrong")
-            return
-        where = [
-            (b"location", b"/"),
-            (b"set-cookie", f"{self._cookie}={cookie}; Path=/; HttpOnly; SameSite=Strict".encode()),
-        ]
-        await _answer(send, 303, where, b"")
+            return self._form(403, "wrong")
+        answer = RedirectResponse("/", 303)
+        answer.set_cookie(self._cookie, cookie, httponly=True, samesite="strict")
+        return answer
 
-    async def _form(self, send: Send, status: int, mark: bytes = b"") -> None:
-        """Send the login page. On the loopback interface it asks for no name, because the account is known."""
-        named = b"" if self._tokens.owner is None else b"hidden"
-        await _page(send, status, "text/html; charset=utf-8", "login.html", mark=mark, named=named)
+    def _form(self, status: int, mark: str = "") -> Response:
+        """Return the login page. On the loopback interface it asks for no name, because the account is known."""
+        named = "" if self._tokens.owner is None else "hidden"
+        return HTMLResponse(_static("login.html").replace("{{mark}}", mark).replace("{{named}}", named), status)
 
 
 def _is_local(host: str) -> bool:
@@ -168,44 +172,25 @@ def _is_local(host: str) -> bool:
         return False
 
 
-async def _body(receive: Receive) -> bytes:
+async def _body(request: Request) -> bytes:
     data = b""
     # The admission control limits the waiting time.
-    while len(data) <= LOGIN_BYTES:
-        message = await receive()
-        data += bytes(message.get("body", b""))
-        if not message.get("more_body", False):
-            return data if len(data) <= LOGIN_BYTES else b""
-    return b""
+    with suppress(ClientDisconnect):
+        async for part in request.stream():
+            data += part
+            if len(data) > LOGIN_BYTES:
+                return b""
+    return data
 
 
-async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, reason: str) -> None:
-    if scope["type"] == "websocket":
-        await receive()
-        await send({"type": "websocket.close", "code": 1008})
-    else:
-        await _answer(send, status, [(b"content-type", b"text/plain; charset=utf-8")], reason.encode())
-
-
-async def _page(send: Send, status: int, kind: str, name: str, **marks: bytes) -> None:
-    body = files("rig.live").joinpath("static", name).read_bytes()
-    for mark, value in marks.items():
-        body = body.replace(b"{{%s}}" % mark.encode(), value)
-    await _answer(send, status, [(b"content-type", kind.encode())], body)
-
-
-async def _answer(send: Send, status: int, headers: list[tuple[bytes, bytes]], body: bytes) -> None:
-    length = (b"content-length", str(len(body)).encode())
-    # Connections without a session close after each answer.
-    fixed = [*_HEADERS, (b"cache-control", b"no-store"), (b"connection", b"close"), length]
-    await send({"type": "http.response.start", "status": status, "headers": [*headers, *fixed]})
-    await send({"type": "http.response.body", "body": body})
+def _static(name: str) -> str:
+    return files("rig.live").joinpath("static", name).read_text(encoding="utf-8")
 
 
 def _with_headers(send: Send) -> Send:
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
-            message = {**message, "headers": [*message.get("headers", []), *_HEADERS]}
+            MutableHeaders(scope=message).update(_HEADERS)
         await send(message)
 
     return sending
