@@ -26,7 +26,7 @@ from calibration.vision.marker_board import LEAST_CORNERS
 from calibration.vision.tag_grid import TagGrid
 from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.cell_grid_rendering import Occlusion
+from rig.simulator.board_rendering import Occlusion
 from rig.simulator.scene import ImageDegradation, Scene
 
 Floats = NDArray[np.float64]

@@ -119,14 +119,14 @@ def parts(protocol: str) -> None:
     watch.around(picture_recorder.PictureRecorder, "pictures", "pictures stored")
     watch.around(executor._VirtualRun, "_flush", "recording")
     watch.around(writer, "finalise", "archive")
-    watch.around(report_process, "here", "report")
+    watch.around(report_process, "write_here", "report")
     with tempfile.TemporaryDirectory() as folder:
         request = experiment.request(protocol, "mock", folder=Path(folder), fast=True, seed=1, report=False)
         decided = experiment.plan(request)
         begun = time.process_time()
         left = experiment.run(request, decided, NullOperator())
         assert left.archive is not None
-        report_process.here(left.archive)
+        report_process.write_here(left.archive)
         spent = time.process_time() - begun
         result = {"imports": imports_s, **watch.spent_s}
     result["else"] = spent - sum(watch.spent_s.values())

@@ -49,7 +49,7 @@ def check_drivers(
     from rig.cli.console import console
     from rig.cli.json_output import print_json
     from rig.config import loader
-    from rig.driver_contract.session import results
+    from rig.driver_contract.runner import results
 
     rig_file = loader.path_of(rig)
     config = loader.load(rig_file)

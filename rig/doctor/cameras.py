@@ -33,8 +33,8 @@ def video_devices(root: Path) -> list[Path]:
     return sorted(found, key=lambda path: int(path.name[5:]))
 
 
-def examine_video(device: Path, root: Path, topic: str = "camera") -> Finding:
-    """Check one video device; one without pictures is missing where a rig wants it."""
+def examine_video(device: Path, root: Path, topic: str = "camera", *, wanted: bool = False) -> Finding:
+    """Check one video device; one without pictures is missing where a rig has it as `wanted`."""
     node = device.resolve()
     known = (root / "sys/class/video4linux" / node.name).resolve()
     called = known / "name"
@@ -52,7 +52,7 @@ def examine_video(device: Path, root: Path, topic: str = "camera") -> Finding:
     if not pictures:
         return Finding(
             topic,
-            "note" if topic == "camera" else "missing",
+            "missing" if wanted else "note",
             f"{name}: gives no pictures, only what a camera tells beside them",
             "take another of its devices, most often the one before",
         )

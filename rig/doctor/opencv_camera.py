@@ -27,7 +27,7 @@ def _check(topic: str, camera: CameraConfig, root: Path) -> Finding:
     path = f"/dev/video{camera.device}" if isinstance(camera.device, int) else camera.device
     device = root / Path(path).absolute().relative_to("/")
     if device.exists():
-        return examine_video(device, root, topic)
+        return examine_video(device, root, topic, wanted=True)
     present = ", ".join(f"/dev/{other.name}" for other in video_devices(root)) or "none"
     remedy = f"{PLUG_IN}, or correct `device` in the rig's file; /dev/v4l/by-id has names that stay"
     return Finding(topic, "missing", f"{path} does not exist (video devices present: {present})", remedy)

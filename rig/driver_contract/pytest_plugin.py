@@ -15,7 +15,7 @@ import pytest
 from rig.config import loader
 from rig.driver_contract.card_checks import CARD_CHECKS, RATE_S, CardSubject
 from rig.driver_contract.check import Check, CheckResult
-from rig.driver_contract.session import Unplug, bench_of, card_subjects
+from rig.driver_contract.runner import Unplug, bench_of, card_subjects
 
 
 @pytest.fixture

@@ -16,11 +16,11 @@ BeginReport = Callable[[Path], Callable[[], Path]]
 
 def prepared(fast: bool) -> AbstractContextManager[BeginReport]:
     """Return what begins the report of a run: in real time nothing is imported beside the control loop."""
-    return waiting() if fast else nullcontext(begin_here)
+    return started() if fast else nullcontext(begin_here)
 
 
 @contextmanager
-def waiting() -> Iterator[BeginReport]:
+def started() -> Iterator[BeginReport]:
     """Start the report process; yield a function that begins the report of one archive in it.
 
     After a failure of that process this one writes the report, and raises its error.
@@ -37,7 +37,7 @@ def waiting() -> Iterator[BeginReport]:
 
     def begin(archive: Path) -> Callable[[], Path]:
         if process is None:
-            return partial(here, archive)
+            return partial(write_here, archive)
         assert process.stdin is not None
         with suppress(OSError), process.stdin as archives:
             archives.write(os.fsencode(archive))
@@ -57,10 +57,10 @@ def waiting() -> Iterator[BeginReport]:
 def _finished(process: subprocess.Popen[bytes], archive: Path) -> Path:
     assert process.stdout is not None
     drawn = process.stdout.read()
-    return Path(os.fsdecode(drawn)) if process.wait() == 0 else here(archive)
+    return Path(os.fsdecode(drawn)) if process.wait() == 0 else write_here(archive)
 
 
-def here(archive: Path) -> Path:
+def write_here(archive: Path) -> Path:
     """Write the report in this process."""
     from runs.report.page import write
 
@@ -69,7 +69,7 @@ def here(archive: Path) -> Path:
 
 def begin_here(archive: Path) -> Callable[[], Path]:
     """The report is written in this process, by the function that waits for it."""
-    return partial(here, archive)
+    return partial(write_here, archive)
 
 
 def main() -> int:
@@ -79,7 +79,7 @@ def main() -> int:
 
     load_fonts_and_layouts()
     if archive := sys.stdin.buffer.read():
-        sys.stdout.buffer.write(os.fsencode(here(Path(os.fsdecode(archive)))))
+        sys.stdout.buffer.write(os.fsencode(write_here(Path(os.fsdecode(archive)))))
     return 0
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
+from model.dynamics import Dynamics
 from model.statics import statics
 from rig.config.arm_model import TipLoad, model_arm
 from rig.execution.plan import RunPlan
@@ -38,9 +39,7 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
     dt_s = 1.0 / rate_hz
     steps = int(trajectory.duration_s * rate_hz) + 1
     pressures = trajectory.sample(np.arange(steps) * dt_s)
-    arm = model_arm(config, plan.variant)
-    dynamics = motion_model(arm, dt_s, config.model.mode == "static")
-
+    dynamics = motion_model(model_arm(config, plan.variant), dt_s, config.model.mode == "static")
     samples = blank(steps, sample_dtype(config.actuators, len(config.valves)))
     samples["cycle"] = np.arange(steps)
     samples["t_ns"] = np.round(np.arange(steps) * dt_s * 1e9)
@@ -49,27 +48,14 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
     rows = blank(steps, observations_of(config))
     rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["cycle"], samples["protocol_s"]
     rows["seen"] = rows["camera_seen"] = DetectionStatus.NO_FRAME
-    sections_m = np.array([section.at_mm * 1e-3 for section in config.sections.values()])
-    if len(sections_m):
+    if config.sections:
         rows["section_seen"] = DetectionStatus.NO_FRAME
     rows["pressure_pa"] = pressures
     rows["reference_m"] = trajectory.tip.sample(rows["protocol_s"])
     rows["predicted_m"] = trajectory.tip.predicted_m(rows["protocol_s"])
     places = np.array([trajectory.tip.motion_and_period(t_s) for t_s in rows["protocol_s"].tolist()])
     rows["tip_motion"], rows["tip_period"] = places.T
-    tip_load, shape, tip_m = TipLoad(config), None, np.full(3, np.nan)
-    for row, pressure in zip(rows, pressures, strict=True):
-        row["weight_kg"] = weight_kg = trajectory.weight_kg(float(row["protocol_s"]))
-        if dynamics is None:
-            solve: _Solve = partial(statics, arm, doubt_units=False)
-        else:
-            solve = dynamics.start if shape is None else dynamics.step
-        shape = _solved(solve, pressure, tip_load.carrying(weight_kg))
-        if shape is not None:
-            tip_m = shape.tip_m
-        if shape is not None and len(sections_m):
-            row["section_model_m"] = shape.frames_at(sections_m)[0]
-        row["model_m"], row["backbone_m"], row["model_ok"] = tip_m, backbone(shape), shape is not None
+    _solve_rows(rows, plan, dynamics)
 
     title = f"{request.protocol.title} (model alone, {config.model.mode})"
     about = replace(
@@ -89,6 +75,25 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
     message = f"{unsolved} of {steps} steps could not be solved" if unsolved else ""
     journal.close(RunFooter(int(samples["t_ns"][-1]), Status.FINISHED, message))
     return finalise(journal.path)
+
+
+def _solve_rows(rows: NDArray[np.void], plan: RunPlan, dynamics: Dynamics | None) -> None:
+    """Set weight, tip, backbone and sections of the rows (n,) by the model at their pressures."""
+    config, arm = plan.config, model_arm(plan.config, plan.variant)
+    sections_m = np.array([section.at_mm * 1e-3 for section in config.sections.values()])
+    tip_load, shape, tip_m = TipLoad(config), None, np.full(3, np.nan)
+    for row in rows:
+        row["weight_kg"] = weight_kg = plan.trajectory.weight_kg(float(row["protocol_s"]))
+        if dynamics is None:
+            solve: _Solve = partial(statics, arm, doubt_units=False)
+        else:
+            solve = dynamics.start if shape is None else dynamics.step
+        shape = _solved(solve, row["pressure_pa"], tip_load.carrying(weight_kg))
+        if shape is not None:
+            tip_m = shape.tip_m
+        if shape is not None and len(sections_m):
+            row["section_model_m"] = shape.frames_at(sections_m)[0]
+        row["model_m"], row["backbone_m"], row["model_ok"] = tip_m, backbone(shape), shape is not None
 
 
 def _solved(solve: _Solve, pressure_pa: NDArray[np.float64], loads: model.Loads | None) -> model.Shape | None:

@@ -54,9 +54,9 @@ class RestPositions:
                 tips.append(np.array([statics(believed, p, doubt_units=False).tip_m for p in pressure]))
             self.arm = replace(arm, variant="inhomogeneous+rpe")
 
-    def error_percent(self, variant: str, reading: int = 0) -> float:
-        """Mean normalised error over both cases, by a definition of `rig.reproduce.table3.ERROR_DEFINITIONS`."""
-        error = ERROR_DEFINITIONS[reading].error
+    def error_percent(self, variant: str) -> float:
+        """Mean error over both cases, as a share of the tip's excursion."""
+        error = ERROR_DEFINITIONS[0].error
         pairs = zip(self.tips_m[variant], self.measured_m, strict=True)
         rest_m = self.arm.geometry.length_m
         errors = [error(tip - measured_m, measured_m, rest_m) for tip, measured_m in pairs]

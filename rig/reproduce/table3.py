@@ -35,13 +35,13 @@ class ErrorDefinition:
 
 @dataclass(frozen=True)
 class Table3Row:
-    """One rule under one reading, in per cent; `possible` when all three inequalities hold.
+    """One rule with one definition of the error, in per cent; `possible` when all three inequalities hold.
 
     homogeneous, radial: distances of these models from the inhomogeneous one. between: from each other.
     """
 
     rule: str
-    reading: str
+    definition: str
     homogeneous: float
     radial: float
     between: float
@@ -90,7 +90,7 @@ def table3(arm: model.Arm | None = None) -> tuple[Table3Row, ...]:
     rows = []
     for rule in MODULUS_RULES:
         best = _tips(replace(paper, modulus_rule=rule), "inhomogeneous+rpe")
-        rows += [_row(rule, reading, paper.geometry.length_m, plain, radial, best) for reading in ERROR_DEFINITIONS]
+        rows += [_row(rule, one, paper.geometry.length_m, plain, radial, best) for one in ERROR_DEFINITIONS]
     return tuple(rows)
 
 
@@ -98,19 +98,19 @@ def verdict(rows: tuple[Table3Row, ...]) -> str:
     """Return the conclusion as text."""
     possible = [row for row in rows if row.possible]
     if possible:
-        return "Table 3 can come from " + "; ".join(f"{row.rule}, {row.reading}" for row in possible)
+        return "Table 3 can come from " + "; ".join(f"{row.rule}, {row.definition}" for row in possible)
     nearest = min(rows, key=lambda row: max(abs(row.homogeneous - PRINTED[0]), abs(row.radial - PRINTED[1])))
-    open_definitions = dict.fromkeys(row.reading for row in rows if row.between_possible)
+    open_definitions = dict.fromkeys(row.definition for row in rows if row.between_possible)
     if not open_definitions:
         return (
             "no rule for E_i can give Table 3 with these parameters: the two homogeneous models must lie at least "
-            "11.71 apart, and under no reading of the error they do"
+            "11.71 apart, and under no definition of the error they do"
         )
     return (
         "none of the rules for E_i gives Table 3. The two homogeneous models must lie at least 11.71 apart, which "
-        f"leaves these readings of the error: {', '.join(open_definitions)}. Nearest comes {nearest.rule} with "
-        f"'{nearest.reading}': {nearest.homogeneous:.2f} and {nearest.radial:.2f} against 17.20 and 5.49, of which "
-        "1.27 may be the experiment's; under these readings the model with radial effect alone is too far off."
+        f"leaves these definitions of the error: {', '.join(open_definitions)}. Nearest comes {nearest.rule} with "
+        f"'{nearest.definition}': {nearest.homogeneous:.2f} and {nearest.radial:.2f} against 17.20 and 5.49, of which "
+        "1.27 may be the experiment's; with these definitions the model with radial effect alone is too far off."
     )
 
 
@@ -121,18 +121,18 @@ def _tips(arm: model.Arm, variant: str) -> list[Array]:
 
 def _row(
     rule: str,
-    reading: ErrorDefinition,
+    definition: ErrorDefinition,
     length_m: float,
     plain: list[Array],
     radial: list[Array],
     best: list[Array],
 ) -> Table3Row:
     def distance(first: list[Array], second: list[Array]) -> float:
-        shares = [reading.error(a - b, tip, length_m) for a, b, tip in zip(first, second, best, strict=True)]
+        shares = [definition.error(a - b, tip, length_m) for a, b, tip in zip(first, second, best, strict=True)]
         return float(100 * np.concatenate(shares).mean())
 
     homogeneous, rpe, between = distance(plain, best), distance(radial, best), distance(plain, radial)
     slack = PRINTED[2]
     apart = PRINTED[0] - PRINTED[1] <= between <= PRINTED[0] + PRINTED[1]
     fits = abs(homogeneous - PRINTED[0]) <= slack and abs(rpe - PRINTED[1]) <= slack
-    return Table3Row(rule, reading.name, homogeneous, rpe, between, apart, apart and fits)
+    return Table3Row(rule, definition.name, homogeneous, rpe, between, apart, apart and fits)

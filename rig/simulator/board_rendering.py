@@ -1,270 +1,250 @@
-"""Drawing the checkerboard: the compiled kernels that turn a homography into grey values."""
+"""Drawing any print of dark and white cells: the compiled kernel, and which kernel draws which kind of board."""
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial, singledispatch
 
 import numpy as np
 from numpy.typing import NDArray
 
-import calibration.vision.board
-from calibration.vision.board import QUIET_SQUARES
+import rig.simulator.checkerboard_rendering
+from calibration.vision.board import Board
+from calibration.vision.checkerboard import Checkerboard
 from model.kernels.jit import kernel
+from rig.simulator.checkerboard_rendering import (
+    BEHIND,
+    DARK,
+    FINE,
+    UT,
+    UX,
+    UY,
+    VT,
+    VX,
+    VY,
+    WHITE,
+    ExposedView,
+    board_coordinates,
+    draw,
+    quarters,
+    share_beyond,
+)
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-FINE = 2
-"""The board is drawn on a grid so much finer: a blur of less than a pixel is no blur on the pixels' own grid."""
+_BACKDROP = -1.0
+"""Marks what lies beyond the board's margin in a table of reflectances."""
+# What is known of a cell of the fine grid at one edge: its distance, by how much that changes across the cell and in
+# time, the light, and the reflectances on both sides.
+_DISTANCE, _SLOPE_X, _SLOPE_Y, _SLOPE_T, _BRIGHT, _BEFORE, _BEYOND = range(7)
 
-WHITE, DARK = 0.92, 0.10
-_LEAST_SLOPE = 1e-4
-_MARGIN = QUIET_SQUARES
-_FAR = QUIET_SQUARES + 1
-_CORNERS = tuple((0.5 * p, 0.5 * q, 0.5 * r, p * q * r) for p in (-1, 1) for q in (-1, 1) for r in (-1, 1))
-# What is known of a cell: where its middle lies on the board, and by how much that changes across it and in time.
-U, UX, UY, UT, V, VX, VY, VT, BEHIND = range(9)
-
-_sources = (__file__, calibration.vision.board.__file__)
-exact_kernel = partial(kernel, sources=_sources, fastmath=False)
-fast_kernel = partial(kernel, sources=_sources, fastmath=True)
+fast_kernel = partial(kernel, sources=(__file__, rig.simulator.checkerboard_rendering.__file__), fastmath=True)
 
 
-class ExposedView(NamedTuple):
-    """What a camera sees of a board during one exposure.
-
-    corner: the pixel (x, y) of the picture at the top left of what is drawn. light and backdrop (height, width): those
-    of the whole picture. rays (2, height + 2, width + 2): with a rim of one pixel. H: map from a ray to squares at
-    mid-exposure; dH: its change over the exposure. samples (3, k): where a pixel and an exposure are sampled.
-    """
-
-    corner: tuple[int, int]
-    light: Singles
-    backdrop: Singles
-    rays: Floats
-    H: Floats
-    dH: Floats  # noqa: N815 - the change of H
-    samples: Singles
+BoardRenderer = Callable[[Singles, ExposedView], None]
+"""Fills the fine grid (FINE h, FINE w) with grey values."""
 
 
-@fast_kernel
-def share_beyond(distance: float, a: float, b: float, c: float) -> float:
-    """Share of a cell and an exposure that lies beyond an edge: P(distance + a X + b Y + c T > 0).
-
-    X, Y, T are uniform over -1/2..1/2, so this is the distribution of a sum of three uniform variables: a sum of
-    truncated cubes over the corners of the cell.
-    """
-    a, b, c = max(abs(a), _LEAST_SLOPE), max(abs(b), _LEAST_SLOPE), max(abs(c), _LEAST_SLOPE)
-    total = 0.0
-    for p, q, r, sign in _CORNERS:
-        x = max(distance + p * a + q * b + r * c, 0.0)
-        total += sign * (x * x * x)
-    return min(max(total / (6.0 * a * b * c), 0.0), 1.0)
+@singledispatch
+def renderer(board: Board) -> BoardRenderer:
+    """What draws a board: the kernel for any print, unless its class has one of its own."""
+    return print_renderer(board)
 
 
-@fast_kernel
-def _albedo(u: float, v: float, nx: int, ny: int, backdrop: float) -> float:
-    """Reflectance at (u, v) squares from the print's top left corner; `backdrop` beyond the white margin."""
-    odd = np.floor(u) + np.floor(v)
-    odd -= 2.0 * np.floor(0.5 * odd)
-    on_print = (u >= 0.0) & (v >= 0.0) & (u <= nx) & (v <= ny)
-    on_board = (u >= -_MARGIN) & (v >= -_MARGIN) & (u <= nx + _MARGIN) & (v <= ny + _MARGIN)
-    square = DARK if on_print & (odd < 0.5) else WHITE
-    return square if on_board else backdrop
+@renderer.register
+def _(board: Checkerboard) -> BoardRenderer:
+    def render(fine: Singles, view: ExposedView) -> None:
+        draw(fine, view, board.squares_x, board.squares_y)
+
+    return render
 
 
-@fast_kernel
-def quarters(
-    u: float, v: float, cells: Floats, k: int, samples: Singles, surface: tuple[float, float, float, float]
-) -> float:
-    """Mean of a cell about (u, v) off the crossing of two lines.
+@dataclass(frozen=True)
+class Occlusion:
+    """A matt strip on the board, between `left`, `top`, `right` and `bottom` in shares of the print's extent."""
 
-    `surface`: what lies before both, beyond the first, beyond the second and beyond both of them.
-    """
-    u0, ux, uy, ut = np.float32(u), np.float32(cells[UX, k]), np.float32(cells[UY, k]), np.float32(cells[UT, k])
-    v0, vx, vy, vt = np.float32(v), np.float32(cells[VX, k]), np.float32(cells[VY, k]), np.float32(cells[VT, k])
-    n = samples.shape[1]
-    first = second = both = np.float32(0)
-    for i in range(n):
-        dx, dy, t = samples[0, i], samples[1, i], samples[2, i]
-        beyond_u = np.float32(u0 + ux * dx + uy * dy + ut * t > 0)
-        beyond_v = np.float32(v0 + vx * dx + vy * dy + vt * t > 0)
-        first += beyond_u
-        second += beyond_v
-        both += beyond_u * beyond_v
-    neither = n - first - second + both
-    total = neither * surface[0] + (first - both) * surface[1] + (second - both) * surface[2] + both * surface[3]
-    return float(total / n)
+    left: float
+    top: float
+    right: float
+    bottom: float
+    reflectance: float = 0.35
+
+
+def print_renderer(board: Board, occlusion: Occlusion | None = None) -> BoardRenderer:
+    """The kernel for any print, a part of which may be covered."""
+    printed = board.printed
+    (width, height), margin = board.extent, printed.margin
+    across = np.concatenate([[-margin], printed.across, [width + margin]])
+    down = np.concatenate([[-margin], printed.down, [height + margin]])
+    table = np.full((len(down) + 1, len(across) + 1), _BACKDROP)
+    table[1:-1, 1:-1] = WHITE
+    table[2:-2, 2:-2] = np.where(printed.dark, DARK, WHITE)
+    if occlusion is not None:
+        across, table = _covered(across, table, occlusion.left * width, occlusion.right * width)
+        down, rows = _covered(down, table.T, occlusion.top * height, occlusion.bottom * height)
+        table = np.ascontiguousarray(rows.T)
+        x, y = _middles(across), _middles(down)
+        inside_x = (x > occlusion.left * width) & (x < occlusion.right * width)
+        table[np.ix_((y > occlusion.top * height) & (y < occlusion.bottom * height), inside_x)] = occlusion.reflectance
+
+    def render(fine: Singles, view: ExposedView) -> None:
+        draw_print(fine, view, across, down, table)
+
+    return render
+
+
+def _covered(lines: Floats, columns: Floats, first: float, last: float) -> tuple[Floats, Floats]:
+    """Lines and the columns of the table between them, with two more lines."""
+    split = np.unique(np.concatenate([lines, [first, last]]))
+    return split, columns[:, np.searchsorted(lines, np.concatenate([[-np.inf], split]), side="right")]
+
+
+def _middles(lines: Floats) -> Floats:
+    """A place in each of the cells that the lines part, also before the first and after the last."""
+    return np.concatenate([[-np.inf], (lines[1:] + lines[:-1]) / 2, [np.inf]])
 
 
 @fast_kernel
-def _crossing(cells: Floats, k: int, samples: Singles, nx: int, ny: int) -> float:
-    """Mean reflectance of a cell that touches lines of both kinds."""
-    u, ux, uy, ut = cells[U, k], cells[UX, k], cells[UY, k], cells[UT, k]
-    v, vx, vy, vt = cells[V, k], cells[VX, k], cells[VY, k], cells[VT, k]
-    behind = cells[BEHIND, k]
-    if abs(ux) + abs(uy) + abs(ut) > 1.0 or abs(vx) + abs(vy) + abs(vt) > 1.0:
-        total = 0.0
-        for i in range(samples.shape[1]):
-            dx, dy, t = samples[0, i], samples[1, i], samples[2, i]
-            total += _albedo(u + ux * dx + uy * dy + ut * t, v + vx * dx + vy * dy + vt * t, nx, ny, behind)
-        return float(total / samples.shape[1])
-    u_line, v_line = np.rint(u), np.rint(v)
-    surface = (
-        _albedo(u_line - 0.5, v_line - 0.5, nx, ny, behind),
-        _albedo(u_line + 0.5, v_line - 0.5, nx, ny, behind),
-        _albedo(u_line - 0.5, v_line + 0.5, nx, ny, behind),
-        _albedo(u_line + 0.5, v_line + 0.5, nx, ny, behind),
-    )
-    return float(quarters(u - u_line, v - v_line, cells, k, samples, surface))
+def _cell(lines: Floats, at: float, near: int) -> int:
+    """How many lines (n,) lie at or before a place, found by steps from a guess."""
+    while near < len(lines) and at >= lines[near]:
+        near += 1
+    while near > 0 and at < lines[near - 1]:
+        near -= 1
+    return near
 
 
 @fast_kernel
-def _shade(cells: Floats, n: int, samples: Singles, nx: int, ny: int, value: Floats, crossed: Any) -> None:
-    """Mean reflectances `value` (n,) of cells: rows `U` and so on of `cells`; `crossed` (n,) is room for notes."""
-    u, ux, uy, ut = cells[U, :n], cells[UX, :n], cells[UY, :n], cells[UT, :n]
-    v, vx, vy, vt = cells[V, :n], cells[VX, :n], cells[VY, :n], cells[VT, :n]
-    behind = cells[BEHIND, :n]
-    # Without a branch, for the vector registers: most cells lie at one line, and those at none cost no more.
-    for k in range(n):
-        wide, high = abs(ux[k]) + abs(uy[k]) + abs(ut[k]), abs(vx[k]) + abs(vy[k]) + abs(vt[k])
-        u_line, v_line = np.rint(u[k]), np.rint(v[k])
-        off_u, off_v = u[k] - u_line, v[k] - v_line
-        on_u, on_v = 2 * abs(off_u) <= wide, 2 * abs(off_v) <= high
-        crossed[k] = on_u & on_v
-        share = share_beyond(
-            off_u if on_u else off_v, ux[k] if on_u else vx[k], uy[k] if on_u else vy[k], ut[k] if on_u else vt[k]
-        )
-        u_side, v_side = 0.5 if on_u else 0.0, 0.5 if on_v else 0.0
-        u_at, v_at = u_line if on_u else u[k], v_line if on_v else v[k]
-        before = _albedo(u_at - u_side, v_at - v_side, nx, ny, behind[k])
-        beyond = _albedo(u_at + u_side, v_at + v_side, nx, ny, behind[k])
-        value[k] = before + (beyond - before) * share
-    for k in range(n):
-        if crossed[k]:
-            value[k] = _crossing(cells, k, samples, nx, ny)
+def _nearest(lines: Floats, at: float, cell: int) -> int:
+    """The line nearest to a place, of those at either side of its cell."""
+    if cell == 0:
+        return 0
+    if cell == len(lines):
+        return cell - 1
+    return cell if lines[cell] - at < at - lines[cell - 1] else cell - 1
 
 
 @fast_kernel
-def look_along(
-    rays: Floats,
-    row: int,
-    x0: int,
-    H: Floats,
-    dH: Floats,
-    u: Floats,
-    ux: Floats,
-    uy: Floats,
-    ut: Floats,
-    v: Floats,
-    vx: Floats,
-    vy: Floats,
-    vt: Floats,
-) -> None:
-    """Where the pixels of a row from `x0` look on the board, and by how much that changes with pixel and time."""
-    w = len(u)
-    h00, h01, h02, h10, h11, h12 = H[0, 0], H[0, 1], H[0, 2], H[1, 0], H[1, 1], H[1, 2]
-    h20, h21, h22 = H[2, 0], H[2, 1], H[2, 2]
-    d00, d01, d02, d10, d11, d12 = dH[0, 0], dH[0, 1], dH[0, 2], dH[1, 0], dH[1, 1], dH[1, 2]
-    d20, d21, d22 = dH[2, 0], dH[2, 1], dH[2, 2]
-    # Straight through and along views, without a branch: this loop runs in the processor's vector registers.
-    here, left, right = slice(x0 + 1, x0 + 1 + w), slice(x0, x0 + w), slice(x0 + 2, x0 + 2 + w)
-    x_here, x_left, x_right = rays[0, row, here], rays[0, row, left], rays[0, row, right]
-    y_here, y_left, y_right = rays[1, row, here], rays[1, row, left], rays[1, row, right]
-    x_above, x_below = rays[0, row - 1, here], rays[0, row + 1, here]
-    y_above, y_below = rays[1, row - 1, here], rays[1, row + 1, here]
-    for j in range(w):
-        x, y = x_here[j], y_here[j]
-        d = 1.0 / (h20 * x + h21 * y + h22)
-        uj, vj = (h00 * x + h01 * y + h02) * d, (h10 * x + h11 * y + h12) * d
-        # The change of the map with time, at this ray, and with the pixel.
-        dd = d20 * x + d21 * y + d22
-        xa, ya = 0.5 * (x_right[j] - x_left[j]), 0.5 * (y_right[j] - y_left[j])
-        xd, yd = 0.5 * (x_below[j] - x_above[j]), 0.5 * (y_below[j] - y_above[j])
-        ua, ub = (h00 - uj * h20) * d, (h01 - uj * h21) * d
-        va, vb = (h10 - vj * h20) * d, (h11 - vj * h21) * d
-        u[j], v[j] = uj, vj
-        ut[j], vt[j] = (d00 * x + d01 * y + d02 - uj * dd) * d, (d10 * x + d11 * y + d12 - vj * dd) * d
-        ux[j], uy[j] = ua * xa + ub * ya, ua * xd + ub * yd
-        vx[j], vy[j] = va * xa + vb * ya, va * xd + vb * yd
+def _surface(table: Floats, row: int, column: int, backdrop: float) -> float:
+    """Reflectance of a cell."""
+    value = table[row, column]
+    return value if value >= 0.0 else backdrop
 
 
 @fast_kernel
-def draw(fine: Singles, view: ExposedView, nx: int, ny: int) -> None:
-    """Fill `fine` (FINE h, FINE w) with grey values of a checkerboard of nx by ny squares.
+def _uniform(table: Floats, first_row: int, last_row: int, first_column: int, last_column: int) -> bool:
+    """Whether all cells from one to another have the same reflectance."""
+    value = table[first_row, first_column]
+    for row in range(first_row, last_row + 1):
+        for column in range(first_column, last_column + 1):
+            if table[row, column] != value:
+                return False
+    return True
 
-    Within a pixel the map is taken as linear in position and time.
+
+@fast_kernel
+def draw_print(fine: Singles, view: ExposedView, across: Floats, down: Floats, table: Floats) -> None:
+    """Fill `fine` (FINE h, FINE w) with grey values of cells between lines.
+
+    `across` (p,) and `down` (q,) are the lines in units of the board, `table` (q + 1, p + 1) the reflectances between
+    them. Cells are taken to be larger than those of the fine grid.
     """
     corner, light, backdrop, rays, H, dH, samples = view
     x0, y0 = corner
     h, w = fine.shape[0] // FINE, fine.shape[1] // FINE
     u, ux, uy, ut = np.empty(w), np.empty(w), np.empty(w), np.empty(w)
     v, vx, vy, vt = np.empty(w), np.empty(w), np.empty(w), np.empty(w)
-    plain, grey = np.empty(w, np.bool_), np.empty(w, np.float32)
-    room = FINE * FINE * w
-    cells, value, crossed = np.empty((BEHIND + 1, room)), np.empty(room), np.empty(room, np.bool_)
+    one = np.empty((BEHIND + 1, 1))
+    edges, value = np.empty((_BEYOND + 1, FINE * FINE * w)), np.empty(FINE * FINE * w)
+    place = np.empty((2, FINE * FINE * w), np.int64)
     for i in range(h):
-        look_along(rays, y0 + i + 1, x0, H, dH, u, ux, uy, ut, v, vx, vy, vt)
+        board_coordinates(rays, y0 + i + 1, x0, H, dH, u, ux, uy, ut, v, vx, vy, vt)
+        column = row = last_column = last_row = n = 0
         for j in range(w):
-            off_u = 2 * abs(u[j] - np.rint(u[j])) > abs(ux[j]) + abs(uy[j]) + abs(ut[j])
-            off_v = 2 * abs(v[j] - np.rint(v[j])) > abs(vx[j]) + abs(vy[j]) + abs(vt[j])
-            far = (u[j] < -_FAR) | (v[j] < -_FAR) | (u[j] > nx + _FAR) | (v[j] > ny + _FAR)
-            plain[j] = far | (off_u & off_v)
-        bright, behind = light[y0 + i, x0 : x0 + w], backdrop[y0 + i, x0 : x0 + w]
-        for j in range(w):
-            grey[j] = bright[j] * _albedo(u[j], v[j], nx, ny, behind[j] / bright[j])
-        for p in range(FINE):
-            line = fine[i * FINE + p]
-            for j in range(w):
+            bright = light[y0 + i, x0 + j]
+            behind = backdrop[y0 + i, x0 + j] / bright
+            wide, high = abs(ux[j]) + abs(uy[j]) + abs(ut[j]), abs(vx[j]) + abs(vy[j]) + abs(vt[j])
+            column, row = _cell(across, u[j] - 0.5 * wide, column), _cell(down, v[j] - 0.5 * high, row)
+            last_column = _cell(across, u[j] + 0.5 * wide, last_column)
+            last_row = _cell(down, v[j] + 0.5 * high, last_row)
+            if _uniform(table, row, last_row, column, last_column):
+                grey = bright * _surface(table, row, column, behind)
+                for p in range(FINE):
+                    for q in range(FINE):
+                        fine[i * FINE + p, j * FINE + q] = grey
+                continue
+            one[UX, 0], one[UY, 0], one[UT, 0] = ux[j] / FINE, uy[j] / FINE, ut[j]
+            one[VX, 0], one[VY, 0], one[VT, 0] = vx[j] / FINE, vy[j] / FINE, vt[j]
+            for p in range(FINE):
                 for q in range(FINE):
-                    line[j * FINE + q] = grey[j]
-        n = 0
-        for j in range(w):
-            if not plain[j]:
-                for p in range(FINE):
-                    for q in range(FINE):
-                        dx, dy = (q + 0.5) / FINE - 0.5, (p + 0.5) / FINE - 0.5
-                        cells[U, n], cells[V, n] = u[j] + ux[j] * dx + uy[j] * dy, v[j] + vx[j] * dx + vy[j] * dy
-                        cells[UX, n], cells[UY, n], cells[UT, n] = ux[j] / FINE, uy[j] / FINE, ut[j]
-                        cells[VX, n], cells[VY, n], cells[VT, n] = vx[j] / FINE, vy[j] / FINE, vt[j]
-                        cells[BEHIND, n] = behind[j] / bright[j]
+                    dx, dy = (q + 0.5) / FINE - 0.5, (p + 0.5) / FINE - 0.5
+                    at_u, at_v = u[j] + ux[j] * dx + uy[j] * dy, v[j] + vx[j] * dx + vy[j] * dy
+                    place[0, n], place[1, n] = i * FINE + p, j * FINE + q
+                    if _put_edge(at_u, at_v, one, samples, across, down, table, column, row, behind, edges, n):
+                        fine[i * FINE + p, j * FINE + q] = bright * edges[_BEFORE, n]
+                    else:
+                        edges[_BRIGHT, n] = bright
                         n += 1
-        _shade(cells, n, samples, nx, ny, value, crossed)
-        n = 0
-        for j in range(w):
-            if not plain[j]:
-                for p in range(FINE):
-                    for q in range(FINE):
-                        fine[i * FINE + p, j * FINE + q] = bright[j] * value[n]
-                        n += 1
+        _shade(edges, n, value)
+        for k in range(n):
+            fine[place[0, k], place[1, k]] = value[k]
 
 
 @fast_kernel
-def shrink(fine: Singles, taps: Singles, out: Singles) -> None:
-    """Blur `fine` (FINE h, FINE w) and take the mean over each pixel of `out` (h, w), both in one pass.
+def _shade(edges: Floats, n: int, value: Floats) -> None:
+    """Grey values (n,) of cells at one edge each; without a branch, for the vector registers."""
+    distance, a, b, c = edges[_DISTANCE], edges[_SLOPE_X], edges[_SLOPE_Y], edges[_SLOPE_T]
+    before, beyond, bright = edges[_BEFORE], edges[_BEYOND], edges[_BRIGHT]
+    for k in range(n):
+        share = share_beyond(distance[k], a[k], b[k], c[k])
+        value[k] = bright[k] * (before[k] + (beyond[k] - before[k]) * share)
 
-    `taps` (even number of them) are the weights about a pixel's middle; beyond the rim the rim is repeated.
+
+@fast_kernel
+def _put_edge(
+    u: float,
+    v: float,
+    one: Floats,
+    samples: Singles,
+    across: Floats,
+    down: Floats,
+    table: Floats,
+    column: int,
+    row: int,
+    behind: float,
+    edges: Floats,
+    k: int,
+) -> bool:
+    """Put the edge at a cell of the fine grid about (u, v), of the extent `one` (9, 1), into column `k` of `edges`.
+
+    True if two edges cross there, or if there is none: the mean reflectance is then in the row `_BEFORE`.
     """
-    h, w = out.shape
-    reach = len(taps) // 2 - 1
-    side = reach // FINE + 1
-    down = np.empty(FINE * w, np.float32)
-    even, odd = np.empty(w + 2 * side, np.float32), np.empty(w + 2 * side, np.float32)
-    for i in range(h):
-        down[:] = 0
-        for k in range(len(taps)):
-            tap, row = taps[k], fine[min(max(FINE * i + k - reach, 0), FINE * h - 1)]
-            for j in range(FINE * w):
-                down[j] += tap * row[j]
-        for j in range(w):
-            even[side + j], odd[side + j] = down[2 * j], down[2 * j + 1]
-        even[:side] = odd[:side] = down[0]
-        even[side + w :] = odd[side + w :] = down[FINE * w - 1]
-        line = out[i]
-        line[:] = 0
-        for k in range(len(taps)):
-            tap, shift = taps[k], side + (k - reach) // FINE
-            half = (even if (k - reach) % FINE == 0 else odd)[shift : shift + w]
-            for j in range(w):
-                line[j] += tap * half[j]
+    column, row = _cell(across, u, column), _cell(down, v, row)
+    at_u, at_v = _nearest(across, u, column), _nearest(down, v, row)
+    ux, uy, ut = one[UX, 0], one[UY, 0], one[UT, 0]
+    vx, vy, vt = one[VX, 0], one[VY, 0], one[VT, 0]
+    off_u, off_v = u - across[at_u], v - down[at_v]
+    on_u = 2 * abs(off_u) <= abs(ux) + abs(uy) + abs(ut)
+    on_v = 2 * abs(off_v) <= abs(vx) + abs(vy) + abs(vt)
+    left, right = (at_u, at_u + 1) if on_u else (column, column)
+    above, below = (at_v, at_v + 1) if on_v else (row, row)
+    surface = (
+        _surface(table, above, left, behind),
+        _surface(table, above, right, behind),
+        _surface(table, below, left, behind),
+        _surface(table, below, right, behind),
+    )
+    # A line is an edge only where it parts dark from white.
+    on_u = surface[0] != surface[1] or surface[2] != surface[3]
+    on_v = surface[0] != surface[2] or surface[1] != surface[3]
+    edges[_BEFORE, k], edges[_BEYOND, k] = surface[0], surface[3]
+    if on_u and on_v:
+        edges[_BEFORE, k] = quarters(off_u, off_v, one, 0, samples, surface)
+        return True
+    if on_u:
+        edges[_DISTANCE, k], edges[_SLOPE_X, k], edges[_SLOPE_Y, k], edges[_SLOPE_T, k] = off_u, ux, uy, ut
+    else:
+        edges[_DISTANCE, k], edges[_SLOPE_X, k], edges[_SLOPE_Y, k], edges[_SLOPE_T, k] = off_v, vx, vy, vt
+    return not (on_u or on_v)

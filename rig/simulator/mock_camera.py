@@ -18,7 +18,7 @@ from rig.hardware.cameras.base import CameraError, Frame, TriggerMatch
 from rig.hardware.cards.base import CardError
 from rig.simulator.faults import CameraFault, Faults
 from rig.simulator.registers import Registers
-from rig.simulator.scene import ImageDegradation, MovingBoard, PaintedBoard, Scene
+from rig.simulator.scene import ImageDegradation, MovingBoard, RenderedBoard, Scene
 from rig.simulator.tip_pose import PoseSource, TipPose
 
 DROPPED = 9
@@ -128,9 +128,9 @@ class MockCamera:
         return Scene(board_of(self._config), lens_of(self._camera), size, self._degradation, self._seed)
 
     @cached_property
-    def _section_boards(self) -> tuple[PaintedBoard, ...]:
+    def _section_boards(self) -> tuple[RenderedBoard, ...]:
         """The board of each measured section."""
-        return tuple(PaintedBoard(section.board.board()) for section in self._config.sections.values())
+        return tuple(RenderedBoard(section.board.board()) for section in self._config.sections.values())
 
     def start(self) -> None:
         """Begin the exposures of real time anew, with the scene made."""

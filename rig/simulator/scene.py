@@ -14,8 +14,8 @@ from calibration.vision.board import Board
 from calibration.vision.lens import Lens
 from calibration.vision.projection import extent
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.board_rendering import FINE, ExposedView, shrink
-from rig.simulator.cell_grid_rendering import Occlusion, painter, print_painter
+from rig.simulator.board_rendering import Occlusion, print_renderer, renderer
+from rig.simulator.checkerboard_rendering import FINE, ExposedView, shrink
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -42,13 +42,13 @@ class ImageDegradation:
     lighting: float = 0.9
 
 
-class PaintedBoard:
+class RenderedBoard:
     """A board that a scene can show."""
 
     def __init__(self, board: Board, occlusion: Occlusion | None = None) -> None:
         """`occlusion` hides a part of it."""
         self.outline = _outline(board)
-        self.paint = painter(board) if occlusion is None else print_painter(board, occlusion)
+        self.render = renderer(board) if occlusion is None else print_renderer(board, occlusion)
         # A point at (a, d) units lies at x = (a - nx/2) s, y = (ny/2 - d) s on the board.
         width_units, height_units = board.extent
         self.squares = np.array(
@@ -64,7 +64,7 @@ class PaintedBoard:
 class MovingBoard:
     """A board's frame in the camera's at the exposure's start, middle and end."""
 
-    board: PaintedBoard
+    board: RenderedBoard
     opened: RigidTransform
     middle: RigidTransform
     closed: RigidTransform
@@ -83,7 +83,7 @@ class Scene:
         occlusion: Occlusion | None = None,
     ) -> None:
         """`size` is (width, height) in pixels; `occlusion` hides a part of the board."""
-        self._board, self._degradation, self._seed = PaintedBoard(board, occlusion), degradation, seed
+        self._board, self._degradation, self._seed = RenderedBoard(board, occlusion), degradation, seed
         self._lens = lens
         width, height = size
         self._rays = _PixelRays(lens, size)
@@ -142,7 +142,7 @@ class Scene:
                 at_close - at_open,
                 self._samples,
             )
-            moving.board.paint(fine, view)
+            moving.board.render(fine, view)
             seen = np.empty((y1 - y0, x1 - x0), np.float32)
             shrink(fine, self._taps, seen)
             dx, dy = self._noise_places[index % _NOISE_PLACES].tolist()
@@ -159,7 +159,7 @@ class Scene:
         return self._backdrops[number]
 
     def _extent(
-        self, board: PaintedBoard, poses: tuple[RigidTransform, ...], width: int, height: int
+        self, board: RenderedBoard, poses: tuple[RigidTransform, ...], width: int, height: int
     ) -> tuple[int, int, int, int] | None:
         """Pixels that the board with its margin may touch; None when it is out of the picture or behind."""
         rotations = np.array([pose.rotation for pose in poses])
@@ -175,7 +175,7 @@ class Scene:
         return None if x1 - x0 < 2 or y1 - y0 < 2 else (x0, y0, x1, y1)
 
 
-def _to_squares(board: PaintedBoard, poses: tuple[RigidTransform, ...]) -> Floats:
+def _to_squares(board: RenderedBoard, poses: tuple[RigidTransform, ...]) -> Floats:
     """Homographies (n, 3, 3) from rays to units across and down from the print's top left, last entries 1."""
     planes = np.empty((len(poses), 3, 3))
     for plane, pose in zip(planes, poses, strict=True):

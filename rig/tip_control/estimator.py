@@ -66,7 +66,7 @@ BEYOND_PRIORS = 3.0
 """The prior standard deviations are multiplied by this for an arm beyond them, and everything is learned again."""
 
 
-class PayloadBefore(NamedTuple):
+class PayloadClone(NamedTuple):
     """The payload [kg] before a change, its variance, and its covariance (n,) with the estimates (a cloned state)."""
 
     payload_kg: float
@@ -93,7 +93,7 @@ class EstimatorState(NamedTuple):
     relapse: int = 0
     suspected: int = 0
     calm: tuple[Array, Array] | None = None
-    before: PayloadBefore | None = None
+    before: PayloadClone | None = None
     unmodelled_m2: float = 0.0
     again: int = 0
 
@@ -221,7 +221,7 @@ class TipEstimator:
                 z, covariance = self._calm(state)
                 covariance = covariance.copy()
                 column = covariance[:, self._payload].copy()
-                before = PayloadBefore(float(z[self._payload]), float(column[self._payload]), column)
+                before = PayloadClone(float(z[self._payload]), float(column[self._payload]), column)
                 covariance[self._payload, self._payload] += JUMP_KG**2
                 excess, settling, relapse = 0.0, SETTLING_FRAMES, RELAPSE_FRAMES
             gap = gap - slope @ (z - state.z)

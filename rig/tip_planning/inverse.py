@@ -1,4 +1,4 @@
-"""The inverse solution of a rig: feed-forward set-points of a tip path, or a refusal with the reasons."""
+"""The inverse solution of a rig: feed-forward set-points of a tip path, or the reasons why there is none."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from protocols.tip_inverse import TipRefusedError, TipRequest, TipSolution
 from protocols.tip_paths import TipPath
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
-from rig.tip_planning.path_follower import NO_SOLUTION, SETTLED_S, FirstPeriods, PathFollower
-from rig.tip_planning.refusal import refusal
+from rig.tip_planning.infeasible_path import infeasible_path_error
+from rig.tip_planning.path_follower import NO_SOLUTION, SETTLED_S, PathFollower, TruncatedPath
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class RigTipInverse:
         except NO_SOLUTION as error:
             raise TipRefusedError("a path without a solution", f"a path within the arm's reach: {error}") from None
         if not self._follower.within(request, found):
-            raise refusal(self._follower, request, found)
+            raise infeasible_path_error(self._follower, request, found)
         times, pressure, tips = found.times_s, found.following.pressure_pa, found.following.tip_m
         if repeated:
             times, pressure, tips = _repeat(times, pressure, tips, path, repeated)
@@ -63,7 +63,7 @@ def _shortened(path: TipPath) -> tuple[TipPath, float]:
     whole = needed + path.period_s
     if whole >= path.duration_s:
         return path, 0.0
-    return FirstPeriods(path, whole), path.duration_s - needed
+    return TruncatedPath(path, whole), path.duration_s - needed
 
 
 def _repeat(times: Array, pressure: Array, tips: Array, path: TipPath, rest_s: float) -> tuple[Array, Array, Array]:

@@ -59,7 +59,7 @@ def static_map_of(arm: model.Arm, drive: Drive, weight_kg: float) -> StaticMap |
 
 
 @dataclass(frozen=True, eq=False)
-class TimedFollowing:
+class PathSolution:
     """A solution on its grid: times (n,) from the beginning of the path [s], targets (n, 3) [m], where it starts."""
 
     times_s: Array
@@ -79,7 +79,7 @@ class PathFollower:
         self._loads = TipLoad(config)
         self._maps: dict[float, StaticMap | None] = {}
 
-    def follow(self, request: TipRequest, path: TipPath, slowed: float = 1.0, enough_m: float = 0.0) -> TimedFollowing:
+    def follow(self, request: TipRequest, path: TipPath, slowed: float = 1.0, enough_m: float = 0.0) -> PathSolution:
         """The pressures of `path`, whether within the tolerance or not; `slowed` is its share of the asked speed.
 
         With `enough_m` it answers only whether the largest error can be at most that: it ends as soon as that is known.
@@ -101,7 +101,7 @@ class PathFollower:
         times: Array = np.arange(-lead, math.ceil(path.duration_s / dt_s - 1e-9) + 1.0) * dt_s
         target, _ = fade(start, path, lead * dt_s, times)
         following = inverse.follow(target, request.coordinates, before, enough_m)
-        return TimedFollowing(times, target, start, following, following.error_m(target, request.coordinates))
+        return PathSolution(times, target, start, following, following.error_m(target, request.coordinates))
 
     def _static_map(self, weight_kg: float) -> StaticMap | None:
         """The map of the arm with a weight; None where the rod itself has to be solved."""
@@ -109,7 +109,7 @@ class PathFollower:
             self._maps[weight_kg] = static_map_of(self.arm, self.drive, weight_kg)
         return self._maps[weight_kg]
 
-    def within(self, request: TipRequest, found: TimedFollowing) -> bool:
+    def within(self, request: TipRequest, found: PathSolution) -> bool:
         """True if the tip of the model stays within the tolerance."""
         return bool(np.all(found.error_m <= request.tolerance_m))
 
@@ -120,7 +120,7 @@ class PathFollower:
         """
         path: TipPath = ScaledPath(request.path, speed, size)
         if path.period_s is not None and path.period_s + SETTLED_S < path.duration_s:
-            path = FirstPeriods(path, path.period_s + SETTLED_S)
+            path = TruncatedPath(path, path.period_s + SETTLED_S)
         try:
             worst = float(self.follow(request, path, speed, request.tolerance_m).error_m.max())
         except NO_SOLUTION:
@@ -129,7 +129,7 @@ class PathFollower:
 
 
 @dataclass(frozen=True, eq=False)
-class FirstPeriods(TipPath):
+class TruncatedPath(TipPath):
     """The first periods of a path."""
 
     path: TipPath

@@ -1,4 +1,4 @@
-"""Compiled kernels: kept on disk, never stale, ready after `python -m model.warm`, loaded only when used."""
+"""Compiled kernels: kept on disk, never stale, ready after `python -m model.precompile`, loaded only when used."""
 
 from __future__ import annotations
 
@@ -139,7 +139,9 @@ def test_importing_the_model_loads_neither_numba_nor_scipy(tmp_path: Path) -> No
 
 
 def test_precompilation_reports_where_the_kernels_are(tmp_path: Path) -> None:
-    done = subprocess.run([sys.executable, "-m", "model.warm"], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "model.precompile"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert "kernels-" in done.stdout
     assert "ready" in done.stdout
@@ -150,7 +152,12 @@ def test_precompilation_without_a_writable_folder_is_an_error(tmp_path: Path) ->
     blocked.write_text("not a folder")
     environment = {**os.environ, "SOFTRIG_CACHE": str(blocked)}
     done = subprocess.run(
-        [sys.executable, "-m", "model.warm"], cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "model.precompile"],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode != 0
     assert "SOFTRIG_CACHE" in done.stderr

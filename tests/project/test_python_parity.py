@@ -91,9 +91,9 @@ COUNTERPARTS = {
     "init": Counterpart("rig.cli.init:commented", {"like": "text"}, FILE),
     "drivers": Counterpart("rig.hardware.installed_drivers:installed_drivers"),
     "test-driver": Counterpart(
-        "rig.driver_contract.session:results",
+        "rig.driver_contract.runner:results",
         {"rig": "config"},
-        dict.fromkeys(("supply_off", "unplug"), "rig.driver_contract.session:results"),  # questions at the terminal
+        dict.fromkeys(("supply_off", "unplug"), "rig.driver_contract.runner:results"),  # questions at the terminal
     ),
     "design": Counterpart(
         "rig.design.design:design",

@@ -12,7 +12,7 @@ from calibration.vision.charuco import CharucoBoard
 from calibration.vision.tag_grid import TagGrid
 from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.cell_grid_rendering import Occlusion, print_painter
+from rig.simulator.board_rendering import Occlusion, print_renderer
 from runs.records import DetectionStatus
 from tests.support.vision_bench import BOARD, facing, scene, still
 
@@ -29,7 +29,7 @@ def test_a_board_is_printed_as_opencv_prints_it(board: Board) -> None:
 
 def test_the_kernel_for_any_print_draws_a_checkerboard_as_the_checkerboards_own_does() -> None:
     own, other = scene(), scene()
-    other._paint = print_painter(BOARD)
+    other._board.render = print_renderer(BOARD)
     pose = facing(roll_deg=20)
     # At a crossing of lines of which one parts nothing, one kernel samples the cell and the other integrates over it.
     assert np.abs(still(pose, 0, own).astype(int) - still(pose, 0, other)).max() <= 1

@@ -8,7 +8,7 @@ import pytest
 
 from rig.config import loader
 from rig.doctor.devices import rig_devices
-from rig.driver_contract.session import bench_of
+from rig.driver_contract.runner import bench_of
 from rig.driver_contract.tracker_checks import TRACKER_CHECKS, TrackerSubject
 from rig.hardware.installed_drivers import installed_drivers
 from tests.rig.hardware.test_udp_tracker import free_port

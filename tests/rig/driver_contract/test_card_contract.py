@@ -15,7 +15,7 @@ from rig.cli.app import main
 from rig.config import loader
 from rig.driver_contract.card_checks import CARD_CHECKS, CardSubject
 from rig.driver_contract.check import CheckResult, CheckVerdict
-from rig.driver_contract.session import Unplug, bench_of, card_subjects
+from rig.driver_contract.runner import Unplug, bench_of, card_subjects
 from rig.hardware.lock import lock_file
 from scripts.rig_process import write_rig
 from tests.support.plugin_package import install, use
@@ -163,8 +163,8 @@ def test_the_command_prints_every_result_and_fails_for_a_broken_driver(
     rig_file = box_rig(tmp_path, "breakable", fault="takes NaN")
     text = rig_file.read_text().replace("driver: opencv", "driver: absent")
     assert "absent" in text
-    monkeypatch.setattr("rig.driver_contract.session.CAMERA_CHECKS", ())
-    monkeypatch.setattr("rig.driver_contract.session.CARD_CHECKS", (CHECKS["read-back"], CHECKS["bad values"]))
+    monkeypatch.setattr("rig.driver_contract.runner.CAMERA_CHECKS", ())
+    monkeypatch.setattr("rig.driver_contract.runner.CARD_CHECKS", (CHECKS["read-back"], CHECKS["bad values"]))
     with pytest.raises(SystemExit) as left:
         main(["test-driver", str(rig_file), "--json"])
     assert left.value.code == 1

@@ -24,7 +24,7 @@ def archive(tmp_path: Path) -> Path:
 
 
 def test_the_report_is_the_one_that_rig_report_draws(archive: Path, tmp_path: Path) -> None:
-    with report_process.waiting() as begin:
+    with report_process.started() as begin:
         drawn = begin(archive)()
     assert drawn == archive.with_suffix(".html")
     assert drawn.read_bytes() == write([archive], tmp_path / "other.html").read_bytes()
@@ -32,13 +32,13 @@ def test_the_report_is_the_one_that_rig_report_draws(archive: Path, tmp_path: Pa
 
 def test_a_report_that_cannot_be_written_is_raised_here(archive: Path) -> None:
     archive.with_suffix(".html").mkdir()
-    with report_process.waiting() as begin, pytest.raises(OSError, match=r"run\.html"):
+    with report_process.started() as begin, pytest.raises(OSError, match=r"run\.html"):
         begin(archive)()
 
 
 def test_where_the_process_cannot_draw_the_report_is_drawn_here(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    with report_process.waiting() as begin:
+    with report_process.started() as begin:
         drawn = begin(archive)()
     assert drawn.stat().st_size > 0
 
@@ -52,7 +52,7 @@ def test_a_run_that_leaves_no_archive_leaves_no_process(monkeypatch: pytest.Monk
             started.append(self)
 
     monkeypatch.setattr(subprocess, "Popen", Watched)
-    with pytest.raises(RuntimeError), report_process.waiting():
+    with pytest.raises(RuntimeError), report_process.started():
         raise RuntimeError
     (process,) = started
     assert process.returncode is not None

@@ -25,7 +25,7 @@ def test_no_rule_gives_table_3_with_the_printed_parameters() -> None:
     said = verdict(rows)
     assert "none of the rules" in said
     # Under a fixed scale the radial effect is too small whatever the rule; over the tip's own excursion it is not.
-    assert not any(row.between_possible for row in rows if row.reading == "distance over the arm's length")
+    assert not any(row.between_possible for row in rows if row.definition == "distance over the arm's length")
     assert "distance over the tip's excursion" in said
 
 

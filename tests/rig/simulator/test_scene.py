@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.board_rendering import DARK, WHITE
+from rig.simulator.checkerboard_rendering import DARK, WHITE
 from rig.simulator.scene import ImageDegradation
 from tests.support.vision_bench import BOARD, LENS, facing, scene, still
 

@@ -15,8 +15,8 @@ from protocols import BadInputError, Problem, SetPointTrajectory
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
 from rig.experiment.preflight import check
+from rig.tip_planning.infeasible_path import RESOLUTION, largest_share
 from rig.tip_planning.inverse import RigTipInverse
-from rig.tip_planning.refusal import RESOLUTION, largest_share
 
 
 @cache

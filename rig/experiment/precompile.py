@@ -1,23 +1,23 @@
-"""`python -m rig.experiment.warm`: precompile the kernels; part of the installation."""
+"""`python -m rig.experiment.precompile`: precompile the kernels; part of the installation."""
 
 from __future__ import annotations
 
 import sys
 
-from model import warm as model_warm
+from model import precompile as model_kernels
 from runs.records import DetectionStatus
 
-WARMING_NS, FRAME_NS = 100_000_000, 33_333_333
+SETTLED_NS, FRAME_NS = 100_000_000, 33_333_333
 
 
 def main() -> int:
     """Compile the rod's and the plant's kernels into the cache on disk; the exit status."""
-    if status := model_warm.main():
+    if status := model_kernels.main():
         return status
     if not (measure_frames() and measure_frames("mock-charuco")):
-        print("rig.experiment.warm: failed: the simulated camera did not see the board", file=sys.stderr)
+        print("rig.experiment.precompile: failed: the simulated camera did not see the board", file=sys.stderr)
         return 1
-    print("rig.experiment.warm: simulator and vision are ready")
+    print("rig.experiment.precompile: simulator and vision are ready")
     return 0
 
 
@@ -36,7 +36,7 @@ def measure_frames(rig: str = "mock") -> bool:
 
     config = load(rig)
     plant = Plant(config, seed=0, t0_ns=0)
-    plant.advance(WARMING_NS)
+    plant.advance(SETTLED_NS)
     camera, observer = MockCamera(config, plant), Observer(config)
     pressure_pa = np.zeros((1, config.actuators))
     for index in range(3):

@@ -14,7 +14,7 @@ from model.inverse.reachable import ReachablePoint, nearest_reachable
 from protocols.tip_inverse import TipRefusedError, TipRequest
 from protocols.tip_paths import TipPath, length_m
 from rig.sections.quantities import PA_PER_BAR
-from rig.tip_planning.path_follower import NO_SOLUTION, FirstPeriods, PathFollower, TimedFollowing
+from rig.tip_planning.path_follower import NO_SOLUTION, PathFollower, PathSolution, TruncatedPath
 
 Array = NDArray[np.float64]
 
@@ -40,8 +40,8 @@ METRES_M, METRES_SAMPLES = 1e-3, 50
 """No arm has its tip so close to its base: a path all within this is given in metres."""
 
 
-def refusal(follower: PathFollower, request: TipRequest, found: TimedFollowing) -> TipRefusedError:
-    """The refusal of a path whose solution leaves the tolerance."""
+def infeasible_path_error(follower: PathFollower, request: TipRequest, found: PathSolution) -> TipRefusedError:
+    """The error for a path whose solution leaves the tolerance."""
     off_path = ~(found.error_m <= request.tolerance_m)
     on_path = off_path & (found.times_s >= 0)
     # The way to a point out of reach leads out of reach, too: the point of the path says more.
@@ -108,7 +108,7 @@ def _in_metres(path: TipPath) -> bool:
 
 def _long_enough_lead_in_s(follower: PathFollower, request: TipRequest) -> float:
     """The shortest lead-in with which the path can be begun, by doubling and bisection; 0 if none is long enough."""
-    path = FirstPeriods(request.path, min(request.path.duration_s, LEAD_IN_FELT_S))
+    path = TruncatedPath(request.path, min(request.path.duration_s, LEAD_IN_FELT_S))
 
     def enough(lead_in_s: float) -> bool:
         longer = replace(request, path=path, lead_in_s=lead_in_s)
@@ -170,7 +170,7 @@ def _out_of_reach(follower: PathFollower, nearest: ReachablePoint) -> str:
     return f"the arm does not reach it: {', '.join(binding) or 'no pressure moves it closer'}"
 
 
-def _too_fast(follower: PathFollower, found: TimedFollowing, first: int) -> str:
+def _too_fast(follower: PathFollower, found: PathSolution, first: int) -> str:
     dt_s = float(found.times_s[1] - found.times_s[0])
     near = max(1, round(BINDING_S / dt_s))
     part = found.following.pressure_pa[max(0, first - near) : first + near]
