@@ -168,18 +168,10 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
     period = loop.period_ns
     clocks_cycles = max(1, round(CLOCKS_PUBLISHED_S * 1e9 / period))
     trigger = TriggerPulses(job.plan.config, bench, time.monotonic_ns) if job.plan.config.triggered else None
-    began = time.monotonic_ns()
-    while not (go := memory.start_ns) or time.monotonic_ns() < go - LEAD_IN_NS:
-        loop.read_scans()
-        memory.heartbeat("control", time.monotonic_ns())
-        if trigger is not None and not go:
-            # The observer needs pictures before the run begins.
-            _pulse(trigger, (time.monotonic_ns() - began) // period, memory)
-        time.sleep(0.002)
-        if memory.stop_request != Stop.NONE:
-            return ""
-        if supervisor.exited:
-            return "the supervisor died before the run began"
+    ended = _await_start(memory, loop, trigger, supervisor)
+    if ended is not None:
+        return ended
+    go = memory.start_ns
     memory.heartbeat("control", time.monotonic_ns())
     memory.publish_stage("control", Stage.RUNNING)
     if trigger is not None:
@@ -226,6 +218,25 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
         following = max(cycle + 1, (time.monotonic_ns() - go) // period)
         skipped = following - cycle - 1
         cycle = following
+
+
+def _await_start(
+    memory: SharedState, loop: ControlLoop, trigger: TriggerPulses | None, supervisor: ProcessMonitor
+) -> str | None:
+    """Read scans until the run is about to begin; return the fault if it does not begin, empty for a requested stop."""
+    began = time.monotonic_ns()
+    while not (go := memory.start_ns) or time.monotonic_ns() < go - LEAD_IN_NS:
+        loop.read_scans()
+        memory.heartbeat("control", time.monotonic_ns())
+        if trigger is not None and not go:
+            # The observer needs pictures before the run begins.
+            _pulse(trigger, (time.monotonic_ns() - began) // loop.period_ns, memory)
+        time.sleep(0.002)
+        if memory.stop_request != Stop.NONE:
+            return ""
+        if supervisor.exited:
+            return "the supervisor died before the run began"
+    return None
 
 
 def _pulse(trigger: TriggerPulses, cycle: int, memory: SharedState) -> None:
