@@ -61,8 +61,7 @@ def reproduce(
         if what is name or everything:
             compute(shown)
     wanted = tuple(NEEDS) if everything else (what.value,) if what.value in NEEDS else ()
-    # The analysis of the printed Table 3 needs no experiment unless archives are given.
-    if wanted and not (what is ReproducedResult.TABLE3 and runs is None):
+    if wanted:
         _from_archives(shown, wanted, runs or out / "runs", everything)
     if shown.drawings:
         from rig.reproduce.page import write
@@ -98,17 +97,6 @@ def _modulus(shown: Reproduction) -> None:
     shown.remark(f"E of 5.2.2: {modulus.explanation}")
 
 
-def _table3(shown: Reproduction) -> None:
-    from rig.cli import reproduction_output
-    from rig.reproduce.table3 import table3, verdict
-
-    rules = table3()
-    conclusion = verdict(rules)
-    shown.facts["table3"] = {"rows": rules, "verdict": conclusion}
-    shown.screen.print(reproduction_output.table3(rules))
-    shown.remark(f"Table 3, by the printed numbers alone: {conclusion}")
-
-
 def _table4(shown: Reproduction) -> None:
     from rig.cli import reproduction_output
     from rig.reproduce.table4 import drawing, run_times, table4
@@ -123,7 +111,6 @@ def _table4(shown: Reproduction) -> None:
 
 _WITHOUT_ARCHIVES: dict[ReproducedResult, Callable[[Reproduction], None]] = {
     ReproducedResult.MODULUS: _modulus,
-    ReproducedResult.TABLE3: _table3,
     ReproducedResult.TABLE4: _table4,
 }
 """Results that need no archives, in the order in which they are shown."""

@@ -6,19 +6,7 @@ from rich.table import Table
 
 from rig.cli.column_table import ColumnTable
 from rig.reproduce.comparison import PaperComparison
-from rig.reproduce.table3 import PRINTED, Table3Row
 from rig.reproduce.table4 import HORIZON_S, Table4Row
-
-
-def table3(rows: tuple[Table3Row, ...]) -> Table:
-    """Return distances of the homogeneous models from the inhomogeneous one, for each rule and error definition."""
-    table = ColumnTable("rule for E_i", "definition of the error", "no RPE", "with RPE", "possible")
-    table.title = "Table 3: mean distance from the inhomogeneous model [%]"
-    table.add_row("printed", "", f"{PRINTED[0]:.2f}", f"{PRINTED[1]:.2f}", "")
-    for row in rows:
-        possible = "yes" if row.possible else "no"
-        table.add_row(row.rule, row.definition, f"{row.homogeneous:.2f}", f"{row.radial:.2f}", possible)
-    return table
 
 
 def compared(rows: tuple[PaperComparison, ...]) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from rig.reproduce.comparison import PaperComparison
 from rig.reproduce.experiments import origin
 from rig.reproduce.motion import TABLE4_MM
 from rig.reproduce.page import write
-from rig.reproduce.table3 import ERROR_DEFINITIONS
+from rig.reproduce.positions import excursion_errors
 from rig.reproduce.table4 import SCHEMES
 from runs.archive.writer import finalise
 from tests.support.synthetic_runs import write_journal
@@ -100,12 +101,21 @@ def test_a_result_from_any_simulated_run_is_marked_as_simulated(tmp_path: Path) 
     assert origin(measured, mock) == origin(mock, measured) == "simulated"
 
 
+def test_the_printed_modulus_is_explained_as_text_and_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    for more in ([], ["--json"]):
+        with pytest.raises(SystemExit) as left:
+            main(["reproduce", "modulus", *more])
+        assert left.value.code == 0
+        said = capsys.readouterr().out
+        shown = f"{json.loads(said)['modulus']['through_origin_pa'] / 1e3:.1f} kPa" if more else " ".join(said.split())
+        assert "290.5 kPa" in shown
+
+
 def test_an_error_is_normalised_by_the_excursion_of_its_own_arm() -> None:
     gap, rest_m = np.full((2, 3), [1e-3, 0, 0]), 0.25
     tip = np.array([[0.03, 0.0, rest_m - 0.04], [0.06, 0.0, rest_m - 0.08]])
-    over = {reading.name: float(reading.error(gap, tip, rest_m)[0]) for reading in ERROR_DEFINITIONS}
-    assert over["distance over the tip's excursion"] == pytest.approx(1 / 50)
-    assert over["distance over the arm's length"] == pytest.approx(1 / 250)
+    errors = excursion_errors(gap, tip, rest_m)
+    assert errors == pytest.approx([1 / 50, 1 / 100])
 
 
 def test_one_close_number_does_not_reproduce_table_3() -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import pytest
 
 import model
-from rig.cli.app import main
-from rig.reproduce.table3 import ERROR_DEFINITIONS, PRINTED, table3, verdict
+from benchmarks.table3_rules import ERROR_DEFINITIONS, table3, verdict
+from rig.reproduce.positions import PRINTED
 
 
 def test_what_section_6_calls_15_93_and_11_71_percent_are_differences_of_table_3_in_points() -> None:
@@ -45,14 +44,3 @@ def test_an_arm_with_a_larger_radial_effect_would_pass_the_first_inequality() ->
     paper = model.Arm.paper()
     rows = table3(replace(paper, material=replace(paper.material, rpe_per_bar=0.09)))
     assert any(row.between_possible for row in rows)
-
-
-def test_rig_reproduce_puts_the_papers_figures_beside_ours(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["reproduce", "table3", "--json"])
-    assert left.value.code == 0
-    found = json.loads(capsys.readouterr().out)
-    assert len(found["table3"]["rows"]) == 5 * len(ERROR_DEFINITIONS)
-    with pytest.raises(SystemExit):
-        main(["reproduce", "modulus"])
-    assert "290.5 kPa" in " ".join(capsys.readouterr().out.split())

@@ -1,5 +1,7 @@
 """Table 3 of the paper: which rules for E_i can give its three errors at all.
 
+Run: python -m benchmarks.table3_rules
+
 The experiment is not published, but Table 3 says how far three models lie from it. Distances obey the triangle
 inequality, so with d the mean normalised distance between two models over the same set-points,
 d(homogeneous, inhomogeneous) must lie within 17.20 +- 1.27, d(RPE, inhomogeneous) within 5.49 +- 1.27, and, whatever
@@ -17,10 +19,10 @@ from numpy.typing import NDArray
 import model
 from model.statics import statics
 from model.variants import MODULUS_RULES
+from rig.reproduce.positions import PRINTED, excursion_errors
 
 Array = NDArray[np.float64]
 
-PRINTED = (17.20, 5.49, 1.27)
 LEVELS_PA: Array = np.linspace(0.15e5, 0.65e5, 11)
 CASES = ((1.0, 0.0, 0.0), (0.0, 1.0, 1.0))
 
@@ -54,9 +56,8 @@ def _length(v: Array) -> Array:
     return out
 
 
-def _way(tip: Array, length_m: float) -> Array:
-    """Return the distances of tips (K, 3) from the straight arm's tip."""
-    return _length(tip - np.array([0.0, 0.0, length_m]))
+def _largest_excursion(gap: Array, tip: Array, length_m: float) -> Array:
+    return _length(gap) / _length(tip - np.array([0.0, 0.0, length_m])).max()
 
 
 def _own_axes(gap: Array, tip: Array, _: float) -> Array:
@@ -70,8 +71,8 @@ def _ranges(gap: Array, tip: Array, _: float) -> Array:
 
 
 ERROR_DEFINITIONS = (
-    ErrorDefinition("distance over the tip's excursion", lambda gap, tip, rest: _length(gap) / _way(tip, rest)),
-    ErrorDefinition("distance over the largest excursion", lambda gap, tip, rest: _length(gap) / _way(tip, rest).max()),
+    ErrorDefinition("distance over the tip's excursion", excursion_errors),
+    ErrorDefinition("distance over the largest excursion", _largest_excursion),
     ErrorDefinition("distance over the arm's length", lambda gap, tip, rest: _length(gap) / rest),
     ErrorDefinition(
         "distance over the tip's distance from the base", lambda gap, tip, rest: _length(gap) / _length(tip)
@@ -136,3 +137,19 @@ def _row(
     apart = PRINTED[0] - PRINTED[1] <= between <= PRINTED[0] + PRINTED[1]
     fits = abs(homogeneous - PRINTED[0]) <= slack and abs(rpe - PRINTED[1]) <= slack
     return Table3Row(rule, definition.name, homogeneous, rpe, between, apart, apart and fits)
+
+
+def main() -> None:
+    """Print the table and the conclusion."""
+    rows = table3()
+    print("mean distance from the inhomogeneous model [%]")
+    print(f"{'rule for E_i':16s} {'definition of the error':50s} no RPE with RPE possible")
+    print(f"{'printed':16s} {'':50s} {PRINTED[0]:6.2f} {PRINTED[1]:8.2f}")
+    for row in rows:
+        possible = "yes" if row.possible else "no"
+        print(f"{row.rule:16s} {row.definition:50s} {row.homogeneous:6.2f} {row.radial:8.2f} {possible}")
+    print(verdict(rows))
+
+
+if __name__ == "__main__":
+    main()
