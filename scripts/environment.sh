@@ -32,4 +32,4 @@ rm -rf "$venv"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 echo "softrig: compiling the rod model (once, a minute or two)"
-"$venv/bin/python" -m rig.experiment.precompile
+"$venv/bin/python" -m rig.experiment.warm

@@ -51,7 +51,7 @@ drivers=${drivers:+$(realpath "$drivers")}
 
 # The guest takes minutes to compile the kernels; this computer compiles them for any processor of its kind.
 (cd "$checkout" && SOFTRIG_CACHE=$cache/kernels NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES='' PYTHONPATH=. \
-    "$venv/bin/python" -m rig.experiment.precompile)
+    "$venv/bin/python" -m rig.experiment.warm)
 out=$cache/board-out
 rm -rf "$out"
 mkdir -p "$out"

@@ -1,4 +1,4 @@
-"""Compiled kernels: kept on disk, never stale, ready after `python -m model.precompile`, loaded only when used."""
+"""Compiled kernels: kept on disk, never stale, ready after `python -m model.warm`, loaded only when used."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def test_importing_the_model_loads_neither_numba_nor_scipy(tmp_path: Path) -> No
 
 def test_precompilation_reports_where_the_kernels_are(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "model.precompile"], cwd=ROOT, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "model.warm"], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     assert "kernels-" in done.stdout
@@ -152,7 +152,7 @@ def test_precompilation_without_a_writable_folder_is_an_error(tmp_path: Path) ->
     blocked.write_text("not a folder")
     environment = {**os.environ, "SOFTRIG_CACHE": str(blocked)}
     done = subprocess.run(
-        [sys.executable, "-m", "model.precompile"],
+        [sys.executable, "-m", "model.warm"],
         cwd=ROOT,
         env=environment,
         capture_output=True,

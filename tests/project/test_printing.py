@@ -11,11 +11,11 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("calibration", "model", "protocols", "rig", "runs")
 OUTPUT_LIBRARIES = ("click", "rich", "typer")
 ALLOWED = {
-    "model/precompile.py": "python -m model.precompile: make runs it",
+    "model/warm.py": "python -m model.warm: make runs it",
     "rig/__main__.py": "opens missing standard streams before the command line starts",
     "rig/driver_contract/card_holder.py": "its own process: standard output is the channel to the parent",
     "rig/experiment/report_process.py": "its own process: standard output is the channel to the parent",
-    "rig/experiment/precompile.py": "python -m rig.experiment.precompile: make runs it",
+    "rig/experiment/warm.py": "python -m rig.experiment.warm: make runs it",
     "rig/live/page_log.py": "log of the page's own process",
     "rig/live/server.py": "its own process: no other could report that the page ends",
     "rig/realtime/child_process.py": "flushes the streams that a child process shares; reports for a lost supervisor",

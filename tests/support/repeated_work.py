@@ -29,7 +29,7 @@ def avoid_repeated_work() -> None:
 
 
 def _after_loading(start: Any) -> Any:
-    from rig.experiment.precompile import measure_frames
+    from rig.experiment.warm import measure_frames
 
     load = functools.cache(measure_frames)
 

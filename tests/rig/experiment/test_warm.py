@@ -7,7 +7,7 @@ import sys
 
 PROGRAM = """
 import sys
-from rig.experiment.precompile import measure_frames
+from rig.experiment.warm import measure_frames
 
 assert measure_frames()
 print(*sorted({"scipy.linalg", "numba.np.arraymath"} & set(sys.modules)))

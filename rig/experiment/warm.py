@@ -1,10 +1,10 @@
-"""`python -m rig.experiment.precompile`: precompile the kernels; part of the installation."""
+"""`python -m rig.experiment.warm`: precompile the kernels; part of the installation."""
 
 from __future__ import annotations
 
 import sys
 
-from model import precompile as model_kernels
+from model import warm as model_kernels
 from runs.records import DetectionStatus
 
 SETTLED_NS, FRAME_NS = 100_000_000, 33_333_333
@@ -15,9 +15,9 @@ def main() -> int:
     if status := model_kernels.main():
         return status
     if not (measure_frames() and measure_frames("mock-charuco")):
-        print("rig.experiment.precompile: failed: the simulated camera did not see the board", file=sys.stderr)
+        print("rig.experiment.warm: failed: the simulated camera did not see the board", file=sys.stderr)
         return 1
-    print("rig.experiment.precompile: simulator and vision are ready")
+    print("rig.experiment.warm: simulator and vision are ready")
     return 0
 
 
