@@ -139,9 +139,7 @@ def test_importing_the_model_loads_neither_numba_nor_scipy(tmp_path: Path) -> No
 
 
 def test_precompilation_reports_where_the_kernels_are(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "model.warm"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, "-m", "model.warm"], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "kernels-" in done.stdout
     assert "ready" in done.stdout
