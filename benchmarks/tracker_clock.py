@@ -1,13 +1,15 @@
 """Error and stated interval of a tracker's time, for a sender whose clock drifts: `python benchmarks/tracker_clock.py`.
 
 Every trial sends messages with random one-way delays over a known minimum, and compares the time that `SenderClock`
-gives for the newest message with the true one. Times of look follow each other by a factor of 1.5.
+gives for the newest message with the true one. Times of look follow each other by a factor of 1.5. A second table has
+clocks that drift by more than stated, or whose drift or time is changed; there every message from 2 s on is a look.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,55 @@ JITTERS: dict[str, Callable[[np.random.Generator, float, int], Floats]] = {
     "uniform": lambda random, mean, n: random.uniform(0, 2 * mean, n),
     "gamma, shape 2": lambda random, mean, n: random.gamma(2, mean / 2, n),
 }
+
+
+CHANGE_S = 20.0
+CLOCKS: dict[str, Callable[[Floats], Floats]] = {
+    f"drift {ppm:+d} ppm, stated below 200": partial(np.multiply, ppm * 1e-6) for ppm in (0, 500, -500)
+}
+CLOCKS |= {
+    f"{ppm:+d} ppm for 10 s": lambda t_s, ppm=ppm: ppm * 1e-6 * np.clip(t_s - CHANGE_S, 0, 10)  # type: ignore[misc]
+    for ppm in (100, -100, 20, -20)
+}
+CLOCKS |= {
+    f"set by {ms:+d} ms": lambda t_s, ms=ms: ms * 1e-3 * (t_s >= CHANGE_S)  # type: ignore[misc]
+    for ms in (1, -1, 20, -20, 500, -500)
+}
+"""How far the sender's clock is ahead at times (n,) [s]."""
+
+
+def changing(random: np.random.Generator, ahead_s: Floats, mean_s: float) -> tuple[Floats, Floats, int, int]:
+    """Errors [s] and standard uncertainties [s] of the poses from 2 s on, steps found, and messages left out."""
+    clock, errors, stds, left_out = SenderClock(), [], [], 0
+    phase_s = random.uniform(0, 1e6)
+    for k, (ahead, delay_s) in enumerate(zip(ahead_s, random.exponential(mean_s, len(ahead_s)), strict=True)):
+        t_s = k / RATE_HZ
+        sent_ns = round((phase_s + t_s + ahead) * 1e9)
+        used = clock.add(sent_ns, round((t_s + MINIMUM_S + delay_s) * 1e9)) and clock.ready
+        if used and t_s >= FIRST_LOOK_S:
+            errors.append(clock.ours_ns(sent_ns) * 1e-9 - t_s - MINIMUM_S)
+            stds.append(clock.estimate(sent_ns).std_s)
+        left_out += not used and t_s >= FIRST_LOOK_S
+    return np.array(errors), np.array(stds), clock.steps, left_out
+
+
+def print_changes(trials: int, seconds: float, seed: int) -> None:
+    """Print the table of clocks that change."""
+    print("clock | mean ms | rms us | max us | within 95 % interval | within it or 0.1 ms | steps | left out")
+    t_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    for name, ahead in CLOCKS.items():
+        for mean_s in (1e-3, 10e-3):
+            random = np.random.default_rng(seed)
+            found = [changing(random, ahead(t_s), mean_s) for _ in range(trials)]
+            error, std = (np.concatenate([row[i] for row in found]) for i in (0, 1))
+            rms_us, most_us = np.sqrt(np.mean(error**2)) * 1e6, np.abs(error).max() * 1e6
+            inside = np.abs(error) <= 1.96 * std
+            near = np.mean(inside | (np.abs(error) < 1e-4))
+            steps, left_out = (np.mean([row[i] for row in found]) for i in (2, 3))
+            print(
+                f"{name} | {mean_s * 1e3:g} | {rms_us:.0f} | {most_us:.0f} | {np.mean(inside):.1%} | {near:.1%} | "
+                f"{steps:.1f} | {left_out:.0f}"
+            )
 
 
 def trial(random: np.random.Generator, delays_s: Floats) -> tuple[list[float], list[float], float]:
@@ -45,7 +96,11 @@ def main() -> None:
     options.add_argument("--trials", type=int, default=20)
     options.add_argument("--seconds", type=float, default=60.0)
     options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--changes", action="store_true", help="only the second table")
     chosen = options.parse_args()
+    if chosen.changes:
+        print_changes(chosen.trials, chosen.seconds, chosen.seed)
+        return
     print("jitter | mean ms | rms us after 2 s | at the end | drift rms ppm | within 95 % interval")
     for name, draw in JITTERS.items():
         for mean_s in (1e-3, 10e-3):

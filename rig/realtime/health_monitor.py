@@ -21,6 +21,8 @@ CLEARED = 0.2
 LATE_S = 0.25
 OFF_PACE = 0.05
 """Largest relative error of the camera rate."""
+DRIFTING = 0.99
+"""At the start a jitter takes the drift to its limit for a few seconds; longer, the clock drifts so fast."""
 STALL_S = 0.5
 CONTROL_STALL_S = 0.1
 DISK_S = 2.0
@@ -84,6 +86,8 @@ class HealthMonitor:
         self._cameras = [(name, _Condition(0.3)) for name in config.cameras] if len(config.cameras) > 1 else []
         self._words = _TRACKER if config.trackers else _CAMERA
         self._counted = dict.fromkeys(DATAGRAM_COUNTS, 0)
+        self._drifting = _Condition(DRIFTING)
+        self._largest_drift = config.tracker.largest_drift_ppm * 1e-6 if config.tracker is not None else np.inf
         self._sections = [(name, _Condition(0.3)) for name in config.sections]
         self._triggered = {name: 0 for name, camera in config.cameras.items() if camera.trigger is not None}
         self._disk = _Condition(DISK_S)
@@ -188,6 +192,15 @@ class HealthMonitor:
             yield _warning(
                 int(row["t_ns"]), "observer", "the clock of the tracker's sender was set, or it started anew"
             )
+        yield from self._drifting.events(
+            int(row["t_ns"]),
+            self._frame_s,
+            float(abs(row["clock_drift"]) >= self._largest_drift),
+            "observer",
+            f"the clock of the tracker's sender drifts by more than largest_drift_ppm, {self._largest_drift * 1e6:g}: "
+            "times of poses are less certain; is NTP setting it? State a larger limit in the rig file",
+            "the clock of the tracker's sender drifts by less than largest_drift_ppm again",
+        )
         for reason in ("malformed", "foreign"):
             if counts[reason] and not before[reason]:
                 yield _warning(int(row["t_ns"]), "observer", f"{reason} messages reach the tracker's port; not used")

@@ -4,15 +4,20 @@ The delay of a message is at least the constant part of the delay. The differenc
 sending therefore lie above a line, whose slope is the drift. The line is an edge of their lower convex hull: that which
 makes the sum of the distances smallest (Moon, Skelly, Towsley, INFOCOM 1999; Zhang, Liu, Xia, INFOCOM 2002). One-way
 delays cannot tell the constant part of the delay from the offset: the line contains it.
+
+A drift that changes bends the line. Then even the smallest of the newest differences lies above it. The uncertainty
+contains that distance; where it is more than chance allows, older differences are forgotten.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.hardware.trackers.base import ClockEstimate
 
@@ -26,6 +31,8 @@ STEP_SPAN_S = 0.5
 """Time with longer delays after which the sender's clock has been set back."""
 STEP_MESSAGES, LONGER_MESSAGES = 10, 20
 """Messages with an earlier, or longer, delay that make a step."""
+STEP_AMONG = 40
+"""The earlier ones are among so many: after a small step, jitter brings some back to the old line."""
 LEAST_MESSAGES, LEAST_SPAN_S = 20, 0.4
 """Messages and time before the estimate is used."""
 LARGEST_DRIFT = 200e-6
@@ -35,15 +42,29 @@ _COVERAGE_FACTOR = 8.0
 """The distance between the smallest excess delays times this is the standard uncertainty; see the validation page."""
 _PLAUSIBLE_STDS = 6.0
 _LONGER = 5.0
+WANDER = 10e-6
+"""The uncertainty allows for such a change of the drift, which stays unseen until a message has a small delay."""
+_SCALES = (1, 5, 20, 80)
+"""Numbers of newest bins whose smallest difference has to lie near the line."""
+_SHORTENS = 20
+"""A misfit of this many bins or more is that of the drift: the older half of the bins is forgotten."""
+_UNUSUAL = 4.0
+"""Chance allows the smallest of n bins this distance from the line, in units of the scatter of a bin over sqrt(n)."""
 
 
 @dataclass(frozen=True)
 class _Line:
-    """y = intercept + slope x, with the standard uncertainty at the newest x."""
+    """y = intercept + slope x, with the standard uncertainty at the newest x.
+
+    `chance` is the part of `std` that the random delays cause. `bent` is true where the newest differences lie above
+    the line: the drift has changed.
+    """
 
     intercept: float
     slope: float
+    chance: float
     std: float
+    bent: bool
 
     def at(self, x: float) -> float:
         return self.intercept + self.slope * x
@@ -63,26 +84,29 @@ class SenderClock:
         self._origin: tuple[int, int] | None = None
         self._bins: deque[tuple[int, float, float]] = deque(maxlen=round(WINDOW_S / BIN_S))
         self._recent: deque[tuple[int, float, float]] = deque()
-        self._below: list[tuple[int, int]] = []
+        self._below: deque[tuple[int, int, int]] = deque()
+        self._added = 0
         self._messages = 0
         self._line: _Line | None = None
 
     def add(self, sent_ns: int, arrived_ns: int) -> bool:
         """Take a message into account; False while its time contradicts those before it.
 
-        Several such messages in a row, or longer delays for `STEP_SPAN_S`, count as a step: the estimate begins anew.
+        Several such messages, or longer delays for `STEP_SPAN_S`, count as a step: the estimate begins anew.
         """
         if self._origin is None:
             self._origin = sent_ns, arrived_ns - sent_ns
         x = (sent_ns - self._origin[0]) * 1e-9
         y = (arrived_ns - sent_ns - self._origin[1]) * 1e-9
         line = self._line
-        if line is not None and self.ready and y < line.at(x) - max(STEP_S, _PLAUSIBLE_STDS * line.std):
-            self._below.append((sent_ns, arrived_ns))
+        self._added += 1
+        while self._below and self._below[0][0] <= self._added - STEP_AMONG:
+            self._below.popleft()
+        if line is not None and self.ready and y < line.at(x) - max(STEP_S, _PLAUSIBLE_STDS * line.chance):
+            self._below.append((self._added, sent_ns, arrived_ns))
             if len(self._below) >= STEP_MESSAGES:
-                self._restart(self._below)
+                self._restart([(sent, arrived) for _, sent, arrived in self._below])
             return False
-        self._below = []
         self._recent.append((arrived_ns, x, y))
         while len(self._recent) > LONGER_MESSAGES and self._recent[1][0] < arrived_ns - STEP_SPAN_S * 1e9:
             self._recent.popleft()
@@ -152,7 +176,12 @@ class SenderClock:
                 return
         else:
             self._bins.append((number, x, y))
-        self._line = self._fit()
+        line = self._fit()
+        while line.bent and len(self._bins) > 2 * _SHORTENS:
+            for _ in range(len(self._bins) // 2):
+                self._bins.popleft()
+            line = self._fit()
+        self._line = line
 
     def _fit(self) -> _Line:
         points = [(x, y) for _, x, y in self._bins]
@@ -172,8 +201,27 @@ class SenderClock:
         intercept = float(above.min())
         excess = np.sort(above - intercept)
         k = min(_ORDER, len(excess)) - 1
-        spacing = float(excess[k]) / k if k > 0 else np.inf
-        return _Line(intercept, slope, _COVERAGE_FACTOR * spacing)
+        chance = _COVERAGE_FACTOR * float(excess[k]) / k if k > 0 else np.inf
+        scatter = float(np.median(np.abs(np.diff(above)))) / np.log(2.0) if len(above) > 1 else 0.0
+        unseen = math.sqrt(WANDER * BIN_S * scatter)
+        misfit, bent = _misfit(above - intercept, scatter)
+        return _Line(intercept, slope, chance, math.hypot(chance, misfit, unseen), bent)
+
+
+def _misfit(excess: NDArray[np.float64], scatter: float) -> tuple[float, bool]:
+    """Distance of the newest bins from the line, and whether it is more than chance allows in many bins.
+
+    The true line lies at most the smallest excess of the newest bins above the estimated one, as far as the drift was
+    constant in them: a quarter of the bins, and fewer where chance does not explain their distance. The `scatter` of a
+    bin comes from differences of neighbours, which a bent line hardly changes. Of the newest bin too few messages may
+    have come: it counts beside the number.
+    """
+    found, bent = float(excess[-1 - min(len(excess) // 4, _SCALES[-1]) :].min()), False
+    for n in _SCALES:
+        smallest = float(excess[-n - 1 :].min())
+        if n + 1 < len(excess) and smallest > _UNUSUAL * scatter / np.sqrt(n):
+            found, bent = max(found, smallest), bent or n >= _SHORTENS
+    return found, bent
 
 
 def _clockwise(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:

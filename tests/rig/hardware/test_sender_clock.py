@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -53,6 +55,66 @@ def test_a_step_of_the_senders_clock_is_told_from_delay(step_s: float) -> None:
         clock.add(sent_ns, round((t_s + MINIMUM_S + random.exponential(1e-3)) * 1e9))
     assert clock.steps == 1
     assert clock.ours_ns(sent_ns) * 1e-9 - MINIMUM_S == pytest.approx(t_s, abs=2e-4)
+
+
+def test_a_small_step_is_followed_although_jitter_brings_messages_back_to_the_old_line() -> None:
+    for seed in range(12):
+        random, clock = np.random.default_rng(seed), SenderClock()
+        for k in range(1500):
+            t_s = k * 0.01
+            sent_ns = round((t_s + (0.02 if k >= 1000 else 0.0)) * 1e9)
+            clock.add(sent_ns, round((t_s + MINIMUM_S + random.gamma(2, 5e-3)) * 1e9))
+        assert clock.ours_ns(sent_ns) * 1e-9 - MINIMUM_S == pytest.approx(t_s, abs=4e-3)
+
+
+def drifting(
+    offset_s: Callable[[float], float], seconds: float, largest: float = 200e-6
+) -> tuple[list[SenderClock], Floats, Floats]:
+    """Errors of the estimated times after 2 s and their stated uncertainties in some trials.
+
+    The sender's clock is ahead by a function of the time.
+    """
+    errors, stds, clocks = [], [], []
+    for seed in range(3):
+        random, clock = np.random.default_rng(seed), SenderClock(largest)
+        for k in range(round(seconds * 100)):
+            t_s = k * 0.01
+            sent_ns = round((t_s + offset_s(t_s)) * 1e9) + 10**18
+            used = clock.add(sent_ns, round((t_s + MINIMUM_S + random.exponential(1e-3)) * 1e9))
+            if used and clock.ready and t_s > 2:
+                errors.append(clock.ours_ns(sent_ns) * 1e-9 - t_s - MINIMUM_S)
+                stds.append(clock.estimate(sent_ns).std_s)
+        clocks.append(clock)
+    return clocks, np.array(errors), np.array(stds)
+
+
+@pytest.mark.parametrize("drift", [0.0, 100e-6, -100e-6, 500e-6, -500e-6])
+def test_the_uncertainty_holds_for_any_drift_below_the_stated_one(drift: float) -> None:
+    clocks, errors, stds = drifting(lambda t_s: drift * t_s, 20.0, largest=1000e-6)
+    assert np.mean(np.abs(errors) <= 1.96 * stds) > 0.9
+    assert np.abs(errors).max() < 0.1e-3
+    for clock in clocks:
+        assert clock.estimate(10**18 + 20 * 10**9).drift == pytest.approx(-drift, abs=5e-6)
+        assert clock.steps == 0
+
+
+@pytest.mark.parametrize("drift", [500e-6, -500e-6])
+def test_a_drift_above_the_stated_one_widens_the_uncertainty_and_is_no_step(drift: float) -> None:
+    clocks, errors, stds = drifting(lambda t_s: drift * t_s, 20.0)
+    assert np.mean(np.abs(errors) <= 1.96 * stds) > 0.9
+    assert np.abs(errors).max() < 2e-3
+    for clock in clocks:
+        assert abs(clock.estimate(10**18).drift) == 200e-6
+        assert clock.steps == 0
+
+
+@pytest.mark.parametrize("slew", [100e-6, -100e-6, 20e-6, -20e-6])
+def test_a_drift_that_changes_is_followed_and_the_uncertainty_holds(slew: float) -> None:
+    """NTP changes the rate of a clock for a while."""
+    clocks, errors, stds = drifting(lambda t_s: slew * float(np.clip(t_s - 15, 0, 10)), 40.0)
+    assert np.mean(np.abs(errors) <= 1.96 * stds) > 0.75
+    assert np.abs(errors).max() < 0.4e-3
+    assert [clock.steps for clock in clocks] == [0] * len(clocks)
 
 
 def test_one_late_message_changes_nothing() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager
 
 import numpy as np
@@ -13,7 +13,7 @@ import pytest
 from rig.config import loader
 from rig.config.schema import RigConfig
 from rig.config.tracker_sections import UdpTrackerConfig
-from rig.hardware.trackers.base import TrackerError, TrackerReading
+from rig.hardware.trackers.base import Tracker, TrackerError, TrackerReading
 from rig.hardware.trackers.datagram import Datagram, encode
 from rig.hardware.trackers.registry import open_tracker
 from runs.records import DATAGRAM_COUNTS
@@ -69,6 +69,90 @@ def test_poses_come_through_a_socket_at_the_time_of_the_pose() -> None:
     assert counts["foreign"] > MESSAGES / 2
     assert counts["malformed"] > MESSAGES / 2
     assert counts["lost"] == 0
+
+
+class Sender:
+    """A sender on a real socket whose clock is ahead by a function of its time; messages pass at once."""
+
+    def __init__(self, udp: socket.socket, port: int, tracker: Tracker) -> None:
+        self._udp, self._port, self.tracker = udp, port, tracker
+        self.readings: list[tuple[TrackerReading, int]] = []
+
+    def send(self, numbers: Iterable[int], ahead_ns: int, drift: float = 0.0) -> None:
+        """One message every 5 ms; what comes of it is kept with the true time of the newest message."""
+        for number in numbers:
+            t_ns = time.monotonic_ns()
+            own_ns = OFFSET_NS + t_ns + ahead_ns + round((t_ns % 10**12) * drift)
+            self.raw(number, own_ns)
+            while (reading := self.tracker.read(0.001)) is not None:
+                self.readings.append((reading, t_ns))
+            time.sleep(max(0, t_ns + 5_000_000 - time.monotonic_ns()) * 1e-9)
+
+    def raw(self, number: int, own_ns: int) -> None:
+        """One message."""
+        pose = Datagram(number, own_ns, True, np.array([0, 0, 0.17]), np.array([1.0, 0, 0, 0]), COVARIANCE)
+        self._udp.sendto(encode(pose), ("127.0.0.1", self._port))
+
+    def count(self, name: str) -> int:
+        return dict(zip(DATAGRAM_COUNTS, self.tracker.counts(), strict=True))[name]
+
+
+@pytest.fixture
+def line() -> Iterator[Sender]:
+    port = free_port()
+    with closing(open_tracker(rig(port=port), "pose")) as tracker, sender() as udp:
+        yield Sender(udp, port, tracker)
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("drift", [0.0, 100e-6, 500e-6])
+def test_times_hold_within_their_uncertainty_whatever_the_clock_drifts(line: Sender, drift: float) -> None:
+    line.send(range(240), 0, drift)
+    assert len(line.readings) > 50
+    # The messages pass at once: a time is that of its sending, but for the way through the socket.
+    wrong = [abs(r.t_ns - t_ns) * 1e-9 > 3 * r.time_std_s + 1e-3 for r, t_ns in line.readings]
+    assert np.mean(wrong) < 0.2
+    assert line.count("clock_steps") == 0
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("step_ns", [10**9, -(10**9)])
+def test_a_clock_that_is_set_is_followed_within_a_second(line: Sender, step_ns: int) -> None:
+    line.send(range(150), 0)
+    line.send(range(150, 400), step_ns)
+    assert line.count("clock_steps") == 1
+    reading, t_ns = line.readings[-1]
+    assert abs(reading.t_ns - t_ns) < 20_000_000
+    assert reading.index == 399
+    # No time that the step made wrong by a second was given.
+    assert max(abs(r.t_ns - t) for r, t in line.readings) < 200_000_000
+
+
+@pytest.mark.realtime
+def test_a_sender_that_starts_anew_counts_from_zero_and_is_followed(line: Sender) -> None:
+    line.send(range(1000, 1150), 0)
+    line.send(range(100), 7 * 10**15)
+    assert line.count("clock_steps") == 1
+    reading, t_ns = line.readings[-1]
+    assert abs(reading.t_ns - t_ns) < 20_000_000
+    indices = [r.index for r, _ in line.readings]
+    assert np.all(np.diff(indices) > 0)
+
+
+@pytest.mark.realtime
+def test_messages_out_of_order_twice_and_late_give_one_pose_each_in_order_of_time(line: Sender) -> None:
+    line.send(range(150), 0)
+    known = len(line.readings)
+    time.sleep(0.03)
+    now_ns = OFFSET_NS + time.monotonic_ns()
+    for number, age_ms in ((151, 20), (150, 25), (151, 20), (152, 15), (153, 300), (154, 0)):
+        line.raw(number, now_ns - age_ms * 1_000_000)
+    while (reading := line.tracker.read(0.01)) is not None:
+        line.readings.append((reading, time.monotonic_ns()))
+    used = [r.index for r, _ in line.readings[known:]]
+    assert used == [151, 152, 154]
+    assert (line.count("reordered"), line.count("doubled"), line.count("late")) == (1, 1, 1)
+    assert np.all(np.diff([r.t_ns for r, _ in line.readings]) > 0)
 
 
 def test_silence_gives_no_reading() -> None:

@@ -23,7 +23,12 @@ def run_tracked(folder: Path, tracker: str = "", steps: str = STEPS, adapt: tupl
     """A run of the rig mock-tracker, with more keys of its tracker."""
     folder.mkdir(parents=True, exist_ok=True)
     rig = folder / "rig.yaml"
-    rig.write_text(TEXT.replace("jitter_ms: 1}", f"jitter_ms: 1{tracker}}}"), encoding="utf-8")
+    rig.write_text(
+        TEXT.replace("drift_ppm: 50, " if "drift_ppm" in tracker else "", "").replace(
+            "jitter_ms: 1}", f"jitter_ms: 1{tracker}}}"
+        ),
+        encoding="utf-8",
+    )
     request = experiment.request(
         protocol_file(folder, steps), str(rig), folder=folder / "data", fast=True, seed=2, report=False, adapt=adapt
     )
@@ -104,6 +109,18 @@ def test_a_step_of_the_senders_clock_is_found(tmp_path: Path) -> None:
     assert not measured.all()
     error_mm = np.linalg.norm(run.tip.measured_mm - run.simulated.tip_mm, axis=1)
     assert np.nanmax(error_mm) < 1
+
+
+def test_a_clock_that_drifts_faster_than_stated_is_reported_and_its_times_are_less_certain(tmp_path: Path) -> None:
+    run = run_tracked(tmp_path, ", drift_ppm: 500", steps="  - hold: {duration_s: 7}\n")
+    (event,) = [event for event in run.events if "largest_drift_ppm" in event.message]
+    assert "by more than largest_drift_ppm, 200" in event.message
+    assert messages(run)["clock_steps"] == 0
+    clock = run.tracker
+    assert clock is not None
+    true_s = run.header.started_t_ns * 1e-9 - LEAD_S - 1_700_000_000 - 500e-6 * (clock.time_s + LEAD_S) + 2e-3
+    error_s = np.abs(clock.clock_offset_s - true_s)
+    assert np.mean(error_s <= 1.96e-6 * clock.clock_uncertainty_us + 2e-6) > 0.9
 
 
 def test_silence_is_no_measurement_and_then_ends_the_run(tmp_path: Path) -> None:
