@@ -268,7 +268,9 @@ class HealthMonitor:
     def lost(self, t_ns: int, scans: int) -> Iterator[Event]:
         """Event of scans that the cards have dropped since the last call."""
         if scans:
-            yield _warning(t_ns, "card", f"{scans} scans were lost: the card's buffer overran")
+            yield _warning(
+                t_ns, "card", f"{scans} scans were lost: the card's buffer overran, or what it sent was damaged"
+            )
 
     def supervisor_stall(self, t_ns: int) -> Iterator[Event]:
         """Report when the last call was long ago; called in every cycle of the supervisor."""

@@ -185,9 +185,9 @@ class SerialCard:
         self._port.write(drive(self._sequence, self._asked_pa))
 
     def readback(self) -> NDArray[np.float64]:
-        """The set-points that hold [bar]: those written last, unless the controller acknowledges others.
+        """The set-points that hold [bar]; NaN where the newest command is not acknowledged within a short wait.
 
-        Waits shortly for the acknowledgement of the newest command.
+        A damaged line is no write by another program. `read` ends a run whose commands stay without acknowledgement.
         """
         self._receive()
         until_ns, again_ns = self._written_ns + round(CONFIRMED_S * 1e9), self._written_ns + round(REPEATED_S * 1e9)
@@ -198,11 +198,12 @@ class SerialCard:
             time.sleep(WAIT_S)
             self._receive()
         outputs = [channel.number for channel in self._setup.outputs]
-        if self._applied is None:
-            return np.full(len(outputs), np.nan)
-        held = self._applied.setpoint_pa
         if self._status is not None and self._status.state is ControllerState.SILENT:
             held = (self._controller.vent_pa,) * self._controller.channels
+        elif self._applied is None or not self._confirmed:
+            return np.full(len(outputs), np.nan)
+        else:
+            held = self._applied.setpoint_pa
         return np.array([held[i] for i in outputs]) / PA_PER_BAR
 
     def close(self) -> None:
