@@ -76,6 +76,11 @@ class CardSubject:
         """Largest deviation of a read-back."""
         return np.array([(c.high_v - c.low_v) * READBACK_TOLERANCE for c in self.setup.outputs])
 
+    def stated(self, outputs: Volts) -> str:
+        """Values of the outputs with their unit, for messages."""
+        units = {valve.output_unit for valve in self.config.valves if valve.card == self.name} or {"V"}
+        return f"{', '.join(f'{value:.3f}' for value in outputs)} {'/'.join(sorted(units))}"
+
     @property
     def safe_v(self) -> Volts:
         """The safe voltage of each output."""
@@ -102,7 +107,9 @@ def opening(subject: CardSubject) -> str:
     safe = subject.safe_v
     kept = np.abs(after - before) <= subject.tolerance_v
     if not np.all(kept | (np.abs(after - safe) <= subject.tolerance_v)):
-        raise BrokenContractError(f"outputs at {_v(before)} stand at {_v(after)} after the card was opened again")
+        raise BrokenContractError(
+            f"outputs at {subject.stated(before)} stand at {subject.stated(after)} after the card was opened again"
+        )
     return f"opened in {took_s * 1e3:.1f} ms, outputs {'kept' if np.all(kept) else 'safe'}"
 
 
@@ -121,7 +128,9 @@ def read_back(subject: CardSubject) -> str:
             if np.all(np.isnan(found)):
                 raise NotApplicableError("the card has no read-back: an output that does not obey is not detected")
             if not np.all(np.abs(found - written) <= subject.tolerance_v):
-                raise BrokenContractError(f"{_v(written)} were written and {_v(found)} read back")
+                raise BrokenContractError(
+                    f"{subject.stated(written)} were written and {subject.stated(found)} read back"
+                )
     return f"{len(FRACTIONS)} sets of {len(written)} values, read back within {slowest_s * 1e3:.1f} ms"
 
 
@@ -134,11 +143,11 @@ def bad_values(subject: CardSubject) -> str:
         with suppress(CardError):
             card.write(np.full(len(written), np.nan))
             found = card.readback()
-            raise BrokenContractError(f"NaN was accepted; the outputs stand at {_v(found)}")
+            raise BrokenContractError(f"NaN was accepted; the outputs stand at {subject.stated(found)}")
         card.write(np.array([c.high_v + 100.0 for c in subject.setup.outputs]))
         found = settled_readback(card, np.array([c.high_v for c in subject.setup.outputs]), subject)
         if np.any(found > np.array([c.high_v for c in subject.setup.outputs]) + subject.tolerance_v):
-            raise BrokenContractError(f"the outputs stand at {_v(found)}, beyond range_V")
+            raise BrokenContractError(f"the outputs stand at {subject.stated(found)}, beyond range_V")
     return "NaN refused, clipped to range_V"
 
 
@@ -234,14 +243,16 @@ def second_opener(subject: CardSubject) -> str:
             return "the card admits one process, and names it"
         found = np.array(answer["stands"])
         if not np.all(np.isnan(found) | (np.abs(found - volts) <= subject.tolerance_v)):
-            raise BrokenContractError(f"the second process wrote {_v(volts)} and reads back {_v(found)}")
+            raise BrokenContractError(
+                f"the second process wrote {subject.stated(volts)} and reads back {subject.stated(found)}"
+            )
         seen = settled_readback(card, volts, subject)
         # The device may have vented by itself since.
         stands = np.minimum(np.abs(seen - volts), np.abs(seen - subject.safe_v)) <= subject.tolerance_v
         if not np.all(np.isnan(seen) | stands):
             raise BrokenContractError(
-                f"a second process set {_v(volts)} and the first process still reads back {_v(seen)}: its read-back is "
-                "not that of the device"
+                f"a second process set {subject.stated(volts)} and the first process still reads back "
+                f"{subject.stated(seen)}: its read-back is not that of the device"
             )
         if subject.setup.inputs and not any(len(s.t_ns) for s, _ in _polled(card, subject.period_s, 0.2)):
             raise BrokenContractError("the first process gets no scans once a second one has written")
@@ -268,7 +279,7 @@ def killed_owner(subject: CardSubject) -> str:
             raise BrokenContractError(f"not safe {FREED_S:g} s after the process was killed: {failure}")
         time.sleep(0.002)
     took_ms = (time.monotonic() - killed) * 1e3
-    return f"safe {took_ms:.0f} ms after SIGKILL; before, the outputs stood at {_v(alone)}"
+    return f"safe {took_ms:.0f} ms after SIGKILL; before, the outputs stood at {subject.stated(alone)}"
 
 
 def silence(subject: CardSubject) -> str:
@@ -290,8 +301,8 @@ def silence(subject: CardSubject) -> str:
         raise NotApplicableError("the card has no read-back")
     if not np.all(np.abs(found - safe) <= subject.tolerance_v):
         raise BrokenContractError(
-            f"{patience_s * 1e3:g} ms after the last write the outputs stand at {_v(found)}; the driver states that it "
-            "vents by itself"
+            f"{patience_s * 1e3:g} ms after the last write the outputs stand at {subject.stated(found)}; "
+            "the driver states that it vents by itself"
         )
     return f"safe by itself {patience_s * 1e3:g} ms after the last write"
 
@@ -366,7 +377,3 @@ def _polled(card: Card, period_s: float, duration_s: float) -> Iterator[tuple[Sc
         yield timed(card.read)
         due = max(due + period_s, time.monotonic())
         time.sleep(max(0.0, due - time.monotonic()))
-
-
-def _v(volts: Volts) -> str:
-    return ", ".join(f"{v:.3f}" for v in volts) + " V"
