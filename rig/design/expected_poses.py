@@ -78,7 +78,7 @@ def errors_text(errors: MeasurementErrors) -> str:
     if errors.rotation_rad is not None:
         turned = f"orientations {np.rad2deg(errors.rotation_rad):.2g} deg"
     return (
-        f"tips {x:.2g}, {y:.2g}, {z:.2g} mm (x, y, z of the rod base), {turned}, "
+        f"tips {x:.2g}, {y:.2g}, {z:.2g} mm (x, y, z of the rod base), {turned}, no sections along the arm, "
         f"pressures {errors.pressure_pa:.2g} Pa in a frame and {errors.plateau_pa:.2g} Pa on a plateau"
     )
 
