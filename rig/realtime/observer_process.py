@@ -9,6 +9,8 @@ from functools import partial
 
 import numpy as np
 
+from calibration.vision.rehearsal import rehearse
+from rig.config.optics import board_of, plane_of
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import FrameSet
 from rig.hardware.cameras.synchroniser import CameraSynchroniser
@@ -112,8 +114,14 @@ def _observer(job: ChildJob) -> Observer:
 
 
 def _warm_up(job: ChildJob, frame_sets: list[FrameSet]) -> None:
-    """Observe some frame sets with a separate observer, so that imports and compilation are done before the start."""
+    """Observe some frame sets with a separate observer, so that imports and compilation are done before the start.
+
+    The board may come into view later: drawn pictures of it are measured, too.
+    """
     config = job.plan.config
+    for camera in config.cameras.values():
+        for board in (board_of(config), *(section.board.board() for section in config.sections.values())):
+            rehearse(board, plane_of(config, camera))
     observer = _observer(job)
     for index, frame_set in enumerate(frame_sets):
         times = np.array([frame_set.t_ns])
