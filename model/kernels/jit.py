@@ -77,7 +77,7 @@ def cache_folder() -> Path:
         try:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
             # Compiled code is trusted code: it must not come from a folder that another user made.
-            if folder.stat().st_uid != os.getuid():
+            if hasattr(os, "getuid") and folder.stat().st_uid != os.getuid():
                 continue
             with tempfile.TemporaryFile(dir=folder):
                 pass
@@ -144,7 +144,8 @@ def _candidates() -> list[Path]:
     home = Path(os.path.expanduser("~"))  # noqa: PTH111 - Path.home() raises where there is no home
     if home.is_absolute() and home.is_dir():
         folders.append(home / ".cache" / "softrig")
-    folders.append(Path(tempfile.gettempdir()) / f"softrig-{os.getuid()}")
+    # On Windows the temporary directory is the user's own.
+    folders.append(Path(tempfile.gettempdir()) / (f"softrig-{os.getuid()}" if hasattr(os, "getuid") else "softrig"))
     return folders
 
 

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
-import resource
 from typing import Any
 
 import typer
 from typer.core import TyperCommand
 
 from rig.cli.exit_status import FAULT
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
+
+
+def _address_space() -> int | None:
+    """Bytes that a process may map; None without a limit."""
+    if resource is None:
+        return None
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return None if limit == resource.RLIM_INFINITY else limit
 
 
 class NumericalCommand(TyperCommand):
@@ -19,8 +31,8 @@ class NumericalCommand(TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command, or report that `ulimit -v` leaves too little address space."""
-        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-        if limit != resource.RLIM_INFINITY and limit < self.needed_bytes:
+        limit = _address_space()
+        if limit is not None and limit < self.needed_bytes:
             command = ctx.command_path.replace(ctx.find_root().command_path, "rig", 1)
             typer.echo(
                 f"the address space of a process is limited to {limit / 1e6:.0f} MB (ulimit -v), "

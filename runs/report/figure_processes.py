@@ -19,7 +19,8 @@ def drawn(figures: Sequence[Draw]) -> list[str]:
     The child is forked, so that it has what the figures show. If it fails, this process draws its part, too, and
     raises the error.
     """
-    if len(figures) < 2 or not hasattr(os, "fork") or len(os.sched_getaffinity(0)) < 2:
+    # Windows cannot fork, and on macOS a forked process must not draw; neither has this function.
+    if len(figures) < 2 or not hasattr(os, "sched_getaffinity") or len(os.sched_getaffinity(0)) < 2:
         return [draw() for draw in figures]
     fork = multiprocessing.get_context("fork")
     received, sent = fork.Pipe(duplex=False)
