@@ -72,7 +72,7 @@ _NARROW_IN = 6.0
 """In a narrower figure, panels stand below each other."""
 _PAGE_IN = 9.0
 """Width of the figures of a page, whose heights the specifications state."""
-_NARROW_LABELS_IN = 0.55
+_NARROW_LABELS_IN = 0.6
 """Width of the labels left of a narrow figure's panels."""
 _NARROW_HEIGHT, _NARROW_LEGEND_IN = 0.58, 0.5
 """Height of a narrow figure's panels as a part of that on the page; height for the rows of its legend."""

@@ -83,7 +83,7 @@ def _backbones(run: Run, summary: Summary) -> FigureSpecification | None:
 def _steps(run: Run, summary: Summary) -> FigureSpecification | None:
     if not settled_steps(summary.steps):
         return None
-    caption = "Marks: measured, with 95 % of one frame. Positive z points from the base along the hanging arm."
+    caption = "Marks: measured, with 95 % of one frame. z points down along the hanging arm; its negative is drawn."
     if (figures.from_rest_mm(run, summary) > MOVED_MM).any():
         caption += " Errors over the distance of the measured tip from its position at rest without pressure."
     return FigureSpecification(

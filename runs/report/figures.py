@@ -208,10 +208,11 @@ def steps(figure: Figure, run: Run, summary: Summary) -> None:
     rest = project(rest_mm(run.tip, run.tip.seen == DetectionStatus.MEASURED)[None])[0]
     sigma = np.array([step.uncertainty_mm for step in dwells])
     origin = rest if np.isfinite(rest).all() else np.zeros(2)
-    for column, (colour, axis) in enumerate(((MEASURED, name), (ACTUATORS[3], "z"))):
+    # z grows downwards: its negative is drawn, so that up in this figure is up as in the others.
+    for column, (colour, axis, sign) in enumerate(((MEASURED, name, 1), (ACTUATORS[3], "\N{MINUS SIGN}z (up)", -1))):
         left.errorbar(
             where,
-            measured[:, column] - origin[column],
+            sign * (measured[:, column] - origin[column]),
             Z_95 * sigma[:, 0 if column == 0 else 2],
             fmt="o",
             ms=5,
@@ -220,7 +221,7 @@ def steps(figure: Figure, run: Run, summary: Summary) -> None:
             color=colour,
             label=axis,
         )
-        left.plot(where, model[:, column] - origin[column], color=colour, lw=1.1)
+        left.plot(where, sign * (model[:, column] - origin[column]), color=colour, lw=1.1)
     left.plot([], [], color=MUTED, lw=1.1, label="model")
     left.set_xlabel(label)
     left.set_ylabel("from rest [mm]" if origin.any() else "in the base frame [mm]")

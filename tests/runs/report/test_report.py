@@ -395,6 +395,20 @@ def test_z_points_down_in_the_figure_of_a_path_in_a_vertical_plane(archive: Path
     assert figure.axes[0].yaxis_inverted()
 
 
+def test_a_settled_tip_that_rises_is_drawn_upwards(archive: Path) -> None:
+    run = runs.open(archive)
+    found = summarise(run)
+    rising = [dataclasses.replace(s, measured_mm=(0.0, 0.0, 200.0 - 5 * k)) for k, s in enumerate(found.steps)]
+    figure = Figure()
+    steps(figure, run, dataclasses.replace(found, steps=tuple(rising)))
+    axes = figure.axes[0]
+    marks = next(one for one in axes.containers if str(one.get_label()).endswith("z (up)"))
+    drawn = np.asarray(marks[0].get_ydata(), float)
+    assert len(drawn) > 1
+    assert (np.diff(drawn) > 0).all()
+    assert not axes.yaxis_inverted()
+
+
 def test_figures_of_an_unknown_kind_are_refused(archive: Path, tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="there are pdf, png, svg"):
         figure_export.write([archive], tmp_path, "doc")
