@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,4 +72,7 @@ def choose(
     for _ in range(count):
         greedy.append(int(np.argmin(value(prior + information[greedy].sum(axis=0) + information))))
     random = [rng.integers(len(information), size=count).tolist() for _ in range(restarts)]
-    return tuple(sorted(min((exchanged(start) for start in (greedy, *random)), key=lambda found: found[0])[1]))
+    # The inversions release the interpreter.
+    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+        found = list(pool.map(exchanged, (greedy, *random)))
+    return tuple(sorted(min(found, key=lambda one: one[0])[1]))

@@ -15,6 +15,9 @@ from calibration.identify.model_error_sampler import PRESENT, AmplitudeSampler
 
 Array = NDArray[np.float64]
 
+# Sweeps of the sampler for each draw of the measurement errors; the medians are over many draws.
+_SWEEPS = 60
+
 
 def columns_and_amplitude(problem: LeastSquaresProblem) -> tuple[list[Array], Array]:
     """Response (K, D, m) of each run's predictions to the coefficients, and their rms (m,) before data.
@@ -41,7 +44,7 @@ def added_variances(problem: LeastSquaresProblem, draws: int, rng: np.random.Gen
     # The gradient of unit normal residuals has the information as its covariance.
     values, vectors = np.linalg.eigh(equations.seen)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    sampler = AmplitudeSampler([replace(equations, at_fit=np.zeros(n))], prior, scale)
+    sampler = AmplitudeSampler([replace(equations, at_fit=np.zeros(n))], prior, scale, _SWEEPS)
     found = [sampler.sample([root @ drawn]).second for drawn in rng.standard_normal((draws, len(values)))]
     return np.array([np.diagonal(one)[:n] - np.diagonal(equations.inverse) for one in found])
 

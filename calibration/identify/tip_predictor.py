@@ -98,8 +98,13 @@ class Predictor:
         if found is None:
             solve = _solve_dynamic if self.poses.moving else _solve_static
             found = solve(setup, self._pressure(setup), self.poses, self.substeps)
-            self._solved = dict([*self._solved.items(), (key, found)][-_MAX_SOLVED:])
+            self._keep(key, found)
         return found
+
+    def _keep(self, key: Key, found: Solved) -> None:
+        """Keep the solved shapes of a setup."""
+        if key not in self._solved:
+            self._solved = dict([*self._solved.items(), (key, found)][-_MAX_SOLVED:])
 
     def _key(self, setup: Setup) -> Key:
         # A wrench acts at the measured point, in the measurements' frame: then mounting and tool change the shape.
@@ -151,6 +156,7 @@ class Predictor:
             found = sensitivities.statics(
                 setup.turned_arm, rows, changes, poses.weight_kg, wrench, sections_m=_at_m(poses)
             )
+        self._keep(key, _with_tip(found))
         changed = MountedChange(setup, perturbed, steps, new)
         tip = ArmAnswers(found.tip_m, found.tip_rotation, found.tip_by, found.turn_by)
         parts = [changed.slopes(tip, poses.orientation, Setup.tool)]

@@ -42,11 +42,8 @@ LIBRARY = ("ramp-a", "ramp-b", "sine-1", "sine-2")
 ENDS_S = 2.0
 """Time to and from the level between the blocks, with a rest."""
 
-# Time steps per frame while blocks are compared; the final error bars have the steps of an identification.
-_SEARCH_SUBSTEPS = 4
-
-# Drawn arms whose error bars the expected ones are medians of.
-_ARMS = 5
+# Drawn arms whose error bars the expected ones are medians of: of a design, and of the library.
+_ARMS, _LIBRARY_ARMS = 10, 5
 REPEATS = 100
 """Runs of the protocol whose error bars stand beside those of one run."""
 
@@ -94,16 +91,16 @@ def design(
     if not candidates:
         fault = f"limits that leave room for a block of {BLOCK_S:g} s: more rate_bar_per_s"
         raise BadInputError([Problem("design", 0, 0, "limits", f"{config.limits.rate_bar_per_s:g} bar/s", fault)])
-    every = protocols.from_steps("every block", _framed(config, candidates)).expand(config.actuators)
+    every = protocols.from_steps("every block", framed(config, candidates)).expand(config.actuators)
     motion = expected_poses("blocks", every, config, errors)
     unknowns = unknowns_of(config, chosen, [motion])
-    problem = unknowns.problem([motion], _SEARCH_SUBSTEPS)
+    problem = unknowns.problem([motion])
     first = [round((ENDS_S + k * BLOCK_S) / motion.period_s) for k in range(len(candidates) + 1)]
     information, prior = block_information(problem, [slice(a, b) for a, b in itertools.pairwise(first)])
     count = int((duration_s - 2 * ENDS_S + 1e-9) // BLOCK_S)
     indices = choose(information, prior + _ridge(len(prior)), count, of_interest(problem, unknowns),
                      CRITERIA[criterion], seed)  # fmt: skip
-    steps = _framed(config, [candidates[k] for k in indices])
+    steps = framed(config, [candidates[k] for k in indices])
     title = f"Designed experiment, {len(indices) * BLOCK_S + 2 * ENDS_S:g} s"
     protocol = protocols.from_steps(title, steps)
     trajectory = protocol.expand(config.actuators)
@@ -112,7 +109,8 @@ def design(
     planned = expected_poses("design", trajectory, config, errors)
     bars, repeated = error_bars_of_repeats([planned], unknowns, (1.0, REPEATS))
     known = [expected_poses(name, protocols.load(name).expand(config.actuators), config, errors) for name in LIBRARY]
-    library = error_bars(known, unknowns_of(config, chosen, known))
+    few = unknowns_of(config, chosen, known)
+    library = error_bars(known, replace(few, arms=few.arms[:_LIBRARY_ARMS]))
     text = _text(protocol, config, (bars, errors), criterion, seed)
     return Design(protocol, text, bars, library, repeated, errors)
 
@@ -170,7 +168,7 @@ def _ridge(count: int) -> NDArray[np.float64]:
     return np.eye(count) / 25.0
 
 
-def _framed(config: RigConfig, chosen: Sequence[Block]) -> list[dict[str, Any]]:
+def framed(config: RigConfig, chosen: Sequence[Block]) -> list[dict[str, Any]]:
     """The steps of blocks, between the way to the rest level and the way back to zero."""
     every = list(range(1, config.actuators + 1))
     up = {"ramp": {"actuators": every, "to_bar": rest_bar(config), "duration_s": 1.0, "shape": "smooth"}}
