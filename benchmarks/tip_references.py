@@ -1,6 +1,7 @@
 """References drawn at random: is every path that `rig check` accepts followed, within every limit, on an unlike arm?
 
-    python -m benchmarks.tip_references --results FILE.jsonl [--count 10000] [--minutes 60] [--seed 1] [--only K]
+    python -m benchmarks.tip_references --results FILE.jsonl [--seed 1] [--first 0] [--count 10000]
+                                          [--minutes 60] [--only K]
 
 Each path (circle, eight, star, points, held point, CSV; any plane, size and speed) is given to the planner and the
 preflight check of `rig check` on mock-3. An accepted path is run in virtual time: control loop, interlocks, horizon
@@ -149,7 +150,8 @@ def main() -> None:
     """Run the missing paths, and print the table of all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--results", type=Path, required=True, help="a line of JSON for each path; kept and continued")
-    parser.add_argument("--count", type=int, default=10_000)
+    parser.add_argument("--first", type=int, default=0, help="number of the first path")
+    parser.add_argument("--count", type=int, default=10_000, help="paths from the first on")
     parser.add_argument("--minutes", type=float, default=60.0, help="processor time of this process")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=int, nargs="+", help="run these paths and print their lines")
@@ -163,7 +165,7 @@ def main() -> None:
     rows = known_rows(args.results, args.seed)
     known, end_s = {row["k"] for row in rows}, time.process_time() + 60 * args.minutes
     with args.results.open("a", encoding="utf-8") as file:
-        for k in (k for k in range(args.count) if k not in known):
+        for k in (k for k in range(args.first, args.first + args.count) if k not in known):
             if time.process_time() > end_s:
                 break
             rows.append(judged(k, args.seed, config, inverse))
