@@ -2,7 +2,8 @@
 
 Amplitude and lag are those of the fundamental, fitted by least squares over whole periods. The tip moves along the
 first principal axis of its measured positions (without any, of the model's). The loop is the area that tip and measured
-pressure enclose over one period (shoelace formula), as a part of the rectangle around it.
+pressure enclose over one period (shoelace formula), as a part of the rectangle around it. A tip that goes round, as on
+a circle, has neither lag nor loop: its phase to the pressure of one actuator is a direction, not a delay.
 """
 
 from __future__ import annotations
@@ -21,11 +22,16 @@ Floats = NDArray[np.float64]
 NAN = float("nan")
 FEWEST_FRAMES = 8
 """Frames in a period without which nothing is computed from it."""
+ROUND = 0.3
+"""Ratio of the axes of the fundamental's ellipse above which the tip goes round."""
 
 
 @dataclass(frozen=True)
 class PeriodicMotion:
-    """A segment whose set-points repeat; NaN where nothing was measured. Lags count from the set-point."""
+    """A segment whose set-points repeat; NaN where nothing was measured. Lags count from the set-point.
+
+    Lags and loops of a tip that goes round are NaN.
+    """
 
     label: str
     period_s: float
@@ -67,13 +73,16 @@ def _motion(run: ArchiveReader, label: str, bounds: Floats) -> PeriodicMotion:
     frames = slice(*np.searchsorted(tip.protocol_s, (bounds[0], bounds[-1])))
     seen = (tip.seen[frames] == DetectionStatus.MEASURED)[:, None]
     measured_mm, model_mm = np.where(seen, tip.measured_mm[frames], NAN), tip.model_mm[frames]
-    axis = _principal_axis(measured_mm)
+    tip_s, path_mm, axis = tip.protocol_s[frames], measured_mm, _principal_axis(measured_mm)
     if axis is None:
-        axis = _principal_axis(model_mm)
+        path_mm, axis = model_mm, _principal_axis(model_mm)
     axis = np.full(3, NAN) if axis is None else axis
-    tip_s, measured, model = tip.protocol_s[frames], measured_mm @ axis, model_mm @ axis
+    measured, model = measured_mm @ axis, model_mm @ axis
     moved, modelled = (fundamental(tip_s, along, period_s) for along in (measured, model))
     at_frame = tip.pressure_bar[frames, actuator]
+    origin = commanded
+    if goes_round(tip_s, path_mm, period_s):
+        at_frame, origin = np.full_like(at_frame, NAN), complex(NAN, NAN)
     which = np.searchsorted(bounds, tip_s, side="right") - 1
     periods = [which == k for k in range(len(bounds) - 1)]
     error = np.where(seen[:, 0], tip.error_mm[frames], NAN)
@@ -83,9 +92,9 @@ def _motion(run: ArchiveReader, label: str, bounds: Floats) -> PeriodicMotion:
         pressure_ratio=abs(got) / abs(commanded),
         pressure_lag_ms=_lag_ms(commanded, got, period_s),
         tip_amplitude_mm=abs(moved),
-        tip_lag_ms=_lag_ms(commanded, moved, period_s, either_sign=True),
+        tip_lag_ms=_lag_ms(origin, moved, period_s, either_sign=True),
         model_ratio=abs(modelled) / abs(moved) if abs(moved) > 0 else NAN,
-        model_lag_ms=_lag_ms(commanded, modelled, period_s, either_sign=True),
+        model_lag_ms=_lag_ms(origin, modelled, period_s, either_sign=True),
         tip_loop_percent=_mean([loop_percent(at_frame[k], measured[k]) for k in periods]),
         model_loop_percent=_mean([loop_percent(at_frame[k], model[k]) for k in periods]),
         error_mm=tuple(_mean(error[k].tolist()) for k in periods),
@@ -101,6 +110,15 @@ def fundamental(time_s: Floats, values: Floats, period_s: float) -> complex:
     design = np.column_stack((np.ones(len(angle)), np.cos(angle), -np.sin(angle)))
     _, cosine, sine = np.linalg.lstsq(design, values[known], rcond=None)[0]
     return complex(cosine, sine)
+
+
+def goes_round(time_s: Floats, points_mm: Floats, period_s: float) -> bool:
+    """Whether the fundamental of points (n, 3) is an ellipse rather than a line."""
+    waves = np.array([fundamental(time_s, column, period_s) for column in points_mm.T])
+    if not np.isfinite(waves).all():
+        return False
+    longest, shortest = np.linalg.svd(np.stack([waves.real, waves.imag]), compute_uv=False)
+    return bool(shortest > ROUND * longest)
 
 
 def loop_percent(across: Floats, along: Floats) -> float:

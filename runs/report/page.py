@@ -255,7 +255,8 @@ def _periodic(summary: Summary) -> str:
     note = (
         "<p class=small>Fundamental of the motion over whole periods. Lags count from the set-point. Ratios: measured "
         "pressure to set-point; modelled to measured tip. Loop: area that tip and measured pressure enclose in a "
-        "period, in percent of the rectangle around it: hysteresis and delay together.</p>"
+        "period, in percent of the rectangle around it: hysteresis and delay together. "
+        "A tip that goes round has neither lag nor loop.</p>"
     )
     head = "".join(f"<th class=n>{name}</th>" for name in heads)
     table = f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from runs.periodic_motion import _lag_ms, fundamental, loop_percent
+from runs.periodic_motion import _lag_ms, fundamental, goes_round, loop_percent
 
 
 @pytest.mark.parametrize(("amplitude", "lag_s"), [(1.0, 0.0), (3.0, 0.05), (0.5, -0.02)])
@@ -33,3 +34,19 @@ def test_the_loop_of_an_ellipse_is_its_area_and_a_line_has_none() -> None:
 
 def test_too_few_values_have_no_amplitude() -> None:
     assert math.isnan(abs(fundamental(np.arange(3.0), np.arange(3.0), 2.0)))
+
+
+def test_a_circle_goes_round_and_a_line_and_a_figure_eight_do_not() -> None:
+    random = np.random.default_rng(4)
+    time = np.arange(0.3, 8.3, 1 / 30)
+    once = 2 * np.pi * time / 4.0
+    noise = random.normal(0, 0.1, (len(time), 3))
+
+    def round_one(x: NDArray[np.float64], y: NDArray[np.float64]) -> bool:
+        return goes_round(time, np.stack([x, y, 0 * x], axis=1) + noise, 4.0)
+
+    assert round_one(20 * np.cos(once), 20 * np.sin(once))
+    assert round_one(15 * np.sign(np.cos(once)), 15 * np.sign(np.sin(once)))
+    assert not round_one(15 * np.sin(once), 7.5 * np.sin(2 * once))
+    assert not round_one(15 * np.sin(once), 5 * np.sin(once + 0.2))
+    assert not goes_round(time, np.full((len(time), 3), np.nan), 4.0)
