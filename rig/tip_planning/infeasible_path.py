@@ -65,7 +65,22 @@ def infeasible_path_error(follower: PathFollower, request: TipRequest, found: Pa
         expected += f"the nearest reachable point is {place}, {MM * nearest.distance_m:.2f} mm away"
     else:
         expected += "at rest the arm reaches the point"
+        if farther := _farther_on(follower, request, found):
+            out_of_reach, expected = True, f"{expected}, {farther}"
     return TipRefusedError(text, f"{expected}; {_remedies(follower, request, t_s, out_of_reach, worst_m)}")
+
+
+def _farther_on(follower: PathFollower, request: TipRequest, found: TimedFollowing) -> str:
+    """The point of the path that is missed most, if the arm does not reach it; no speed makes such a path possible."""
+    on_path = found.times_s >= 0
+    worst = int(np.argmax(np.where(on_path, np.nan_to_num(found.error_m), -1.0)))
+    target = found.target_m[worst]
+    nearest = _nearest(follower, request, target)
+    if nearest.distance_m <= request.tolerance_m:
+        return ""
+    at_s = request.begin_s + request.lead_in_s + float(found.times_s[worst])
+    point, place = (_point(tip_m, request.coordinates) for tip_m in (target, nearest.tip_m))
+    return f"but not {point} at {at_s:.2f} s: there the nearest is {place}, {MM * nearest.distance_m:.2f} mm away"
 
 
 def _nearest(follower: PathFollower, request: TipRequest, target_m: Array) -> ReachablePoint:

@@ -75,6 +75,19 @@ def test_a_point_out_of_reach_is_refused_with_the_nearest_one() -> None:
     assert float(number[1]) + float(number[2]) == pytest.approx(240, abs=0.1)
 
 
+def test_a_corner_that_is_missed_before_a_point_out_of_reach_does_not_hide_it() -> None:
+    corners = "[[0, 0, 190], [20, 0, 240], [0, 0, 190]]"
+    shape = f"points: {{at_mm: {corners}, speed_mm_per_s: 54, dwell_s: 0, ways: linear}}"
+    problem = refused(f"{{{shape}, lead_in_s: 2}}")
+    assert "(0.00 s into the path)" in problem.value
+    number = re.search(
+        r"but not \(x ([\d.]+), y 0.00, z ([\d.]+)\) mm at ([\d.]+) s: .*?, ([\d.]+) mm away", problem.expected
+    )
+    assert number is not None
+    assert [float(one) for one in number.groups()] == pytest.approx([20, 240, 3.5, 20.8], abs=0.6)
+    assert "of this speed" not in problem.expected
+
+
 def test_a_path_that_is_too_fast_is_refused_with_speed_and_size_that_are_possible() -> None:
     problem = refused(circle(30, 0.8))
     assert "too fast for actuator" in problem.expected
