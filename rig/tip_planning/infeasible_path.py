@@ -93,14 +93,16 @@ def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_re
     still = length_m(request.path) == 0
     if out_of_reach and still:
         return "give a point within its reach"
-    if not out_of_reach and (t_s < 0 or still):
+    # Almost no lead-in shows as a missed start of the path.
+    in_lead_in = t_s < (LEAD_IN_FELT_S if request.lead_in_s < SHORTEST_LEAD_IN_S else 0.0)
+    if not out_of_reach and (in_lead_in or still):
         if lead_in_s := _long_enough_lead_in_s(follower, request):
             return f"a lead_in_s of {lead_in_s:g} is long enough"
         if still:
             return f"a lead_in_s of {LONGEST_LEAD_IN_S:g} is not long enough either"
         request = replace(request, lead_in_s=max(request.lead_in_s, USUAL_LEAD_IN_S))
         worst_m = follower.worst_m(request, 1.0, 1.0)
-    found, longer = [], f"with a lead_in_s of {request.lead_in_s:g} " if t_s < 0 and not out_of_reach else ""
+    found, longer = [], f"with a lead_in_s of {request.lead_in_s:g} " if in_lead_in and not out_of_reach else ""
     tolerance_m = request.tolerance_m
     speed = 0.0 if out_of_reach else largest_share(lambda s: follower.worst_m(request, s, 1.0), worst_m, tolerance_m)
     if speed:

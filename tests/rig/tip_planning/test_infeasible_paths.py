@@ -120,6 +120,14 @@ def test_a_held_point_that_is_approached_too_fast_is_refused_with_a_lead_in_that
     assert expanded(f"{{hold: {{at_mm: [40, 0, 195], duration_s: 2}}, lead_in_s: {number[1]}}}").tip
 
 
+@pytest.mark.parametrize("lead_in_s", [0, 0.05])
+def test_a_path_without_a_lead_in_is_told_the_one_that_it_needs(lead_in_s: float) -> None:
+    problem = refused(circle(20, 10, lead_in_s=str(lead_in_s)))
+    number = re.search(r"a lead_in_s of ([\d.]+) is long enough", problem.expected)
+    assert number is not None
+    expanded(circle(20, 10, lead_in_s=number[1]))
+
+
 def test_no_lead_in_helps_a_path_that_is_too_fast_itself() -> None:
     problem = refused("{points: {at_mm: [[20, 0, 190], [0, 40, 190]], speed_mm_per_s: 200}, lead_in_s: 0.3}")
     found = re.search(r"largest possible with a lead_in_s of 3: ([\d.]+) of this speed", problem.expected)
