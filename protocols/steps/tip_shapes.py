@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
+from protocols.problems import BadInputError, Problem
 from protocols.steps.base import Positive, Seconds, SecondsOrNone, StepPart, Text, one_of
 from protocols.steps.csv_samples import read_columns
 from protocols.tip_paths import HarmonicPath, PiecewisePath, TipPath, closed_polyline, length_m
@@ -21,6 +22,8 @@ from protocols.validation import ValidationFault, faults
 Array = NDArray[np.float64]
 MM = 1e-3
 FARTHEST_MM = 10_000.0
+SAME_M = 1e-5
+"""First and last point of a path that repeats are equal within this: they may be rounded."""
 
 Millimetres = Annotated[float, Field(ge=-FARTHEST_MM, le=FARTHEST_MM, allow_inf_nan=False, strict=True)]
 Length = Annotated[float, Field(gt=0, le=FARTHEST_MM, allow_inf_nan=False, strict=True)]
@@ -200,6 +203,12 @@ class PathFile(TipShape):
         coordinates = dict.fromkeys(("x_mm", "y_mm", "z_mm"), (-FARTHEST_MM, FARTHEST_MM, "mm"))
         columns, text = read_columns(folder / self.file, coordinates, timed=self.speed_mm_per_s is None)
         points = np.column_stack(columns.values) * MM
+        if fault := self._fault(points):
+            lines = [number for number, row in enumerate(text.split("\n"), start=1) if row.strip()]
+            x, y, z = (f"{round(value / MM, 3):g}" for value in points[-1])
+            raise BadInputError([Problem(str(folder / self.file), lines[-1], 1, "", f"{x}, {y}, {z} mm", fault)])
+        if self.periods is not None:
+            points[-1] = points[0]
         if self.speed_mm_per_s is not None:
             points = points[np.r_[True, (np.diff(points, axis=0) != 0).any(axis=1)]]
             ways = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -207,3 +216,12 @@ class PathFile(TipShape):
         else:
             times = np.array(columns.times_s)
         return (times, points), {self.file: text}
+
+    def _fault(self, points: Array) -> str:
+        """What the last of the points should be instead; empty if they can be followed."""
+        if self.speed_mm_per_s is not None and (points == points[0]).all():
+            return "another point than the others: with speed_mm_per_s the rows have to be a way"
+        if self.periods is not None and np.abs(points[-1] - points[0]).max() > SAME_M:
+            x, y, z = (f"{round(value / MM, 3):g}" for value in points[0])
+            return f"the first row again, {x}, {y}, {z} mm: with periods the rows are repeated"
+        return ""

@@ -184,6 +184,32 @@ def test_a_wrong_row_of_a_path_file_is_reported_with_line_and_column(tmp_path: P
     assert "(mm)" in first.expected
 
 
+@pytest.mark.parametrize(
+    ("rows", "words", "line", "expected"),
+    [
+        ("0,0,190\n10,0,190\n10,20,190\n\n", "speed_mm_per_s: 20, periods: 2", 4, "the first row again, 0, 0, 190"),
+        ("0,0,190\n0,0,190\n", "speed_mm_per_s: 20", 3, "another point than the others"),
+    ],
+    ids=["open path that repeats", "one point at a speed"],
+)
+def test_a_path_file_that_its_step_cannot_follow_is_reported_with_its_line(
+    tmp_path: Path, rows: str, words: str, line: int, expected: str
+) -> None:
+    (tmp_path / "p.csv").write_text(f"x_mm,y_mm,z_mm\n{rows}")
+    with pytest.raises(BadInputError) as caught:
+        expanded(tmp_path, f"tip: {{csv: {{file: p.csv, {words}}}}}")
+    (problem,) = caught.value.problems
+    assert (Path(problem.file).name, problem.line) == ("p.csv", line)
+    assert expected in problem.expected
+
+
+def test_a_repeated_path_file_ends_where_it_begins(tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text("time_s,x_mm,y_mm,z_mm\n0,20,0,190\n1,0,20,190\n2,19.9999,0.0001,190\n")
+    motion = expanded(tmp_path, "tip: {csv: {file: p.csv, periods: 2}}").tip.motions[0]
+    assert motion.period_s == 2
+    assert motion.position_m[-1].tolist() == [0.02, 0, 0.19]
+
+
 def test_a_refusal_of_the_rig_is_reported_at_the_step(tmp_path: Path) -> None:
     problem = refused(tmp_path, "hold: {duration_s: 1}", f"tip: {{circle: {CIRCLE}}}", arm=RefusingArm())
     assert (problem.line, problem.column, problem.value, problem.expected) == (4, 10, "a point", "another point")
