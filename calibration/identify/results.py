@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 NORMAL_95 = 1.959963984540054
 # An estimate that is more standard uncertainties away from what was known of it is reported.
 TENSION = 3.0
+# Standard uncertainty after the fit over the stated one, above which an estimate counts as less certain than before.
+_LESS_CERTAIN = 1.1
 
 
 class Verdict(StrEnum):
@@ -256,6 +258,13 @@ class Fit:
     def in_tension(self) -> tuple[Estimate, ...]:
         """Estimates more than three standard uncertainties from what was known of them."""
         return tuple(e for e in self.estimates if abs(e.tension) > TENSION)
+
+    @property
+    def less_certain(self) -> tuple[Estimate, ...]:
+        """Estimates whose uncertainty is clearly above what was stated: errors of the model may have moved them."""
+        return tuple(
+            e for e, std in zip(self.estimates, self.std, strict=True) if e.prior and std > _LESS_CERTAIN * e.prior.std
+        )
 
     def contributions(self, estimate: Estimate) -> tuple[tuple[Estimate, float], ...]:
         """The estimates whose prior uncertainty enters that of `estimate`, with the share of its variance [0, 1].

@@ -165,6 +165,11 @@ def _held(fit: Fit) -> None:
     for one, std in held:
         table.add_row(one.name, _expected(one), quantity(one.name, one.unit, one.used, std), one.run)
     screen.print(table)
+    if names := ", ".join(one.name for one in fit.less_certain if one.nuisance):
+        screen.print(
+            f"less certain after the fit than stated, because errors of the model may have moved them: {names}",
+            soft_wrap=True,
+        )
 
 
 def _warnings(fit: Fit) -> None:

@@ -215,6 +215,9 @@ def test_unequal_actuators_are_found_with_their_size_and_nothing_is_found_in_an_
     assert unequal.effects[0].mean == pytest.approx(0.045, abs=0.015)
     assert unequal.absent < 1e-3
     assert ideal.found == ()
+    # Stated numbers cannot be less certain after the fit, unless errors of the model moved them.
+    assert identified((1.0, 1.0, 1.0)).less_certain == ()
+    assert "circle_radius_m" in [one.name for one in identified((1.0, 1.06, 0.95)).less_certain]
     assert ideal.effects[0].below < 0.03
 
 
