@@ -23,7 +23,8 @@ Array = NDArray[np.float64]
 
 # Draws of the measurement errors that the expected error bars are medians over. Their seed is fixed.
 _DRAWS = 25
-# Time steps per frame. A gradient needs fewer than the tips of a fit: with twice as many, no bar of `mock` changes by 2 %.
+# Time steps per frame. A gradient needs fewer than the tips of a fit: with twice as many, bars of `mock` change by less
+# than 2 %.
 SUBSTEPS = 4
 
 

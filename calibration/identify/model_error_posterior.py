@@ -4,6 +4,9 @@ Each term is present or absent. The coefficients of a term that is present are r
 in proportion to the term's amplitude. Presence, amplitudes and the independent error of the tips are averaged over
 their posterior distribution by Gibbs sampling (Kennedy and O'Hagan 2001 with a parametric discrepancy; George and
 McCulloch 1993 for the selection of terms).
+
+The predictions are linearised in unknowns and coefficients. So independent errors that are smaller than the error of
+this linearisation are not considered: the coefficients would explain the residuals only in the linearised model.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from calibration.identify.effects_problem import EffectsProblem
 from calibration.identify.least_squares import LeastSquaresProblem, Solution
 from calibration.identify.likelihood import Discrepancy, Weights, outlying, whitened
 from calibration.identify.model_error import (
@@ -94,11 +98,13 @@ def model_error_posterior(problem: LeastSquaresProblem, solution: Solution, assu
     columns, prior = effect_columns(problem, solution.z)
     term = prior.term
     off = solution.discrepancy
-    shares = _NOISE_SHARES if any(off.of_kinds.values()) else (0.0,)
-    noises = [off.scaled(share) for share in shares]
-    equations = [normal_equations(problem, solution, assumed, columns, noise) for noise in noises]
+    shares: tuple[float, ...] = _NOISE_SHARES if any(off.of_kinds.values()) else (0.0,)
+    equations = [normal_equations(problem, solution, assumed, columns, off.scaled(share)) for share in shares]
     scale = np.array([one.scale for one in terms])
     drawn = AmplitudeSampler(equations, prior, scale).sample()
+    while len(shares) > 1 and linearisation_error(problem, solution, columns, drawn.mean, off.scaled(shares[0])) > 1:
+        shares, equations = shares[1:], equations[1:]
+        drawn = AmplitudeSampler(equations, prior, scale).sample()
     sizes = np.column_stack(
         [one.size(drawn.coefficients[:, term == k], problem.data[0].actuators) for k, one in enumerate(terms)]
     )
@@ -125,6 +131,29 @@ def effect_columns(problem: LeastSquaresProblem, z: Array) -> tuple[list[Array],
         for run, (own, predictor) in enumerate(zip(inputs, problem.predictors(z), strict=True))
     ]
     return columns, inputs[0].prior
+
+
+def linearisation_error(
+    problem: LeastSquaresProblem, solution: Solution, columns: Sequence[Array], change: Array, noise: Discrepancy
+) -> float:
+    """Error of the linearised predictions at a change (n + m,) of unknowns and coefficients from the solution.
+
+    Root mean square of the measured numbers, each in units of its standard deviation with this noise. Infinite where
+    the model has no solution.
+    """
+    n, z = len(solution.z), solution.z
+    lower, upper = problem.bounds(range(n))
+    at = np.clip(z + change[:n], lower, upper)
+    gaps, slopes, pressure = problem.gaps(z), problem.slopes(z, range(n)), problem.pressure_covariances(z)
+    exact = EffectsProblem(problem, np.ones(len(change) - n)).gaps(np.concatenate([at, change[n:]]))
+    errors = []
+    for run, poses in enumerate(problem.data):
+        linear = gaps[run] - slopes[run] @ (at - z) - columns[run] @ change[n:]
+        covariance = poses.pose_covariance + pressure[run] + noise.covariance(poses.kinds)
+        std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        errors.append(((exact[run] - linear) / std)[poses.measured & np.isfinite(gaps[run])])
+    rms = float(np.sqrt(np.mean(np.square(np.concatenate(errors)))))
+    return rms if math.isfinite(rms) else math.inf
 
 
 def _effect(term: ModelErrorTerm, probability: float, size: Array, present: NDArray[np.bool_]) -> Effect:

@@ -49,10 +49,11 @@ class NormalEquations:
 class Sampled:
     """Samples of the model error: coefficients (S, m), present (S, terms), noise (S,) as its number.
 
-    second (n + m, n + m): mean squares and products of the unknowns and the coefficients. probability (terms,) of
-    presence; absent: that of no term.
+    mean (n + m,), second (n + m, n + m): mean, and mean squares and products, of unknowns and coefficients. probability
+    (terms,) of presence; absent: that of no term.
     """
 
+    mean: Array
     second: Array
     coefficients: Array
     present: NDArray[np.bool_]
@@ -93,7 +94,8 @@ class AmplitudeSampler:
         gradients = gradients or [one.gradient for one in equations]
         count, m, n = len(self._scale), len(prior.term), len(equations[0].at_fit)
         level, noise = [0] * count, len(equations) - 1
-        second, probability, absent = np.zeros((n + m, n + m)), np.zeros(count), 0.0
+        average, second = np.zeros(n + m), np.zeros((n + m, n + m))
+        probability, absent = np.zeros(count), 0.0
         coefficients, present, noises = [], [], []
 
         # The sampler returns to few states again and again.
@@ -112,10 +114,10 @@ class AmplitudeSampler:
             )  # fmt: skip
 
         @cache
-        def given(level: Levels, noise: int) -> tuple[Array, Array, Array]:
+        def given(level: Levels, noise: int) -> tuple[Array, Array, Array, Array]:
             own = self._amplitude(level)
             mean, root = coefficients_given(equations[noise], own * prior.std, own * prior.mean, gradients[noise])
-            return mean, root, _second(equations[noise], mean, root)
+            return mean, root, *_moments(equations[noise], mean, root)
 
         for sweep in range(-_BURN_IN, self._sweeps):
             for k in range(count):
@@ -128,12 +130,15 @@ class AmplitudeSampler:
             if len(equations) > 1:
                 noise = int(noise_chance(tuple(level)).searchsorted(rng.random(), side="right"))
             if sweep >= 0:
-                mean, root, own_second = given(tuple(level), noise)
+                mean, root, centre, own_second = given(tuple(level), noise)
+                average += centre / self._sweeps
                 second += own_second / self._sweeps
                 coefficients.append(mean + root @ rng.standard_normal(root.shape[1]))
                 present.append([one > 0 for one in level])
                 noises.append(noise)
-        return Sampled(second, np.array(coefficients), np.array(present), np.array(noises), probability, absent)
+        return Sampled(
+            average, second, np.array(coefficients), np.array(present), np.array(noises), probability, absent
+        )
 
 
 @dataclass(frozen=True)
@@ -234,12 +239,15 @@ def coefficients_given(
     return mean + root @ (root.T @ (gradient - equations.seen @ mean)), root
 
 
-def _second(equations: NormalEquations, mean: Array, root: Array) -> Array:
-    """Mean squares and products (n + m, n + m) of unknowns and coefficients; root: of the coefficients' covariance."""
+def _moments(equations: NormalEquations, mean: Array, root: Array) -> tuple[Array, Array]:
+    """Mean (n + m,), and mean squares and products (n + m, n + m), of unknowns and coefficients.
+
+    root: of the coefficients' covariance.
+    """
     absorbed = equations.absorbed
     centre = np.concatenate([equations.at_fit - absorbed @ mean, mean])
     spread = np.concatenate([-absorbed @ root, root])
     out: Array = np.outer(centre, centre) + spread @ spread.T
     n = len(equations.at_fit)
     out[:n, :n] += equations.inverse
-    return out
+    return centre, out

@@ -70,7 +70,7 @@ def infeasible_path_error(follower: PathFollower, request: TipRequest, found: Pa
     return TipRefusedError(text, f"{expected}; {_remedies(follower, request, t_s, out_of_reach, worst_m)}")
 
 
-def _farther_on(follower: PathFollower, request: TipRequest, found: TimedFollowing) -> str:
+def _farther_on(follower: PathFollower, request: TipRequest, found: PathSolution) -> str:
     """The point of the path that is missed most, if the arm does not reach it; no speed makes such a path possible."""
     on_path = found.times_s >= 0
     worst = int(np.argmax(np.where(on_path, np.nan_to_num(found.error_m), -1.0)))

@@ -140,8 +140,8 @@ def _response(
     yield f"{response.unit} (one standard deviation, {model.residual_dof} degrees of freedom).</p>"
     drawing = svg(_draw, (8.2, 2.6), f"study/{response.name}", response, factors, table, y, model)
     caption = (
-        "Points are runs. Left: means of the levels with 95 % intervals. Right: runs in their order, coloured by block. "
-        "In the table, \N{PLUS-MINUS SIGN} is half of the 95 % interval."
+        "Points are runs. Left: means of the levels with 95 % intervals. Right: runs in their order, coloured by "
+        "block. In the table, \N{PLUS-MINUS SIGN} is half of the 95 % interval."
     )
     yield f"<figure>{drawing}<figcaption>{caption}</figcaption></figure>"
     references = list({mean.factor: mean for mean in reversed(model.levels)}.values())

@@ -25,6 +25,8 @@ from calibration.identify.model_error_sampler import (
     AmplitudeSampler,
     NormalEquations,
     coefficients_given,
+    effect_columns,
+    linearisation_error,
     log_evidence,
 )
 from calibration.identify.nuisance import stated_values
@@ -104,6 +106,35 @@ def test_coefficients_and_unknowns_have_the_posterior_of_a_linear_gaussian_model
     crossed = -equations.absorbed @ covariance
     assert crossed == pytest.approx(posterior[:3, 3:], rel=1e-5, abs=1e-9)
     assert equations.inverse - crossed @ equations.absorbed.T == pytest.approx(posterior[:3, :3], rel=1e-5, abs=1e-9)
+
+
+def test_the_error_of_the_linearisation_is_zero_at_the_solution_and_grows_with_the_square_of_the_change() -> None:
+    planned = plan("mixed", np.random.default_rng(4).uniform(0.1e5, 0.6e5, (6, 3)), errors=ERRORS)
+    data = [perform(planned, START, np.random.default_rng(3), ERRORS)]
+    problem = LeastSquaresProblem(data, START, named(("a1_per_n", "base_x_m"), 3), {})
+    solution = problem.solve(np.zeros(2), [])
+    columns, prior = effect_columns(problem, solution.z)
+    gain = np.zeros(2 + len(prior.term))
+    gain[2:][prior.term == 0] = [1.0, 0.0, 0.0, 0.0]
+    found = [
+        linearisation_error(problem, solution, columns, size * gain, Discrepancy(0.0)) for size in (0.0, 0.02, 0.04)
+    ]
+    assert found[0] == pytest.approx(0.0, abs=1e-6)
+    assert found[2] / found[1] == pytest.approx(4.0, rel=0.1)
+    # The arm itself, pushed by the first actuator with 4 % / sqrt(2) more.
+    pushed = replace(data[0], pressure_pa=data[0].pressure_pa * [1 + 0.04 / 2**0.5, 1.0, 1.0])
+    setup = problem.setup(solution.z, 0)
+    linear = Predictor(data[0])(setup) + columns[0] @ (0.04 * gain[2:])
+    error = (Predictor(pushed)(setup) - linear) / 1e-4
+    assert found[2] == pytest.approx(float(np.sqrt((error**2).mean())), rel=1e-3)
+
+
+def test_noise_is_no_smaller_than_the_error_of_the_linearisation() -> None:
+    """The effects explain the residuals of very unequal actuators to a few micrometres, but only when linearised."""
+    fit = identified((1.25, 1.0, 0.8))
+    assert fit.model_error is not None
+    assert fit.discrepancy_m > 1e-3
+    assert fit.model_error.noise_m > 0.25 * fit.discrepancy_m
 
 
 def synthetic(seed: int, noise: float) -> NormalEquations:
