@@ -19,14 +19,12 @@ from calibration.identify.information import covariance as covariance_of
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.likelihood import Discrepancy
 from calibration.identify.model_error import TERMS, CoefficientPrior, error_inputs
-from calibration.identify.model_error_posterior import normal_equations
+from calibration.identify.model_error_posterior import effect_columns, linearisation_error, normal_equations
 from calibration.identify.model_error_sampler import (
     PRESENT,
     AmplitudeSampler,
     NormalEquations,
     coefficients_given,
-    effect_columns,
-    linearisation_error,
     log_evidence,
 )
 from calibration.identify.nuisance import stated_values

@@ -267,7 +267,6 @@ def test_an_implausible_prior_is_refused(
     [
         (["compare", "--leave-out", "RUN"], "No such option: --leave-out"),
         (["compare", "--profile"], "No such option: --profile"),
-        (["paper", "--free", "law"], "No such option: --free"),
         (["--store", "x"], "--store: nothing runs in parallel"),
         (["--bootstrap", "1"], "--bootstrap: at least two refits are needed"),
         (["--prior", "youngs_modulus_pa=3e5+-1e4"], "--prior youngs_modulus_pa: it has no effect on these runs"),
