@@ -23,8 +23,7 @@ Array = NDArray[np.float64]
 
 # Draws of the measurement errors that the expected error bars are medians over. Their seed is fixed.
 _DRAWS = 25
-# Time steps per frame. A gradient needs fewer than the tips of a fit: with twice as many, bars of `mock` change by less
-# than 2 %.
+# Time steps per frame. A gradient needs fewer than the tips of a fit: twice as many change no bar of `mock` by 2 %.
 SUBSTEPS = 4
 
 
