@@ -4,8 +4,8 @@ Run: python -m benchmarks.design_bound [--rig mock] [--duration-s 60]
 
 No choice of n blocks has more information than n times all blocks together (in the Loewner order), so the bar by that
 information and the priors is below that of every protocol of the blocks. It is computed for the rig's arm and those
-drawn from its uncertainties, without and with errors of the model before data. `priors alone` is the limit of
-exact measurements without errors of the model: what the gauge freedoms of the arm leave to the priors.
+drawn from its uncertainties, without and with errors of the model before data. `10 000 times` that information,
+without errors of the model, shows what the data leave to the priors however long the experiment is.
 """
 
 from __future__ import annotations
@@ -29,17 +29,18 @@ from rig.design.expected_poses import expected_poses
 
 Array = NDArray[np.float64]
 
-# Time steps per frame, as while blocks are compared; and the repeats that stand for exact measurements.
+# Time steps per frame, as while blocks are compared; and the factor of the last column.
 _SUBSTEPS, _MANY = 4, 1e4
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Lowest standard errors (n,) of the parameters: without errors of the model, with them, and by priors alone."""
+    """Lowest standard errors (n,) of the parameters: without errors of the model, with them, and of 10 000 times the
+    information without them."""
 
     without: Array
     with_model_error: Array
-    priors_alone: Array
+    ten_thousand_times: Array
 
 
 def bounds(unknowns: Unknowns, motion: Poses, frames: list[slice], count: int) -> Bounds:
@@ -79,10 +80,10 @@ def main() -> None:
     library = error_bars(known, unknowns_of(config, free, known))
     print(f"lowest bar of any {count} of {len(candidates)} blocks over the library's: the rig's arm, and medians of "
           f"{len(found) - 1} drawn arms")  # fmt: skip
-    print("parameter          library   without model error    with it           priors alone")
+    print("parameter          library   without model error    with it           10 000 times")
     for k, (name, bar) in enumerate(zip(library.names, library.std.tolist(), strict=True)):
         cells = []
-        for kind in ("without", "with_model_error", "priors_alone"):
+        for kind in ("without", "with_model_error", "ten_thousand_times"):
             own = [float(getattr(one, kind)[k]) / bar for one in found]
             cells.append(f"{own[0]:6.3f} {np.median(own[1:]):6.3f}")
         print(f"{name:14s} {bar:11.3g}   " + "     ".join(cells))
