@@ -118,6 +118,7 @@ def _on_cores(
                         f"worker processes died {deaths} times; {len(missing)} tasks are remaining"
                     ) from broken
             except BaseException:
+                results = getattr(pool, "_result_queue")  # noqa: B009
                 pool.shutdown(wait=False, cancel_futures=True)
                 # The results of the tasks that still run are not used.
                 begun = [worker for worker in multiprocessing.active_children() if worker not in others]
@@ -125,6 +126,8 @@ def _on_cores(
                     worker.kill()
                 for worker in begun:
                     worker.join()
+                # Where a worker died while it sent a result, the pool would wait for the rest of it: now the pipe ends.
+                results._writer.close()
                 raise
 
 

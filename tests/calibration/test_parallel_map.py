@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
+import os
+import struct
+import subprocess
+import sys
+import time
 import warnings
 from collections.abc import Iterator
 from multiprocessing import active_children
@@ -94,3 +100,38 @@ def test_a_missing_scheduler_gives_one_message(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr("calibration.parallel_map._CONNECT_TIMEOUT", "1s")
     with pytest.raises(NoClusterError, match="no Dask scheduler answers"):
         parallel_map(squared, tasks(tmp_path), scheduler="tcp://127.0.0.1:1")
+
+
+def send_half_a_result(task: str) -> int:
+    """Return at once; or, once the file of the task exists, send the head of a result and nothing more."""
+    if not task:
+        return 0
+    place = Path(task)
+    while not place.exists():
+        time.sleep(0.01)
+    frame = inspect.currentframe()
+    while frame is not None and "result_queue" not in frame.f_locals:
+        frame = frame.f_back
+    assert frame is not None
+    os.write(frame.f_locals["result_queue"]._writer.fileno(), struct.pack("!i", 1000))
+    place.with_suffix(".sent").touch()
+    time.sleep(600)
+    return 1
+
+
+def test_a_worker_that_is_ended_while_it_sends_a_result_does_not_hold_the_program(tmp_path: Path) -> None:
+    program = (
+        "import sys, time; from pathlib import Path; from calibration.parallel_map import parallel_results\n"
+        "from tests.calibration.test_parallel_map import send_half_a_result\n"
+        "if __name__ == '__main__':\n"
+        "    place = Path(sys.argv[1])\n"
+        "    found = parallel_results(send_half_a_result, ['', str(place)], [0, 1], 2, None)\n"
+        "    next(found); place.touch()\n"
+        "    while not place.with_suffix('.sent').exists(): time.sleep(0.01)\n"
+        "    found.close()\n"
+    )
+    script = tmp_path / "half.py"
+    script.write_text(program)
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run([sys.executable, script, tmp_path / "go"], env=environment, timeout=120, check=False)
+    assert done.returncode == 0
