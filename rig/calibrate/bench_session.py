@@ -38,7 +38,7 @@ from rig.simulator.plant import Plant
 
 POWER_UP_NS = 100_000_000
 _READY_S = 20.0
-_REHEARSED_S = 0.2
+_WARM_UP_S = 0.2
 _END_S = 5.0
 
 
@@ -120,8 +120,8 @@ def real(config: RigConfig, rig_file: Path, purpose: str) -> Iterator[tuple[Valv
             time.sleep(POWER_UP_NS * 1e-9)
             clock = RealTimeClock(memory, _period_ns(config), watchdog, timing_limits(config, memory.granted))
             # Imports and compilation at first use make a control cycle late: no valve may be open then, unwatched.
-            rehearsed = BenchDriver(config, NullOutputs(bench), clock, lambda: None)
-            rehearsed.regulate(np.zeros(config.actuators), _REHEARSED_S)
+            warming = BenchDriver(config, NullOutputs(bench), clock, lambda: None)
+            warming.regulate(np.zeros(config.actuators), _WARM_UP_S)
             memory.publish_stage("control", Stage.RUNNING)
             yield GuardedOutputs(bench, memory), clock
         except TrippedError as error:

@@ -70,7 +70,7 @@ class DataRecorder:
         if len(streamed):
             journal.streamed(streamed)
         pulses = memory.pulses.read()
-        # Those before the start have let the observer rehearse.
+        # Those before the start have warmed the observer up.
         if len(pulses := pulses[pulses["t_ns"] >= memory.start_ns]):
             journal.pulses(pulses)
             self._lost_pulses += int(pulses["skipped"].sum())

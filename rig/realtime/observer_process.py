@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from calibration.vision.rehearsal import rehearse
+from calibration.vision.warm_up import warm_up
 from rig.config.optics import board_of, plane_of
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import FrameSet
@@ -121,7 +121,7 @@ def _warm_up(job: ChildJob, frame_sets: list[FrameSet]) -> None:
     config = job.plan.config
     for camera in config.cameras.values():
         for board in (board_of(config), *(section.board.board() for section in config.sections.values())):
-            rehearse(board, plane_of(config, camera))
+            warm_up(board, plane_of(config, camera))
     observer = _observer(job)
     for index, frame_set in enumerate(frame_sets):
         times = np.array([frame_set.t_ns])

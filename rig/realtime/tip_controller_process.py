@@ -36,7 +36,7 @@ def main() -> int:
 
 def _send_plans(job: ChildJob, memory: SharedState) -> None:
     session = TipControlSession(job.plan)
-    session.rehearse()
+    session.warm_up()
     supervisor = supervisor_monitor(job)
     cycles = round(HISTORY_S * job.plan.config.control.rate_hz)
     memory.publish_stage(TIP_CONTROLLER, Stage.READY)

@@ -102,7 +102,7 @@ class TipControlSession:
         row["payload_kg"], row["payload_std_kg"], row["nis"] = plan.estimate[:3]
         return stamped, row
 
-    def rehearse(self) -> None:
+    def warm_up(self) -> None:
         """Step once on made-up data, so that imports and compilation are done before the start."""
         motion, valves = self._trajectory.tip.motions[0], len(self._actuators)
         measurement = ControllerMeasurement(

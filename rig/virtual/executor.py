@@ -377,7 +377,7 @@ def _tip_control(plan: RunPlan) -> TipControlSession | None:
 
     try:
         session = TipControlSession(plan)
-        session.rehearse()
+        session.warm_up()
     except Exception as error:
         raise StartError(failure_message(error)) from error
     return session

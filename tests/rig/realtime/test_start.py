@@ -1,4 +1,4 @@
-"""The start of a real-time run: rehearsal on scans, calendar anchor at the first cycle, refusals."""
+"""The start of a real-time run: warm-up on scans, calendar anchor at the first cycle, refusals."""
 
 from __future__ import annotations
 
@@ -92,10 +92,10 @@ class SlowBench:
         return BenchScans(t_ns, np.full((n, self._actuators), 0.1), np.full((n, self._actuators), 1e4), 0)
 
     def write(self, valve_v: np.ndarray) -> None:  # type: ignore[type-arg]
-        raise AssertionError("a rehearsal moves no valve")
+        raise AssertionError("a warm-up moves no valve")
 
 
-def test_control_rehearses_a_cycle_though_the_first_scans_are_late(
+def test_control_warms_up_with_a_cycle_though_the_first_scans_are_late(
     plan: RunPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     steps = []
@@ -299,7 +299,7 @@ def test_an_error_in_control_is_reported_by_name_and_the_valves_are_safe(
 
     def fails(*_: object) -> None:
         registers.outputs["volts"] = 7.0
-        raise ZeroDivisionError("of a rehearsal")
+        raise ZeroDivisionError("of a warm-up")
 
     monkeypatch.setattr(control_process, "receive", lambda: (ChildJob(own_plan, memory.fd, os.getppid()), memory))
     monkeypatch.setattr(control_process, "_warm_up", fails)
@@ -314,7 +314,7 @@ def test_an_error_in_control_is_reported_by_name_and_the_valves_are_safe(
     assert registers.outputs["volts"].tolist() == [0.0, 0.0]
     assert memory.safe_ns
     assert memory.stage("control") is Stage.FAILED
-    assert memory.message("control") == "the control process failed: ZeroDivisionError: of a rehearsal"
+    assert memory.message("control") == "the control process failed: ZeroDivisionError: of a warm-up"
     os.close(memory.fd)
 
 

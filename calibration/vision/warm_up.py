@@ -1,7 +1,7 @@
 """A drawn picture of a board, measured once before a run: what no picture has needed yet is compiled then.
 
 Without it, a board that comes into view during the first run of a new version finds its kernels not compiled, and the
-observer stands still for seconds.
+observer measures nothing for seconds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _FINER, _SHIFT = 4, 4
 _DARK, _WHITE, _NOISE_GREY = 40, 210, 2.0
 
 
-def rehearse(board: Board, known: PlaneOfMotion | None = None) -> DetectionStatus:
+def warm_up(board: Board, known: PlaneOfMotion | None = None) -> DetectionStatus:
     """Find, follow, lose and find a board anew in drawn pictures; the status of the last one."""
     trackers = [BoardTracker(board, LENS)] + ([BoardTracker(board, LENS, known)] if known is not None else [])
     nothing = np.full((HEIGHT_PX, WIDTH_PX), _WHITE, np.uint8)
