@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 import runs
-from tests.support.pressure_controller import compiled, controller
-from tests.support.serial_bench import serial_text
+from scripts.pressure_controller import compiled, controller
+from scripts.serial_rig import serial_text
 
 PROTOCOL = """title: Three sinusoids
 steps:
@@ -34,14 +34,13 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--minutes", type=float, default=10.0)
     options.add_argument("--hung-s", type=float, help="limits.hung_s; a virtual machine may need more than 0.03")
-    asked = options.parse_args()
-    minutes = asked.minutes
+    arguments = options.parse_args()
     with tempfile.TemporaryDirectory(prefix="softrig-serial-") as name:
         folder = Path(name)
         with controller(compiled(folder), folder) as board:
-            hung = f"  hung_s: {asked.hung_s:g}\n" if asked.hung_s else ""
+            hung = f"  hung_s: {arguments.hung_s:g}\n" if arguments.hung_s else ""
             (folder / "rig.yaml").write_text(serial_text(board.device).replace("limits:\n", "limits:\n" + hung))
-            (folder / "protocol.yaml").write_text(PROTOCOL.format(seconds=60 * minutes))
+            (folder / "protocol.yaml").write_text(PROTOCOL.format(seconds=60 * arguments.minutes))
             loads = [os.getloadavg()[0]]
             command = [sys.executable, "-m", "rig", "run", str(folder / "protocol.yaml"), "--yes", "--no-report"]
             command += ["--rig", str(folder / "rig.yaml"), "--out", str(folder / "out")]

@@ -132,6 +132,15 @@ def test_rooms_import_only_the_rooms_below(imported: list[tuple[str, str]]) -> N
     assert {room: below - BELOW[room] for room, below in graph.items() if below - BELOW[room]} == {}
 
 
+@pytest.mark.parametrize("folder", [*BELOW, "benchmarks", "scripts"])
+def test_only_tests_import_tests(folder: str) -> None:
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert "tests" not in {name.split(".")[0] for name in names}, f"{path}, line {node.lineno}"
+
+
 def test_no_folder_has_a_cycle_of_imports_between_its_packages_and_modules(imported: list[tuple[str, str]]) -> None:
     cycles = {folder: cycle(graph) for folder, graph in folder_graphs(imported).items()}
     assert {folder: found for folder, found in cycles.items() if found} == {}

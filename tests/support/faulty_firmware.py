@@ -65,21 +65,21 @@ class FaultyFirmware:
                     if end == self._master:
                         os.write(self._firmware.stdin.fileno(), self._command(line))
                     else:
-                        with suppress(BlockingIOError):  # nobody reads: as a serial line
+                        with suppress(BlockingIOError):  # no reader: a serial line drops it, too
                             os.write(self._master, self._report(line))
 
     def _command(self, line: bytes) -> bytes:
         words = line.rpartition(b"*")[0].decode(errors="replace").split()
         if words[:1] != ["W"]:
             return line + b"\n"
-        asked = [int(word) for word in words[2:]]
-        if max(asked) > (0 if self._after_s is None else PRESSURISED_PA):
+        wanted = [int(word) for word in words[2:]]
+        if max(wanted) > (0 if self._after_s is None else PRESSURISED_PA):
             self._driven_s = min(self._driven_s, time.monotonic())
-        elif self._wrong and not any(asked) and self._driven_s < float("inf"):
+        elif self._wrong and not any(wanted) and self._driven_s < float("inf"):
             self.safe_s = min(self.safe_s, time.monotonic())
             if self._deaf:
                 self._confirmed = " ".join(words[2:])
-                return encoded(" ".join([*words[:2], *[str(PRESSURISED_PA)] * len(asked)]))
+                return encoded(" ".join([*words[:2], *[str(PRESSURISED_PA)] * len(wanted)]))
         return line + b"\n"
 
     def _report(self, line: bytes) -> bytes:

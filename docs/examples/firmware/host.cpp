@@ -21,7 +21,7 @@ uint64_t micros64() {
 }
 
 void sendLine(const char* text, size_t length) {
-  if (write(STDOUT_FILENO, text, length) < 0) return;  // nobody reads: as a serial line
+  if (write(STDOUT_FILENO, text, length) < 0) return;  // no reader: a serial line drops it, too
 }
 
 }  // namespace

@@ -20,7 +20,8 @@ from rig.config.card_sections import SerialCardConfig
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Channel
 from rig.hardware.cards.serial import SerialCard
 from rig.hardware.cards.serial_protocol import LineReader, decoded, drive, encoded
-from tests.support.pressure_controller import Controller, compiled, controller
+from scripts.pressure_controller import Controller, controller
+from tests.support.firmware import firmware
 
 CHANNELS = tuple(Channel(number, 0.0, 1.0) for number in (2, 0))
 SILENCE_US = 50_000
@@ -30,7 +31,7 @@ PATIENCE_S = 5.0
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return compiled(tmp_path_factory.mktemp("firmware"))
+    return firmware(tmp_path_factory.mktemp("firmware"))
 
 
 @pytest.fixture

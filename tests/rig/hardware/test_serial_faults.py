@@ -14,9 +14,9 @@ import runs
 from rig.hardware.cards.serial_protocol import SEQUENCES
 from runs.records import Status
 from runs.run import Run
+from scripts.serial_rig import serial_text
 from tests.support.faulty_firmware import Fault, FaultyFirmware, Words, faulty_firmware, honest
-from tests.support.pressure_controller import compiled
-from tests.support.serial_bench import serial_text
+from tests.support.firmware import firmware
 
 PROTOCOL = """title: Different pressures that move
 steps:
@@ -84,7 +84,7 @@ class Ended:
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return compiled(tmp_path_factory.mktemp("firmware"))
+    return firmware(tmp_path_factory.mktemp("firmware"))
 
 
 def ended(program: Path, folder: Path, fault: Fault, *, after_s: float | None = 1.0, deaf: bool = False) -> Ended:

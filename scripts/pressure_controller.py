@@ -9,17 +9,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import pytest
-
-FIRMWARE = Path(__file__).parents[2] / "docs" / "examples" / "firmware"
+FIRMWARE = Path(__file__).parents[1] / "docs" / "examples" / "firmware"
 FLAGS = ("-std=c++11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1")
 
 
+class NoCompilerError(Exception):
+    """There is no C++ compiler; the message says what to install."""
+
+
 def compiled(folder: Path) -> Path:
-    """The firmware as a program; skips where there is no compiler."""
+    """The firmware as a program in a folder.
+
+    Raises:
+        NoCompilerError: there is no C++ compiler.
+    """
     compiler = shutil.which("g++") or shutil.which("c++")
     if compiler is None:
-        pytest.skip("no C++ compiler is here: the reference firmware cannot be compiled (sudo apt-get install g++)")
+        raise NoCompilerError("no C++ compiler: the reference firmware cannot be compiled (sudo apt-get install g++)")
     program = folder / "pressure_controller"
     subprocess.run([compiler, *FLAGS, str(FIRMWARE / "host.cpp"), "-o", str(program)], check=True)
     return program
