@@ -105,9 +105,9 @@ class AuthenticationMiddleware:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        asked = HTTPConnection(scope)
-        refusal = self._foreign(asked)
-        session = self._tokens.session(asked.cookies.get(self._cookie, ""))
+        connection = HTTPConnection(scope)
+        refusal = self._foreign(connection)
+        session = self._tokens.session(connection.cookies.get(self._cookie, ""))
         if session is not None and refusal is None:
             if connection := scope.get("state", {}).get(CONNECTION):
                 connection.raise_to(ClientClass.OPERATOR if session.operator else ClientClass.GUEST)
@@ -120,9 +120,9 @@ class AuthenticationMiddleware:
             answer.headers.update({"cache-control": "no-store", "connection": "close"})
             await answer(scope, receive, _with_headers(send))
 
-    def _foreign(self, asked: HTTPConnection) -> str | None:
+    def _foreign(self, connection: HTTPConnection) -> str | None:
         """Return the reason why a request is cross-site; None where it is not."""
-        headers = asked.headers
+        headers = connection.headers
         host = headers.get("host", "")
         if self._tokens.owner is not None and not _is_local(host):
             return "this page answers to the names of its own machine only"
@@ -130,7 +130,7 @@ class AuthenticationMiddleware:
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
             return "this request comes from another site"
         site = headers.get("sec-fetch-site", "none")
-        navigates = asked.scope.get("method") == "GET" and headers.get("sec-fetch-mode") == "navigate"
+        navigates = connection.scope.get("method") == "GET" and headers.get("sec-fetch-mode") == "navigate"
         if site not in ("same-origin", "none") and not navigates:
             return "this request comes from another site"
         return None

@@ -1,4 +1,4 @@
-"""The gate before the page: nothing without a session, nothing at another site's bidding, no token given away."""
+"""Authentication of the page: only the login without a session, no request of another site, no token shown."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SECRET = b"the page and its data"
 
 
 async def _inside(scope: Any, receive: Any, send: Any) -> None:
-    """An application that gives its data to everybody whom the gate lets pass."""
+    """An application that answers each request that the middleware passes on."""
     if scope["type"] == "websocket":
         await receive()
         await send({"type": "websocket.accept"})
