@@ -78,6 +78,7 @@ class SerialCard:
         self._unconfirmed_since_ns = 0
         self._clock: ScanClock | None = None
         self._scans: list[tuple[int, tuple[int, ...]]] = []
+        self._last_ns = 0
         self._lost = 0
         self._quiet_since_ns = 0
         try:
@@ -258,8 +259,9 @@ class SerialCard:
         t_ns = int(self._clock.stamp(min(elapsed, LONGEST_GAP), now_ns)[-1])
         self._status = answer
         self._lost += missed
-        # The sample exists: its time is not ahead of its arrival.
-        self._scans.append((min(t_ns, now_ns), answer.measured_pa))
+        # The sample exists: its time is not ahead of its arrival. Times increase, also of samples that arrive together.
+        self._last_ns = max(min(t_ns, now_ns), self._last_ns + 1)
+        self._scans.append((self._last_ns, answer.measured_pa))
 
     def _check_alive(self) -> None:
         now_ns = time.monotonic_ns()

@@ -18,6 +18,7 @@ import pytest
 
 from rig.config.card_sections import SerialCardConfig
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Channel
+from rig.hardware.cards.scan_clock import ScanClock
 from rig.hardware.cards.serial import SerialCard
 from rig.hardware.cards.serial_protocol import LineReader, decoded, drive, encoded
 from scripts.pressure_controller import Controller, controller
@@ -100,6 +101,24 @@ def test_times_of_samples_increase_and_are_not_ahead(board: Controller) -> None:
     assert len(t_ns) > 4
     assert np.all(np.diff(t_ns) > 0)
     assert t_ns[-1] <= time.monotonic_ns()
+
+
+def test_samples_that_arrive_together_before_their_time_keep_increasing_times(
+    board: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ahead_ns = 10**9
+    monkeypatch.setattr(
+        "rig.hardware.cards.serial.ScanClock", lambda period_ns, start_ns: ScanClock(period_ns, start_ns + ahead_ns)
+    )
+    with closing(SerialCard(setup(board.device))) as card:
+        card.start()
+        reads = [card.read().t_ns]
+        while len(reads[-1]) < 2:
+            time.sleep(0.05)
+            reads.append(card.read().t_ns)
+    times = np.concatenate(reads)
+    assert (np.diff(times) > 0).all()
+    assert times[-1] < time.monotonic_ns() + ahead_ns // 2
 
 
 def test_the_controller_vents_by_itself_when_its_program_is_killed(strict_board: Controller) -> None:
