@@ -1,29 +1,46 @@
-"""Compiling the kernels, once per version of the model's sources, into a cache on disk.
+"""Compiling the kernels, once per version of their sources, into a cache on disk.
 
-numba's own cache looks only at the file a kernel stands in, so a kernel whose callee changed would be served stale.
-Here the cache folder is named by a hash of all of the model's sources: another source, another folder.
+numba's own cache checks only the file of a kernel, so it would load a kernel whose callee has changed since.
+Here the cache folder is named by a hash of all sources in this package, and each file in it by what it was compiled
+from: another source, another file. No name depends on where the sources lie, so checkouts of one version share them.
+Of several processes that need a kernel, one compiles it.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import pickle
 import shutil
+import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core.caching import FunctionCache
+from numba.core.caching import CompileResultCacheImpl, NullCache
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime.nrt import rtsys
+from numba.core.serialize import dumps
 
-# Reassociation and "no NaN" stay off: a step that went wrong must be seen as NaN, and runs must repeat bit for bit.
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+# Reassociation and "no NaN" stay off: a failed step must show as NaN, and runs must repeat bit for bit.
 _FAST = {"contract", "arcp", "nsz"}
 _KEEP_S = 30 * 86400.0
+_LONGEST_COMPILATION_S = 300.0
+"""Longest wait for another process that compiles the same kernel: that process may be stopped."""
+_POLL_S = 0.05
+_PACKAGE = Path(__file__).parent
+_CONFIG: Any = numba.config
 
 
 class _OwnCallees(JITCodeLibrary):
@@ -36,7 +53,7 @@ class _OwnCallees(JITCodeLibrary):
 
     def _finalize_specific(self) -> None:
         self._finalized = True
-        # What other kernels copy keeps its linkage.
+        # The module for linking into other kernels keeps its linkage.
         self._get_module_for_linking()  # type: ignore[no-untyped-call]
         for function in self._final_module.functions:
             if function.linkage.name == "linkonce_odr" and not function.is_declaration:
@@ -47,18 +64,54 @@ class _OwnCallees(JITCodeLibrary):
 JITCPUCodegen._library_class = _OwnCallees
 
 
-class _CompiledKernels(FunctionCache):
-    """Compiled versions of a kernel on disk.
+class _CompiledKernels(NullCache):
+    """Compiled versions of a kernel on disk, one file for each signature, processor and version of Python.
 
-    numba imports its whole compiler, and SciPy with it, before it looks for a compiled version. Machine code from the
+    numba's cache keeps the names of these files in an index, which two processes that compile at once can corrupt. It
+    also imports its whole compiler, and SciPy with it, before it looks for a compiled version. Machine code from the
     disk needs only the run-time library that manages arrays.
     """
+
+    def __init__(self, function: Callable[..., Any], sources: Sequence[str]) -> None:
+        self._name = f"{Path(function.__code__.co_filename).stem}.{function.__name__}"
+        self._content = hashlib.sha256(function.__code__.co_code)
+        for source in sources:
+            self._content.update(Path(source).read_bytes())
+
+    @property
+    def cache_path(self) -> str:
+        """The folder of the compiled versions."""
+        return str(cache_folder())
+
+    @property
+    def lock_path(self) -> Path:
+        """The file that a process locks while it loads or compiles the kernel."""
+        return cache_folder() / f"{self._name}-{self._content.hexdigest()[:24]}.lock"
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled version for a signature; None if there is none."""
         rtsys.initialize(target_context)
-        with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        try:
+            content = self._file(sig, target_context.codegen()).read_bytes()
+        except OSError:
+            return None
+        return CompileResultCacheImpl.rebuild(self, target_context, pickle.loads(content))  # type: ignore[arg-type,no-untyped-call]
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a compiled version."""
+        if data.library.has_dynamic_globals or data.lifted:
+            raise ValueError(f"kernel {self._name} cannot be kept on disk: it uses addresses of this process")
+        file = self._file(sig, data.codegen)
+        with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as unfinished:
+            unfinished.write(dumps(CompileResultCacheImpl.reduce(self, data)))  # type: ignore[arg-type,no-untyped-call]
+        Path(unfinished.name).replace(file)
+
+    def _file(self, signature: Any, codegen: Any) -> Path:
+        digest = self._content.copy()
+        # Compiled wrappers call the Python that they were compiled for.
+        made_for = sys.implementation.cache_tag, numba.__version__
+        digest.update(repr((signature, codegen.magic_tuple(), *made_for)).encode())
+        return cache_folder() / f"{self._name}-{digest.hexdigest()[:24]}"
 
 
 @cache
@@ -69,7 +122,7 @@ def cache_folder() -> Path:
     directory: the first that can be written to.
     """
     digest = hashlib.sha256()
-    for source in sorted(Path(__file__).parents[1].rglob("*.py")):
+    for source in sorted(_PACKAGE.rglob("*.py")):
         digest.update(source.name.encode() + b"\0" + source.read_bytes() + b"\0")
     name = f"kernels-{digest.hexdigest()[:16]}"
     for parent in _candidates():
@@ -99,30 +152,60 @@ def kernel(
 ) -> Any:
     """Compile a function when it is first called, or take it from the cache on disk.
 
-    `sources` are the files outside this room that a kernel is made of; `fastmath` is numba's. `inlined` puts the
+    `sources` are the files outside this package that a kernel is made of; `fastmath` is numba's. `inlined` puts the
     machine code into every caller, which lets a loop around it become vector instructions. `allocates=False` is for a
     kernel that makes no array: references are then not counted, which saves an atomic operation per array and call.
     `called=False` is for a kernel that only other kernels call: it gets no wrapper for Python, in which an inlined
     kernel would be compiled once more. Calling it from Python then ends the process.
     """
-    folder = cache_folder()
-    if sources:
-        digest = hashlib.sha256(b"".join(Path(source).read_bytes() for source in sources))
-        folder /= digest.hexdigest()[:16]
-    config: Any = numba.config
-    before = config.CACHE_DIR
-    config.CACHE_DIR = str(folder)
-    try:
-        compiled = _compiled(function, fastmath, inlined, allocates, called)
-        compiled._cache = _CompiledKernels(function)  # type: ignore[no-untyped-call]
-        return compiled
-    finally:
-        config.CACHE_DIR = before
+    file = Path(function.__code__.co_filename)
+    if not (file.is_relative_to(_PACKAGE) or str(file) in sources):
+        raise ValueError(f"kernel {function.__qualname__} lies outside of {_PACKAGE}: state {file} in `sources`")
+    if function.__closure__:
+        raise ValueError(f"kernel {function.__qualname__} uses variables of another function, which may differ")
+    compiled = _compiled(function, fastmath, inlined, allocates, called)
+    if not _CONFIG.DISABLE_JIT:
+        compiled._cache = _CompiledKernels(function, sources)
+        compiled.compile = _one_process_at_a_time(compiled.compile, compiled._cache)
+    return compiled
 
 
 def inlined_function(function: Callable[..., Any]) -> Any:
     """Compile a function that makes no array into every kernel that calls it. Nothing of its own is kept on disk."""
     return _compiled(function, _FAST, inlined=True, allocates=False, called=False)
+
+
+def _one_process_at_a_time(compile_: Callable[[Any], Any], kept: _CompiledKernels) -> Callable[[Any], Any]:
+    """Let one process compile a kernel; the others wait and then load it from the disk.
+
+    A thread that compiles a caller locks its callees as well. numba's own lock comes first: otherwise two threads of a
+    process could wait for each other.
+    """
+
+    def compile_or_load(signature: Any) -> Any:
+        with global_compiler_lock, _locked(kept.lock_path):
+            return compile_(signature)
+
+    return compile_or_load
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold the lock of a file; continue without it where there are no locks, or another process does not release it."""
+    if fcntl is None:
+        yield
+        return
+    with path.open("a") as file:
+        end = time.monotonic() + _LONGEST_COMPILATION_S
+        while time.monotonic() < end:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                time.sleep(_POLL_S)
+            except OSError:
+                break
+        yield
 
 
 def _compiled(
@@ -150,7 +233,7 @@ def _candidates() -> list[Path]:
 
 
 def _forget_old(parent: Path, keep: str) -> None:
-    """Remove the kernels of sources that were not used for a month."""
+    """Remove the folders of kernels that were not used for a month."""
     for folder in parent.glob("kernels-*"):
         try:
             if folder.name != keep and time.time() - folder.stat().st_mtime > _KEEP_S:

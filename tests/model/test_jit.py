@@ -7,11 +7,13 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 import model
+from model.kernels.jit import kernel
 
 ROOT = Path(model.__file__).parent.parent
 
@@ -24,7 +26,7 @@ def value():
 """
 CALLER = """
 from model.kernels.jit import kernel
-from model.small import value
+from model.kernels.small import value
 
 @kernel
 def twice():
@@ -57,11 +59,36 @@ BOTH_KERNELS = """
 import json
 import sys
 import numpy as np
-from model import caller, sums
+from model.kernels import caller, sums
 
 value, found = caller.twice(), sums.twice(np.random.default_rng(0).normal(size=800))
 hits = sum(sum(kernel.stats.cache_hits.values()) for kernel in (caller.twice, sums.twice))
 print(json.dumps({"value": value, "sums": repr(found), "found": hits, "scipy": "scipy.linalg" in sys.modules}))
+"""
+
+COUNT_COMPILATIONS = """
+import time
+from pathlib import Path
+from model.kernels.caller import twice
+
+Path(NAME).touch()
+for _ in range(60_000):
+    if all(Path(name).exists() for name in "ab"):
+        break
+    time.sleep(0.001)
+twice()
+print(sum(twice.stats.cache_misses.values()))
+"""
+
+KILLED_WHILE_IT_COMPILES = """
+import os
+from model.kernels.caller import twice
+
+child = os.fork()
+if not child:
+    twice._compiler.compile = lambda *_: os.kill(os.getpid(), 9)
+    twice()
+print(os.waitpid(child, 0)[1])
 """
 
 
@@ -79,38 +106,41 @@ def python(code: str, folder: Path, cache: Path) -> str:
     return done.stdout.strip()
 
 
-def model_with_a_caller(folder: Path) -> Path:
-    """A room `model` of one kernel that calls another, compiled by the project's own module."""
+def kernels_with_a_caller(folder: Path) -> Path:
+    """A package `model.kernels` of one kernel that calls another, compiled by the project's own module."""
     package = folder / "model"
     kernels = package / "kernels"
     kernels.mkdir(parents=True)
     shutil.copy(ROOT / "model" / "kernels" / "jit.py", kernels)
     for room in (package, kernels):
         (room / "__init__.py").write_text("")
-    (package / "caller.py").write_text(CALLER)
-    return package
+    (kernels / "caller.py").write_text(CALLER)
+    return kernels
 
 
 def test_a_changed_callee_in_another_file_is_never_served_stale(tmp_path: Path) -> None:
     # numba's own cache would return 2: it looks only at the caller's file.
-    package = model_with_a_caller(tmp_path)
+    kernels = kernels_with_a_caller(tmp_path)
     # Sources of two lengths: by its own rule Python takes one of the same length and second for unchanged.
     for value in (1, 50):
-        (package / "small.py").write_text(SMALL_KERNELS.format(value=value))
-        assert python("from model.caller import twice; print(twice())", tmp_path, tmp_path / "cache") == str(2 * value)
+        (kernels / "small.py").write_text(SMALL_KERNELS.format(value=value))
+        assert python("from model.kernels.caller import twice; print(twice())", tmp_path, tmp_path / "cache") == str(
+            2 * value
+        )
 
 
 @pytest.fixture(scope="module")
 def compiled_and_loaded(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, object]]:
-    """What two processes, one after the other, say of the same kernels: the first compiles them, the second loads."""
+    """Reports of two processes on equal sources in two folders: the first compiles, the second loads the kernels."""
     folder = tmp_path_factory.mktemp("kernels")
-    package = model_with_a_caller(folder)
-    (package / "small.py").write_text(SMALL_KERNELS.format(value=3))
-    (package / "sums.py").write_text(REASSOCIATED_SUMS)
-    return [json.loads(python(BOTH_KERNELS, folder, folder / "cache")) for _ in range(2)]
+    kernels = kernels_with_a_caller(folder / "first")
+    (kernels / "small.py").write_text(SMALL_KERNELS.format(value=3))
+    (kernels / "sums.py").write_text(REASSOCIATED_SUMS)
+    shutil.copytree(folder / "first", folder / "second", ignore=shutil.ignore_patterns("__pycache__"))
+    return [json.loads(python(BOTH_KERNELS, folder / place, folder / "cache")) for place in ("first", "second")]
 
 
-def test_compiled_kernels_are_found_again_without_a_compiler(compiled_and_loaded: list[dict[str, object]]) -> None:
+def test_checkouts_of_equal_sources_share_the_compiled_kernels(compiled_and_loaded: list[dict[str, object]]) -> None:
     assert [(said["value"], said["found"]) for said in compiled_and_loaded] == [(6, 0), (6, 2)]
 
 
@@ -126,6 +156,59 @@ def test_a_compiled_kernel_gives_the_bits_of_the_same_kernel_loaded_from_disk(
     # The copy of a callee in its caller is optimised once more than the callee itself: it sums in another order.
     compiled, loaded = (said["sums"] for said in compiled_and_loaded)
     assert loaded == compiled
+
+
+def test_a_change_outside_of_the_kernels_keeps_them_compiled(tmp_path: Path) -> None:
+    kernels = kernels_with_a_caller(tmp_path)
+    (kernels / "small.py").write_text(SMALL_KERNELS.format(value=3))
+    code = "from model.kernels.caller import twice; twice(); print(sum(twice.stats.cache_hits.values()))"
+    assert python(code, tmp_path, tmp_path / "cache") == "0"
+    (kernels.parent / "other.py").write_text("NUMBER = 1\n")
+    assert python(code, tmp_path, tmp_path / "cache") == "1"
+
+
+def test_another_version_of_python_does_not_load_the_compiled_kernels(tmp_path: Path) -> None:
+    kernels = kernels_with_a_caller(tmp_path)
+    (kernels / "small.py").write_text(SMALL_KERNELS.format(value=3))
+    code = "from model.kernels.caller import twice; twice(); print(sum(twice.stats.cache_hits.values()))"
+    other = f"import sys; sys.implementation.cache_tag = 'other-1'; {code}"
+    assert [python(one, tmp_path, tmp_path / "cache") for one in (code, other, other, code)] == ["0", "0", "1", "1"]
+
+
+def test_a_kernel_outside_of_the_package_must_state_its_source() -> None:
+    def outside() -> int:
+        return 1
+
+    with pytest.raises(ValueError, match=r"outside lies outside of .*kernels: state .*test_jit.py in `sources`"):
+        kernel(outside)
+
+
+def test_a_kernel_that_uses_variables_of_another_function_is_refused() -> None:
+    number = 1
+
+    def uses_a_number() -> int:
+        return number
+
+    with pytest.raises(ValueError, match="uses variables of another function"):
+        kernel(uses_a_number, sources=(__file__,))
+
+
+def test_processes_that_need_a_kernel_at_the_same_time_compile_it_once(tmp_path: Path) -> None:
+    kernels = kernels_with_a_caller(tmp_path)
+    (kernels / "small.py").write_text(SMALL_KERNELS.format(value=5))
+    with ThreadPoolExecutor() as pool:
+        code = (f"NAME = {name!r}\n{COUNT_COMPILATIONS}" for name in ("a", "b"))
+        compiled = list(pool.map(lambda each: python(each, tmp_path, tmp_path / "cache"), code))
+    assert sorted(compiled) == ["0", "1"]
+
+
+def test_a_process_that_ends_while_it_compiles_leaves_no_lock(tmp_path: Path) -> None:
+    kernels = kernels_with_a_caller(tmp_path)
+    (kernels / "small.py").write_text(SMALL_KERNELS.format(value=6))
+    cache = tmp_path / "cache"
+    assert python(KILLED_WHILE_IT_COMPILES, tmp_path, cache) == "9"
+    assert list(cache.glob("kernels-*/caller.twice-*.lock"))
+    assert python("from model.kernels.caller import twice; print(twice())", tmp_path, cache) == "12"
 
 
 def test_the_cache_does_not_affect_other_users_of_numba(tmp_path: Path) -> None:
