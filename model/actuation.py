@@ -2,8 +2,7 @@
 
 A chamber of area A_in under the gauge pressure P_i pushes with A_in p_i. The push pressure p_i is the pressure itself,
 or grows with the pressures, as in a braid or wall that widens under them. The radial pressure effect is not part of it.
-Friction makes both lag: the pressures that the law and the radial effect take are then the effective ones of
-model/hysteresis.py.
+With friction, law and radial effect take the effective pressures of model/hysteresis.py.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ MOST_STOPS = 3
 
 @dataclass(frozen=True)
 class StopElement:
-    """A spring in series with a slider. weight: its share of the pressure; width_pa: where the slider slips."""
+    """A spring in series with a slider. weight: its share of the pressure; width_pa: at which the slider slips."""
 
     weight: float
     width_pa: float
@@ -38,9 +37,9 @@ class StopElement:
 class ActuationLaw(ABC):
     """A law of the push pressures, and the friction of the actuators.
 
-    growth_per_bar: relative growth of the push, k [1/bar]; zero where it does not grow. stops: elements of a
-    Prandtl-Ishlinskii operator that every actuator has; without them there is no hysteresis, and at rest there is none.
-    Raises ValueError for a growth that is not finite, or of a law without growth, and for too many stops.
+    growth_per_bar: relative growth of the push, k [1/bar]; zero for a law without growth. stops: elements of the
+    Prandtl-Ishlinskii operator of every actuator; none for no hysteresis. Static solutions have no hysteresis. Raises
+    ValueError for a growth that is not finite or not of this law, and for too many stops.
     """
 
     growth_per_bar: float = 0.0

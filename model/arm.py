@@ -1,4 +1,4 @@
-"""The arm as data: geometry, material, actuation, cap, gravity, and which of the paper's models describes it."""
+"""The arm as data: geometry, material, actuation, cap, gravity, and the variant of the model."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Arm:
-    """One arm: geometry, material, actuation, cap, gravity, and which of the paper's models describes it.
+    """One arm: geometry, material, actuation, cap, gravity, and the variant of the model.
 
     variant: a name of model/variants.py. Those of the paper are 'homogeneous' (eq 16, no radial pressure effect),
-    'homogeneous+rpe', and 'inhomogeneous+rpe', in which each tube follows eq 32. modulus_rule says how the
-    inhomogeneous section finds each E_i. 'pointwise' (default) solves eq 32 at every point of the rod. 'secant' and
-    'tangent' (eq 33 as printed) freeze E_i at the wall force that balances the caps, n = P_i A_in. 'paper-secant' and
-    'paper-tangent' take for passive tubes the paper's n, an even share of the others' push (5.2.2); for active ones,
-    where the paper is silent, P_i A_in.
-    rpe_as says how the radial pressure stretches a section of frozen moduli (4.4): as the equivalent 'force' of eq 22
-    on each tube (default), or as a free 'strain' of the whole section, the plane through the tubes' own free strains.
-    actuation is the law of the push on the caps (model/actuation.py). Without inertia the arm in motion is always in
-    equilibrium, and only viscous walls make it depend on time.
-    cap_mass_kg hangs at the tip. With cap_inertia it also resists acceleration, with its own rotational inertia
-    cap_inertia_kg_m2 about the section's axes. gravity_m_s2 is in the base frame: +z is an arm that hangs. rod_weight
-    adds the walls' own weight, which the paper leaves out.
+    'homogeneous+rpe', and 'inhomogeneous+rpe', in which each tube follows eq 32. modulus_rule: how the inhomogeneous
+    section determines each E_i. 'pointwise' (default) solves eq 32 at every point of the rod. 'secant' and 'tangent'
+    (eq 33 as printed) freeze E_i at the wall force n = P_i A_in, which balances the caps. 'paper-secant' and
+    'paper-tangent' take for passive tubes the n of the paper, an even share of the push of the others (5.2.2), and
+    P_i A_in for active ones, for which the paper states nothing.
+    rpe_as: how the radial pressure stretches a section of frozen moduli (4.4): by the equivalent 'force' of eq 22 on
+    each tube (default), or by a free 'strain' of the whole section, the plane through the free strains of the tubes.
+    actuation: the law of the push on the caps (model/actuation.py). Without inertia an arm in motion is always in
+    equilibrium, and depends on time by its viscous walls only.
+    cap_mass_kg: mass at the tip; with cap_inertia it has inertia too, with the rotational inertia cap_inertia_kg_m2
+    about the axes of the section. gravity_m_s2: in the base frame, +z for a hanging arm. rod_weight: whether the walls
+    have weight, which the paper neglects.
     """
 
     geometry: Geometry
@@ -92,17 +92,17 @@ class Arm:
 
     @property
     def kind(self) -> tuple[int, str, str, int]:
-        """What arms share that the kernels solve together: actuators, laws of walls and actuation, and branches."""
+        """Properties that arms of one batch share: actuators, laws of walls and actuation, number of branches."""
         return self.geometry.actuators, self.law.name, self.actuation.name, len(self.material.branches)
 
     @property
     def remembers(self) -> bool:
-        """Whether the past matters even without inertia: viscous branches of the walls, friction of the actuators."""
+        """Whether the arm has memory without inertia: Maxwell branches of the walls, friction of the actuators."""
         return bool(self.material.branches or self.actuation.stops)
 
     @property
     def by_pressure(self) -> bool:
-        """Whether the section depends on the pressures beyond proportion, so that each row of these has its own."""
+        """Whether the section depends nonlinearly on the pressures, so that each row of pressures has its own."""
         return self.law.frozen or self.actuation.grows
 
     @property
@@ -111,8 +111,7 @@ class Arm:
         return self.material.density_kg_m3 * self.geometry.wall_area_m2 * self.geometry.actuators
 
     def stiffness_n(self, pressure_pa: Array) -> Array:
-        """Axial stiffness E_i A_m [N] of each tube under pressures (.., N) [Pa]; at zero strain where the law holds
-        at every point."""
+        """Axial stiffness E_i A_m [N] of each tube under pressures (.., N) [Pa]; of a pointwise law at zero strain."""
         pressure = np.asarray(pressure_pa, dtype=np.float64)
         return self.law.stiffness_under_pressure_n(
             self.material, self.geometry, pressure, self.actuation.push_pa(pressure)

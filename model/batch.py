@@ -1,4 +1,4 @@
-"""Many rods in one call, over all cores: parameter sets, Monte-Carlo samples, grids of pressures."""
+"""Many rods in one call on all cores: parameter sets, Monte-Carlo samples, grids of pressures."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from model.arm import Arm
 from model.dynamics import ArmTrajectory, Dynamics
 from model.kernel_arguments import KernelArguments
 from model.kernels import layout
-from model.kernels.arguments import ArmArguments, TipPoses
+from model.kernels.arguments import ArmArguments
 from model.kernels.axis import equilibria
-from model.kernels.shooting import TOLERANCE_AT_REST, Workspace
+from model.kernels.shooting import TOLERANCE_AT_REST, workspace_size
 from model.schemes import DEFAULT_ALPHA
 from model.statics import steps_along
 
 Array = NDArray[np.float64]
 ROWS_PER_THREAD = 150
-"""Fewer rows are solved before a further thread has started."""
-AT_ONCE = 1024  # arms prepared for the kernels, each in an array of its own
+"""Fewer rows are solved sooner than a further thread starts."""
+AT_ONCE = 1024  # arms whose kernel arguments are in memory at once
 
 
 @dataclass(frozen=True)
 class Tips:
     """Tips of B arms at rest: tip_m (B, 3), tip_rotation (B, 3, 3), ok (B,).
 
-    NaN where no stable equilibrium was found; unstable (B,) where an unstable one was.
+    NaN without a stable equilibrium; unstable (B,): whether an unstable one was found.
     """
 
     tip_m: Array
@@ -46,9 +46,9 @@ def statics(
     """Tips at rest for rows of pressure_pa (B, N) [Pa]: one arm for all rows, or one arm per row.
 
     The arms must share the numbers of actuators and branches, and their laws. nodes: steps along each
-    arm, by default as many as the most slender one needs. Raises ValueError for what does not fit.
+    arm, by default as many as the most slender one needs. Raises ValueError for other arms and shapes.
     """
-    # Rows in another order in memory would compile the kernels again.
+    # The kernels are compiled for this order in memory.
     rows = np.array(pressure_pa, dtype=np.float64, order="C")
     given = [arms] if isinstance(arms, Arm) else list(arms)
     _check(given, rows, 2)
@@ -58,7 +58,7 @@ def statics(
     good, unstable = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.bool_)
 
     def part(span: range) -> None:
-        workspace = Workspace.of(steps)
+        pool = layout.aligned(workspace_size(steps))
         for start in range(span.start, span.stop, AT_ONCE):
             at = slice(start, min(start + AT_ONCE, span.stop))
             if len(given) == 1:
@@ -83,8 +83,8 @@ def statics(
                 scale=np.array([p.scale for p in problems]),
                 centre=np.array([p.centre_m for p in problems]),
             )
-            tips = TipPoses(place[at], turned[at], good[at])
-            equilibria(first.walls, arms_here, rows[at], workspace, TOLERANCE_AT_REST, tips, unstable[at])
+            tips = place[at], turned[at], good[at]
+            equilibria(first.walls, tuple(arms_here), rows[at], pool, TOLERANCE_AT_REST, tips, unstable[at])
 
     spread(part, count, workers, ROWS_PER_THREAD)
     return Tips(place, turned, good, unstable)
@@ -131,7 +131,7 @@ def _check(arms: list[Arm], pressure: Array, axes: int) -> None:
 
 
 def spread(part: Callable[[range], None], count: int, workers: int | None, least: int = 1) -> None:
-    """Run part(range) over contiguous shares of the rows on `workers` threads; the kernels release the GIL.
+    """Run part(range) over contiguous ranges of the rows on `workers` threads; the kernels release the GIL.
 
     By default one thread per core, as long as each has at least `least` rows.
     """

@@ -1,4 +1,4 @@
-"""The arm in motion."""
+"""Time integration of an arm in motion."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from model.arm import Arm
 from model.errors import Unstable
 from model.hysteresis import Hysteresis
 from model.kernel_arguments import KernelArguments
-from model.kernels.arguments import ArmArguments, MotionState, TipPoses
+from model.kernels.arguments import ArmArguments, MotionState
 from model.kernels.axis import motion
 from model.kernels.layout import STATE, aligned
-from model.kernels.relaxation import recall_branches
-from model.kernels.shooting import TOLERANCE_IN_MOTION, Workspace, workspace_in, workspace_size
+from model.kernels.relaxation import compute_past_strains
+from model.kernels.shooting import TOLERANCE_IN_MOTION, workspace_in, workspace_size
 from model.kernels.time_stepping import initialise_history
 from model.loads import Loads
 from model.pressures import pressures
@@ -39,7 +39,7 @@ class ArmTrajectory:
 
 
 class Dynamics:
-    """A stepper of one arm through time, by default with a fixed step [s].
+    """Time integrator of one arm, by default with a fixed time step [s].
 
     scheme, alpha: a scheme of Table 2 (model/schemes.py). nodes: steps along the arm; by default as many as the time
     step and a slender arm need. ValueError for fewer than can follow the waves of so short a step, an unknown scheme,
@@ -77,63 +77,63 @@ class Dynamics:
 
     @property
     def segments(self) -> int:
-        """Into how many parts the arm is cut."""
+        """Number of shooting segments along the arm."""
         return self._segments
 
     @property
     def c0(self) -> float:
-        """Of the time scheme (eq 26) [1/s]."""
+        """Coefficient c0 of the time scheme (eq 26) [1/s]."""
         return self._scheme.c0
 
     @property
     def shortest_step_s(self) -> float:
-        """The shortest time step whose waves the steps along the arm follow."""
+        """The shortest time step for which the steps along the arm resolve the waves."""
         return self._dt_s * self._even_growth / self._nodes
 
     @property
     def state(self) -> MotionState:
-        """Where the motion stands, as the kernels take it; after `start`."""
+        """Pressures, solutions and coefficients for the next time step, as arguments of the kernels; after `start`."""
         return self._state
 
     @property
     def arm_with_cap(self) -> ArmArguments:
-        """The arm in motion with nothing on its tip but the cap, as the kernels take it; after `start`."""
-        return self._problem.arm(self._work, self._problem.cap, self._load, self._loaded)
+        """The arm in motion without tip loads beyond its cap, as arguments of the kernels; after `start`."""
+        return self._arguments.arm(self._work, self._arguments.cap, self._load, self._loaded)
 
     @property
-    def workspace(self) -> Workspace:
-        """What a time step is solved in; after `start`."""
-        return self._workspace
+    def pool(self) -> Array:
+        """The array that holds the solver's workspace; after `start`."""
+        return self._pool
 
     def start(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
-        """Begin at rest under gauge pressures (N,) [Pa]; raises as `statics` does."""
+        """Start at rest under gauge pressures (N,) [Pa]; raises as `statics` does."""
         pressure = pressures(self._arm, pressure_pa)
-        resting = KernelArguments.of(self._arm, pressure[None])
-        self.begin(resting, pressure, resting.tip(loads), *resting.load(self._arm, loads, self._nodes))
+        at_rest = KernelArguments.of(self._arm, pressure[None])
+        self.start_from(at_rest, pressure, at_rest.tip(loads), *at_rest.load(self._arm, loads, self._nodes))
         self._loads = loads
-        return shape(self._arm, self._problem, self._x, ok=True, stable=True)
+        return shape(self._arm, self._arguments, self._x, ok=True, stable=True)
 
-    def begin(self, resting: KernelArguments, pressure: Array, tip: Array, load: Array, loaded: bool) -> None:
-        """What `start` does, with all that hangs on the arm in the kernels' words; the arm at rest is prepared."""
+    def start_from(self, at_rest: KernelArguments, pressure: Array, tip: Array, load: Array, loaded: bool) -> None:
+        """Start at rest as `start` does, from the arguments of the static solution; tip, load: as of `ArmArguments`."""
         n = self._nodes
-        self._last_s, self._step_s = self._dt_s, self._dt_s
+        self._last_s, self._step_s, self._scheme_last_s = self._dt_s, self._dt_s, self._dt_s
         self._scheme, self._segments = self._even, _segments(n, self._even_growth)
         self._coefficients = _array(self._scheme)
-        self._x, stable = states(resting, pressure, tip, load, loaded)
+        self._x, stable = states(at_rest, pressure, tip, load, loaded)
         if not stable:
             raise Unstable.at(pressure)
-        self._problem = KernelArguments.of(self._arm, pressure[None], self._scheme.c0, self._dt_s)
-        self._work = self._problem.work()
+        self._arguments = KernelArguments.of(self._arm, pressure[None], self._scheme.c0, self._dt_s)
+        self._work = self._arguments.work()
         branches = len(self._arm.material.branches)
         self._pool = aligned(workspace_size(n, branches))
         self._workspace = workspace_in(self._pool, n, branches)
         self._past_states = aligned(2, 2 * n + 2, STATE)
-        initialise_history(self._coefficients, self._x, self._past_states, resting.length_m, self._workspace)
+        initialise_history(self._coefficients, self._x, self._past_states, at_rest.length_m, self._workspace)
         self._hysteresis = Hysteresis(self._arm.actuation.stops, pressure)
         self._branch_strains = np.zeros((branches, 2 * n + 2, 6))
         self._branch_factors = branch_factors(self._arm.material, self._scheme.c0, self._dt_s)
-        self._recall_branches()
-        self._before = np.stack([pressure] * 3)
+        self._compute_past_strains()
+        self._last_pressures = np.stack([pressure] * 3)
         self._loads, self._tip, self._load, self._loaded = None, tip, load, loaded
         self._prepare()
         self._started = True
@@ -143,8 +143,8 @@ class Dynamics:
 
         dt_s: length of this step [s]; default: that of the constructor. Steps may vary, with the order of the scheme;
         ValueError for one shorter than `shortest_step_s`, and for a scheme of fixed steps.
-        Where the step cannot be solved, the shape is the last good one with ok=False, and the next step goes on from
-        it. Raises ValueError for pressures or loads that are not finite or of the wrong shape.
+        Without a solution, the shape is the last good one with ok=False, and the next step continues from it. Raises
+        ValueError for pressures or loads that are not finite or of the wrong shape.
         """
         if not self._started:
             raise ValueError("start(pressure_pa) comes before the first step")
@@ -156,13 +156,13 @@ class Dynamics:
         moved = self._advance(self._hysteresis.advance(pressure[None]))
         if moved.ok[0]:
             self._last_s = dt_s
-        return shape(self._arm, self._problem, self._x, ok=bool(moved.ok[0]))
+        return shape(self._arm, self._arguments, self._x, ok=bool(moved.ok[0]))
 
     def run(self, pressure_pa: ArrayLike) -> ArmTrajectory:
         """Advance through the rows of pressure_pa (T, N) [Pa] in one call, with the loads of the last step.
 
-        What `step` does T times, without Python in between; a step that cannot be solved keeps the last good tip and
-        has ok False. Raises as `step` does.
+        Equal to T calls of `step`; a time step without a solution keeps the last good tip and has ok False. Raises as
+        `step` does.
         """
         if not self._started:
             raise ValueError("start(pressure_pa) comes before the first step")
@@ -173,75 +173,79 @@ class Dynamics:
         if self._last_s != self._dt_s:
             raise ValueError("run continues steps of the constructor's length only: the last one had another")
         self._change_step(self._dt_s)
-        # The kernel checks what it gets, at less cost; these compute with the rows before it.
+        # The kernel checks the pressures at less cost, but these laws compute with them before.
         if (self._arm.by_pressure or self._arm.actuation.stops) and not np.isfinite(rows).all():
             raise ValueError(NOT_FINITE)
         return self._advance(self._hysteresis.advance(rows))
 
     def _change_step(self, dt_s: float) -> None:
-        """Prepare a step of another length: its equations, and the history y^h (eq 26) by its coefficients.
+        """Prepare a time step of another length: its coefficients, and its history y^h (eq 26).
 
-        The rate y_t of the last step is part of the history with a weight d1 that no length of a step changes.
+        The weight d1 of the rate y_t of the last step does not depend on the length of a step.
         """
+        if dt_s == self._step_s and self._last_s == self._scheme_last_s:
+            return
         scheme = self._rule.varying_coefficients(dt_s, self._last_s, self._alpha)
         if scheme == self._scheme:
             return
         if dt_s < self.shortest_step_s:
             raise ValueError(f"a time step of {dt_s} s is shorter than {self.shortest_step_s:.3g} s")
         self._segments = _segments(self._nodes, self._even_growth * scheme.c0 / self._even.c0)
-        before = self._scheme
+        last = self._scheme
         size, history = self._x.size, self._workspace.history
         for weight, past in (
-            (scheme.c1 - before.c1, self._x),
-            (scheme.c2 - before.c2, self._past_states[0]),
-            (scheme.c3 - before.c3, self._past_states[1]),
+            (scheme.c1 - last.c1, self._x),
+            (scheme.c2 - last.c2, self._past_states[0]),
+            (scheme.c3 - last.c3, self._past_states[1]),
         ):
             history[:size] += weight * past.ravel()
-        _fill_between(history, size, self._problem.length_m / self._nodes)
-        self._scheme, self._coefficients, self._step_s = scheme, _array(scheme), dt_s
+        _fill_between(history, size, self._arguments.length_m / self._nodes)
+        self._scheme, self._coefficients = scheme, _array(scheme)
+        self._step_s, self._scheme_last_s = dt_s, self._last_s
         self._branch_factors = branch_factors(self._arm.material, scheme.c0, dt_s)
-        self._recall_branches()
-        self._problem = KernelArguments.of(self._arm, self._before[:1], scheme.c0, dt_s)
-        self._work = self._problem.work()
+        self._compute_past_strains()
+        self._arguments = KernelArguments.of(self._arm, self._last_pressures[:1], scheme.c0, dt_s)
+        self._work = self._arguments.work()
         self._prepare()
 
     def _prepare(self) -> None:
-        """Set the kernels' arguments, which most steps share."""
-        self._arm_arguments = self._problem.arm(self._work, self._tip, self._load, self._loaded)
+        """Collect the arguments of the kernels, which most time steps share."""
+        self._arm_fields = tuple(self._arguments.arm(self._work, self._tip, self._load, self._loaded))
         self._state = MotionState(
-            self._before, self._segments, self._coefficients, self._past_states, self._x, self._branch_factors,
+            self._last_pressures, self._segments, self._coefficients, self._past_states, self._x, self._branch_factors,
             self._branch_strains,
         )  # fmt: skip
+        self._state_fields = tuple(self._state)
 
-    def _recall_branches(self) -> None:
-        """The past strains of the walls in the next step, where they are not the history itself."""
+    def _compute_past_strains(self) -> None:
+        """Past strains of the walls for the next step, if they differ from the history."""
         if len(self._branch_strains):
             past = self._workspace.walls_past
-            recall_branches(self._branch_factors, self._branch_strains, self._x, self._workspace.history, past)
-            _fill_between(past, self._x.size, self._problem.length_m / self._nodes)
+            compute_past_strains(self._branch_factors, self._branch_strains, self._x, self._workspace.history, past)
+            _fill_between(past, self._x.size, self._arguments.length_m / self._nodes)
 
     def _advance(self, rows: Array) -> ArmTrajectory:
         if self._arm.by_pressure and len(rows):
-            self._problem = KernelArguments.of(self._arm, rows, self._scheme.c0, self._step_s)
-            self._work = self._problem.work()
+            self._arguments = KernelArguments.of(self._arm, rows, self._scheme.c0, self._step_s)
+            self._work = self._arguments.work()
             self._prepare()
         count = len(rows)
-        tips = TipPoses(np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count, dtype=np.bool_))
+        tips = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count, dtype=np.bool_)
         passes = motion(
-            self._problem.walls, self._arm_arguments, self._state, rows, self._pool, TOLERANCE_IN_MOTION, tips
+            self._arguments.walls, self._arm_fields, self._state_fields, rows, self._pool, TOLERANCE_IN_MOTION, tips
         )
         if passes < 0:
             raise ValueError(NOT_FINITE)
         return ArmTrajectory(*tips)
 
     def _set_loads(self, loads: Loads | None) -> None:
-        self._tip = self._problem.tip(loads)
-        self._load, self._loaded = self._problem.load(self._arm, loads, self._nodes)
+        self._tip = self._arguments.tip(loads)
+        self._load, self._loaded = self._arguments.load(self._arm, loads, self._nodes)
         self._loads = loads
         self._prepare()
 
     def _growth(self) -> float:
-        """Exponent by which the stiffest mode grows along the arm within one time step's equations, c0 L / c_shear."""
+        """Exponent c0 L / c_shear of the stiffest mode, which grows along the arm in the equations of one time step."""
         if not self._arm.inertia:
             return 0.0
         material, geometry = self._arm.material, self._arm.geometry
@@ -255,7 +259,7 @@ def _array(scheme: Coefficients) -> Array:
 
 
 def _fill_between(history: Array, size: int, h: float) -> None:
-    """The history half-way between the nodes and its slopes, by cubic Hermite; as `between` of the kernels."""
+    """Interpolate the history as `time_stepping.interpolate_midpoints` does."""
     nodes, slopes = (history[at : at + size // 2].reshape(-1, STATE) for at in (0, size // 2))
     middle = 0.5 * (nodes[:-1] + nodes[1:]) + 0.125 * h * (slopes[:-1] - slopes[1:])
     slope = 1.5 / h * (nodes[1:] - nodes[:-1]) - 0.25 * (slopes[:-1] + slopes[1:])
@@ -264,7 +268,7 @@ def _fill_between(history: Array, size: int, h: float) -> None:
 
 
 def _segments(nodes: int, growth: float) -> int:
-    """The smallest divisor of `nodes` that keeps the growth within one segment harmless."""
+    """The smallest divisor of `nodes` that limits the growth within one segment."""
     if growth < 2.5:
         return 1
     wanted = min(nodes, max(1, math.ceil(growth / 2)))

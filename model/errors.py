@@ -1,4 +1,4 @@
-"""What can go wrong in the model."""
+"""Exceptions of the model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class NotConverged(Exception):  # noqa: N818 - the outcome is the name
 
     @classmethod
     def at(cls, pressure_pa: NDArray[np.float64]) -> NotConverged:
-        """Under these pressures (N,)."""
+        """The error at pressures (N,) [Pa]."""
         bar = ", ".join(f"{value / 1e5:.4g}" for value in pressure_pa)
         return cls(f"no equilibrium found at {bar} bar: a pressure or load may be far outside the arm's range")
 
@@ -21,6 +21,6 @@ class Unstable(NotConverged):
 
     @classmethod
     def at(cls, pressure_pa: NDArray[np.float64]) -> Unstable:
-        """Under these pressures (N,)."""
+        """The error at pressures (N,) [Pa]."""
         bar = ", ".join(f"{value / 1e5:.4g}" for value in pressure_pa)
         return cls(f"no stable equilibrium found at {bar} bar: the arm buckles or snaps under these loads")

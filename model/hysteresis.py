@@ -1,7 +1,7 @@
-"""Rate-independent hysteresis of each actuator: friction, as between braid and wall, that lags the pressure.
+"""Rate-independent hysteresis of each actuator, by friction such as that between braid and wall.
 
-Prandtl-Ishlinskii operator of stop elements (Maxwell-slip model): a pressure P acts as P - sum_k w_k s_k. The stop s_k
-follows P between -r_k and r_k, like a spring in series with a slider. P - s_k is a play operator of width r_k.
+Prandtl-Ishlinskii operator of stop elements (Maxwell-slip model): the effective pressure is P - sum_k w_k s_k. The stop
+s_k follows P between -r_k and r_k, like a spring in series with a slider. P - s_k is a play operator of width r_k.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 class Hysteresis:
-    """The operator with its state; it begins relaxed at a pressure (N,) [Pa]."""
+    """The operator and its state; relaxed at first, at a pressure (N,) [Pa]."""
 
     def __init__(self, elements: Sequence[StopElement], pressure_pa: Array) -> None:
         self._elements = np.array([(one.weight, one.width_pa) for one in elements]).reshape(-1, 2)
@@ -26,7 +26,7 @@ class Hysteresis:
         self._before = np.array(pressure_pa, dtype=np.float64)
 
     def advance(self, pressure_pa: Array) -> Array:
-        """Effective pressures (T, N) of a course of pressures (T, N) [Pa], which must be finite."""
+        """Effective pressures (T, N) of a sequence of pressures (T, N) [Pa], which must be finite."""
         if not len(self._elements):
             return pressure_pa
         effective = np.empty_like(pressure_pa)
@@ -35,5 +35,5 @@ class Hysteresis:
 
 
 def effective_pa(elements: Sequence[StopElement], pressure_pa: Array) -> Array:
-    """Effective pressures (1 + T, N) of a course (1 + T, N) [Pa] that begins relaxed."""
+    """Effective pressures (1 + T, N) of a sequence (1 + T, N) [Pa] from the relaxed state."""
     return Hysteresis(elements, pressure_pa[0]).advance(pressure_pa)

@@ -1,4 +1,4 @@
-"""From an arm to the numbers that the kernels work on."""
+"""Arguments of the kernels for an arm."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class KernelArguments:
-    """One arm on N + 1 nodes, as the kernels take it. The rod's line runs through the centroid of the walls.
+    """One arm on N + 1 nodes, as arguments of the kernels. The line of the rod is the centroid of the walls.
 
-    stiffness (R, 24), per_pressure (R, 6, N): sections, one for each row of pressures where their rule freezes the
-    moduli, else one for all. rest (Q, 6): the wrench at zero strain, without the part in proportion to the pressures;
-    one for each row where the rule freezes the moduli or the push grows. prepared: a work array with the first section
-    in it. cap (19,): what the arm itself hangs on the tip, as it stands at `layout.END`. Problems are shared, so the
-    kernels take a copy of the work array, and the others are never written.
+    stiffness (R, 24), per_pressure (R, 6, N): sections, one for each row of pressures if the law freezes the moduli,
+    else one for all. rest (Q, 6): the wrench at zero strain without the part in proportion to the pressures; one for
+    each row if the law freezes the moduli or the push grows. prepared (8 size,): a work array with the first section
+    in it. cap (19,): load at the tip by the cap, in the order of `layout.TIP_LOAD`. Equal arms share these
+    arrays, which are never written to; `work` makes a copy for the kernels.
     """
 
     walls: Walls
@@ -46,9 +46,9 @@ class KernelArguments:
 
     @classmethod
     def of(cls, arm: Arm, pressure_pa: Array, c0: float = 0.0, dt_s: float = 0.0) -> KernelArguments:
-        """Prepare the arm, at rest or in time steps of dt_s [s] of a scheme with c0.
+        """Prepare the arm, at rest or for time steps of dt_s [s] of a scheme with c0.
 
-        Pressures (R, N) matter only to an arm whose sections differ `by_pressure`.
+        Pressures (R, N) [Pa] matter only to an arm whose sections differ `by_pressure`.
         """
         theta = viscous_time_s(arm.material, c0, dt_s)
         prepared = _prepared(arm, c0, theta)
@@ -66,50 +66,47 @@ class KernelArguments:
 
     @classmethod
     def _build(cls, arm: Arm, c0: float, theta: float) -> KernelArguments:
-        geometry, material = arm.geometry, arm.material
-        centre = geometry.centroid_m
-        xy = geometry.positions_m - centre
-        pointwise = arm.law.pointwise
-        stiffness_n = arm.stiffness_n(np.zeros(len(xy)))
-        whole = section(geometry, xy, stiffness_n, material.shear_ratio, arm.rpe_per_bar, arm.rpe_as)
-        if pointwise:
-            # Each tube's own law carries the strain at rest and the free strain; only the push on the caps remains.
+        geometry, material, tubes = arm.geometry, arm.material, _tubes(arm.geometry)
+        stiffness_n = arm.stiffness_n(np.zeros(geometry.actuators))
+        whole = section(geometry, tubes.xy_m, stiffness_n, material.shear_ratio, arm.rpe_per_bar, arm.rpe_as)
+        if arm.law.pointwise:
+            # The law of each tube holds the strain at rest and the free strain; the push on the caps remains.
             whole = CrossSection(whole.axial, whole.shear, np.zeros(6), _push_wrench(geometry))
-        work = _work(arm, xy, whole, c0, theta, pointwise)
+        lane = _lane(arm, tubes, whole, c0, theta)
         return cls(
-            # At rest branches carry nothing.
-            walls=_walls(arm, branched=bool(arm.material.branches) and c0 > 0),
-            prepared=work,
-            stiffness=work.reshape(-1, layout.LANES)[None, layout.AXIAL : layout.OFFSET, 0].copy(),
+            # At rest branches carry no load.
+            walls=_walls(arm, branched=bool(material.branches) and c0 > 0),
+            prepared=np.repeat(lane, layout.LANES),
+            stiffness=lane[None, layout.AXIAL : layout.OFFSET].copy(),
             rest=whole.rest[None],
             per_pressure=whole.per_pressure[None],
             free_per_pa=arm.rpe_per_bar / PA_PER_BAR,
-            centre_m=centre,
+            centre_m=tubes.centre_m,
             length_m=geometry.length_m,
             scale=_scale(geometry.length_m, c0),
-            cap=_cap(arm, centre),
+            cap=_cap(arm, tubes.centre_m),
         )
 
     def arm(self, work: Array, tip: Array, load: Array, loaded: bool) -> ArmArguments:
-        """The arm with a work array, the wrench on its tip and its distributed load, as the outer kernels take it."""
+        """The arm with a work array, a load at the tip (19,) and a distributed load."""
         return ArmArguments(
             work, self.stiffness, self.rest, self.per_pressure, self.free_per_pa, load, loaded, tip, self.length_m,
             self.scale, self.centre_m,
         )  # fmt: skip
 
     def work(self) -> Array:
-        """A work array of one's own."""
+        """A work array for the kernels to write to."""
         work = layout.aligned(len(self.prepared))
         work[:] = self.prepared
         return work
 
     def tip(self, loads: Loads | None) -> Array:
-        """What hangs on the tip, as it stands at `layout.END` (19,)."""
+        """Load at the tip (19,), in the order of `layout.TIP_LOAD`."""
         if loads is None:
             return self.cap
         tip = self.cap.copy()
         tip[:6] += loads.tip()
-        tip[13:] += loads.pull()
+        tip[13:] += loads.eccentric_force()
         return tip
 
     def load(self, arm: Arm, loads: Loads | None, nodes: int) -> tuple[Array, bool]:
@@ -120,6 +117,34 @@ class KernelArguments:
         if arm.rod_weight:
             along[:, :3] += arm.line_density_kg_m * np.asarray(arm.gravity_m_s2)
         return along.reshape(-1), bool(along.any())
+
+
+@dataclass(frozen=True)
+class _Tubes:
+    """Numbers of the tubes that depend on the geometry only.
+
+    centre_m (2,): centroid of the walls. xy_m (N, 2): positions about it. numbers (N, 8): in the order of
+    `layout.TRIO`. second_moments_m4 (4,): of all walls about the centroid: 11, 22, 12, 33.
+    """
+
+    centre_m: Array
+    xy_m: Array
+    numbers: Array
+    second_moments_m4: Array
+
+
+@lru_cache(maxsize=64)
+def _tubes(geometry: Geometry) -> _Tubes:
+    centre = geometry.centroid_m
+    xy = geometry.positions_m - centre
+    area, second = geometry.wall_area_m2, geometry.wall_second_moment_m4
+    x, y = xy.T
+    xx, yy, xys = (area * x * x + second).sum(), (area * y * y + second).sum(), (area * x * y).sum()
+    numbers = np.zeros((len(xy), layout.PER_TUBE))
+    numbers[:, 0], numbers[:, 1], numbers[:, 3] = x, y, 1.0
+    numbers[:, 4], numbers[:, 5], numbers[:, 6] = x * x, x * y, y * y
+    numbers[:, 7] = x * x + y * y + 2.0 * second / area
+    return _Tubes(centre, xy, numbers, np.array([yy, xx, -xys, xx + yy]))
 
 
 @lru_cache(maxsize=32)
@@ -140,7 +165,7 @@ def _push_wrench(geometry: Geometry) -> Array:
 
 
 def _cap(arm: Arm, centre: Array) -> Array:
-    tip = np.zeros(layout.HANGS)
+    tip = np.zeros(layout.TIP_LOAD_SIZE)
     tip[:3] = arm.cap_mass_kg * np.asarray(arm.gravity_m_s2)
     if arm.cap_inertia and arm.inertia:
         tip[6] = arm.cap_mass_kg
@@ -151,17 +176,27 @@ def _cap(arm: Arm, centre: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _prepared(arm: Arm, c0: float, theta: float) -> KernelArguments:
+    # Gravity and cap enter the load at the tip only: arms that differ in nothing else share the section.
+    nothing = (0.0, 0.0, 0.0)
+    shared = _prepared_without_cap(
+        replace(arm, gravity_m_s2=nothing, cap_mass_kg=0.0, cap_inertia_kg_m2=nothing), c0, theta
+    )
+    return replace(shared, cap=_cap(arm, shared.centre_m))
+
+
+@lru_cache(maxsize=64)
+def _prepared_without_cap(arm: Arm, c0: float, theta: float) -> KernelArguments:
     return KernelArguments._build(arm, c0, theta)
 
 
 @dataclass(frozen=True)
 class _Frozen:
-    """An arm whose rule freezes each modulus. Its section is linear in the tubes' stiffness, and that alone changes.
+    """The section of an arm whose law freezes the moduli: linear in the axial stiffnesses of the tubes.
 
     without (m,), each (N, m): axial and shear block, rest and per_pressure, flat, of no tube and per N of each tube.
     """
 
-    grown: float
+    factor: float
     without: Array
     each: Array
 
@@ -171,7 +206,7 @@ class _Frozen:
         parts = self.without + (stiffness_n[:, :, None] * self.each).sum(axis=1)
         rows = len(parts)
         blocks = parts[:, :18].reshape(rows, 2, 3, 3)
-        turned = np.concatenate([blocks * self.grown, np.linalg.inv(blocks) / self.grown], axis=1)
+        turned = np.concatenate([blocks * self.factor, np.linalg.inv(blocks) / self.factor], axis=1)
         stiffness = turned.reshape(rows, 4, 9)[:, :, _UPPER].reshape(rows, 24)
         return stiffness, parts[:, 18:24].copy(), parts[:, 24:].copy().reshape(rows, 6, -1)
 
@@ -193,53 +228,43 @@ def _frozen(arm: Arm, c0: float, theta: float) -> _Frozen:
     return _Frozen(1 + theta * c0, without, each)
 
 
+@lru_cache(maxsize=64)
 def _scale(length_m: float, c0: float) -> Array:
-    """What counts as a change of order one in (v, u, q, w, h), then the reciprocals (32,).
+    """Magnitudes of (v, u, q, w, h) for Newton's method, then their reciprocals (32,).
 
-    A velocity counts by how far it carries in a step.
+    Velocities are scaled by the displacement within a time step.
     """
-    one, bent = np.ones(3), np.full(3, 1 / length_m)
+    one, curvature = np.ones(3), np.full(3, 1 / length_m)
     carried = max(1.0, 0.25 * c0 * length_m)
-    scale = np.concatenate([one, bent, carried * one, carried * bent, np.ones(4)])
+    scale = np.concatenate([one, curvature, carried * one, carried * curvature, np.ones(4)])
     return np.concatenate([scale, 1 / scale])
 
 
-def _law_constants(arm: Arm) -> list[float]:
-    constants = arm.law.constants(arm.material, arm.geometry)
+def _lane(arm: Arm, tubes: _Tubes, whole: CrossSection, c0: float, theta: float) -> Array:
+    geometry, material = arm.geometry, arm.material
+    # The search for an equilibrium lets any arm move.
+    moves = arm.inertia or not c0
+    factor = 1 + theta * c0
+    blocks = np.empty((4, 3, 3))
+    blocks[0], blocks[1] = whole.axial, whole.shear
+    blocks[2:] = np.linalg.inv(blocks[:2]) / factor
+    blocks[:2] *= theta if arm.law.pointwise else factor
+    lane = np.zeros(layout.work_size(geometry.actuators) // layout.LANES)
+    lane[layout.C0], lane[layout.LINE_DENSITY] = c0, arm.line_density_kg_m * moves
+    lane[layout.INERTIA : layout.LAG] = material.density_kg_m3 * tubes.second_moments_m4 * moves
+    lane[layout.LAG] = theta / factor
+    lane[layout.AXIAL : layout.OFFSET] = blocks.reshape(4, 9)[:, _UPPER].ravel()
+    lane[layout.OFFSET : layout.TUBE] = whole.rest
+    lane[layout.TUBE], lane[layout.TUBE + 1] = (
+        material.shear_ratio,
+        geometry.wall_second_moment_m4 / geometry.wall_area_m2,
+    )
+    constants = arm.law.constants(material, geometry)
     if len(constants) > layout.LAW_CONSTANTS:
         raise ValueError(
             f"the law {arm.law.name} has {len(constants)} constants, the kernels take {layout.LAW_CONSTANTS}"
         )
-    return [*constants, *[0.0] * (layout.LAW_CONSTANTS - len(constants))]
-
-
-def _work(arm: Arm, xy: Array, whole: CrossSection, c0: float, theta: float, pointwise: bool) -> Array:
-    work = layout.aligned(layout.work_size(len(xy)) // layout.LANES, layout.LANES)
-    geometry, material = arm.geometry, arm.material
-    area, second = geometry.wall_area_m2, geometry.wall_second_moment_m4
-    x, y = xy.T
-    xx, yy, xys = (area * x * x + second).sum(), (area * y * y + second).sum(), (area * x * y).sum()
-    # The search for an equilibrium lets any arm swing.
-    swings = arm.inertia or not c0
-    inertia = material.density_kg_m3 * np.array([yy, xx, -xys, xx + yy]) * swings
-    tube = [material.shear_ratio, second / area, *_law_constants(arm)]
-    grown = 1 + theta * c0
-    share = theta if pointwise else grown
-    parameters = [
-        c0,
-        arm.line_density_kg_m * swings,
-        *inertia,
-        theta / grown,
-        *upper(whole.axial * share),
-        *upper(whole.shear * share),
-        *upper(np.linalg.inv(whole.axial) / grown),
-        *upper(np.linalg.inv(whole.shear) / grown),
-        *whole.rest,
-        *tube,
-    ]
-    work[layout.C0 : layout.TRIO] = np.array(parameters)[:, None]
-    for k, (cx, cy) in enumerate(xy):
-        at = layout.tubes_at(len(xy)) + layout.PER_TUBE * k
-        place = [cx, cy, 0.0, 1.0, cx * cx, cx * cy, cy * cy, cx * cx + cy * cy + 2.0 * second / area]
-        work[at : at + layout.PER_TUBE] = np.array(place)[:, None]
-    return work.reshape(-1)
+    lane[layout.LAW : layout.LAW + len(constants)] = constants
+    first = layout.tubes_at(geometry.actuators)
+    lane[first : first + tubes.numbers.size] = tubes.numbers.ravel()
+    return lane

@@ -1,4 +1,4 @@
-"""Loads from outside: what pulls at the tip and along the arm."""
+"""External loads at the tip and along the arm."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Loads:
     tip_force_n (3,) [N] and tip_moment_n_m (3,) [N m] act at the end of the arm (F^e, L^e of eq 28), the force at
     tip_point_m (3,) [m] of the tip's frame, a point that moves and turns with the tip; by default the end of the axis.
     force_n_per_m and moment_n_m_per_m act along it (f_e, l_e of eqs 12, 13) per metre at rest: (3,) for the same
-    everywhere, or (K, 3) at K points spread evenly from base to tip, linear in between. All are copied, so that they
-    are what they were. ValueError for what is not finite or of another shape.
+    everywhere, or (K, 3) at K points spread evenly from base to tip, linear in between. The arrays are copied.
+    Raises ValueError for numbers that are not finite and for other shapes.
     """
 
     tip_force_n: ArrayLike = (0.0, 0.0, 0.0)
@@ -40,8 +40,8 @@ class Loads:
         """Force and moment at the tip, (6,)."""
         return np.concatenate([self.tip_force_n, self.tip_moment_n_m])
 
-    def pull(self) -> Array:
-        """The force at the tip once more, and where it acts, (6,)."""
+    def eccentric_force(self) -> Array:
+        """The force at the tip and the point where it acts, (6,)."""
         return np.concatenate([self.tip_force_n, self.tip_point_m])
 
     def along(self, points: int) -> Array:

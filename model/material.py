@@ -1,4 +1,4 @@
-"""What the arm is made of: the constants that section 5.2 of the paper identifies."""
+"""Material of the walls: the constants that section 5.2 of the paper identifies."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import math
 from dataclasses import dataclass
 
 SOFTEST_PA = 1e3
-"""Softer than any solid that an arm is made of."""
+"""Lower bound of Young's modulus: less than that of any solid for an arm."""
 
 
 MOST_BRANCHES = 3
-"""Maxwell branches of a material: three cover as many decades of time."""
+"""Maxwell branches of a material: three cover three decades of time."""
 
 
 @dataclass(frozen=True)
 class MaxwellBranch:
-    """One term of a Prony series: a spring and a dashpot in line, beside the walls' own elasticity.
+    """One term of a Prony series: a spring and a dashpot in series, in parallel with the elastic wall.
 
     relative_modulus: of the spring, over the modulus at rest. time_s: relaxation time of its stress at constant strain.
     """
@@ -40,8 +40,8 @@ class Material:
     shear_ratio: gamma = G / E, the section's form factor included (5.2.2).
     density_kg_m3: of the walls. The paper does not print it; 1080 is a usual silicone.
     damping_s: Kelvin-Voigt retardation time: stress = E (strain + damping_s * strain rate). The paper has none.
-    branches: of a Prony series. A wall that has rested is as stiff as without them. A sudden strain meets the modulus
-    E (1 + sum of relative moduli), E that at zero strain. The paper has none.
+    branches: terms of a Prony series. The relaxed modulus E at zero strain is that without them; the instantaneous
+    modulus is E (1 + sum of the relative moduli). The paper has none.
     """
 
     youngs_modulus_pa: float

@@ -1,4 +1,4 @@
-"""An arm and its neighbours side by side in the lanes of the sensitivity kernels."""
+"""An arm and its perturbed copies, side by side in the lanes of the sensitivity kernels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from model.arm import Arm
 from model.kernel_arguments import KernelArguments
 from model.kernels import layout
 from model.kernels.arguments import LaneArguments
-from model.kernels.lanes import FIRST, passes
+from model.kernels.lanes import FIRST, work_arrays
 from model.variation import TipWrench, Variation
 from model.viscoelasticity import branch_factors
 
@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 
 
 def lane_rows(rows: Array, changed: Sequence[Array | None]) -> Array:
-    """Pressures (K, W, N, 8) by lane from those of the arm (K, N) and of its neighbours."""
-    works = passes(len(changed))
+    """Pressures (K, W, N, 8) by lane from those of the arm (K, N) and of its perturbed copies."""
+    works = work_arrays(len(changed))
     out = np.empty((works * layout.LANES, *rows.shape))
     out[:] = rows
     for lane, own in enumerate(changed, start=FIRST):
@@ -32,25 +32,25 @@ def lane_rows(rows: Array, changed: Sequence[Array | None]) -> Array:
 
 
 def _lanes(order: NDArray[np.intp], values: Sequence[ArrayLike]) -> Array:
-    """One value each of the arm and its neighbours, (W, .., 8) by lane."""
+    """One value for each of the arm and its perturbed copies, by lane (W, .., 8)."""
     each = np.array(values, dtype=np.float64)[order].reshape(-1, layout.LANES, *np.shape(values[0]))
     return np.ascontiguousarray(np.moveaxis(each, 1, -1))
 
 
 def lane_tip_loads(
-    arm: Arm, changes: Sequence[Variation], count: int, weight_kg: ArrayLike | None, pull: TipWrench | None
+    arm: Arm, changes: Sequence[Variation], count: int, weight_kg: ArrayLike | None, tip_wrench: TipWrench | None
 ) -> Array:
-    """What hangs on the lanes' tips beyond the cap, (count, W, 12, 8) for `apply_pressure`; or one empty row."""
+    """Loads at the tips beyond those of the cap, (count or 1, W, 12, 8), for `lanes.apply_pressure`."""
     weight = _weights(weight_kg, count)
-    if pull is None and any(change.pull is not None for change in changes):
-        raise ValueError("what pulls may only change where something pulls")
-    for some in (pull, *(change.pull for change in changes)):
+    if tip_wrench is None and any(change.tip_wrench is not None for change in changes):
+        raise ValueError("a change has a tip wrench, the arm has none")
+    for some in (tip_wrench, *(change.tip_wrench for change in changes)):
         if some is not None and len(some.force_n) != count:
-            raise ValueError(f"what pulls has {len(some.force_n)} rows, the pressures {count}")
-    lanes = passes(len(changes)) * layout.LANES
-    tip_loads = np.zeros((lanes, count if pull is not None or weight.any() else 1, 12))
-    own = [(arm, pull)] * lanes
-    own[FIRST : FIRST + len(changes)] = [(change.arm, change.pull or pull) for change in changes]
+            raise ValueError(f"the tip wrench has {len(some.force_n)} rows, the pressures {count}")
+    lanes = work_arrays(len(changes)) * layout.LANES
+    tip_loads = np.zeros((lanes, count if tip_wrench is not None or weight.any() else 1, 12))
+    own = [(arm, tip_wrench)] * lanes
+    own[FIRST : FIRST + len(changes)] = [(change.arm, change.tip_wrench or tip_wrench) for change in changes]
     for lane, (one, pulls) in zip(tip_loads, own, strict=True):
         if weight.any():
             lane[:, :3] = weight[:, None] * np.asarray(one.gravity_m_s2)
@@ -69,7 +69,11 @@ def _weights(weight_kg: ArrayLike | None, count: int) -> Array:
 
 @dataclass(frozen=True)
 class PerturbedArms:
-    """The arm and its neighbours as the kernels take them; one section for each row of pressures, or one for all."""
+    """Kernel arguments of an arm and its perturbed copies; one section for each row of pressures, or one for all.
+
+    first: of the arm. lanes: of the copies. load, loaded: distributed load of the arm. work: its work array. steps
+    (P,): sizes of the changes.
+    """
 
     first: KernelArguments
     lanes: LaneArguments
@@ -82,19 +86,19 @@ class PerturbedArms:
     def of(
         cls, arm: Arm, changes: Sequence[Variation], nodes: int, rows: Array, c0: float = 0.0, dt_s: float = 0.0
     ) -> PerturbedArms:
-        """Of rows of pressures (K, N), the first ones or all; they matter only to rules that freeze the moduli."""
+        """Prepare the arguments for rows of pressures (K, N) [Pa]; they matter only to sections `by_pressure`."""
         arms, some = [arm, *(change.arm for change in changes)], len(rows)
         pressure = [rows, *(rows if change.pressure_pa is None else change.pressure_pa[:some] for change in changes)]
         each = [KernelArguments.of(one, own, c0, dt_s) for one, own in zip(arms, pressure, strict=True)]
         first = each[0]
-        order = np.zeros(passes(len(changes)) * layout.LANES, dtype=np.intp)
+        order = np.zeros(work_arrays(len(changes)) * layout.LANES, dtype=np.intp)
         order[FIRST : FIRST + len(changes)] = np.arange(1, len(arms))
         works = layout.aligned(len(order) // layout.LANES, len(first.prepared) // layout.LANES, layout.LANES)
         works[:] = _lanes(order, [p.prepared[:: layout.LANES] for p in each])
         weight = [one.line_density_kg_m * one.rod_weight * np.asarray(one.gravity_m_s2) for one in arms]
         heavier = [own - weight[0] for own in weight]
-        works[:, layout.STRIDE] = _lanes(order, [p.length_m / nodes for p in each])
-        works[:, layout.WEIGHT : layout.WEIGHT + 3] = _lanes(order, heavier)
+        works[:, layout.STEP_LENGTH] = _lanes(order, [p.length_m / nodes for p in each])
+        works[:, layout.OWN_LOAD : layout.OWN_LOAD + 3] = _lanes(order, heavier)
         works[:, layout.CENTRE : layout.CENTRE + 2] = _lanes(order, [p.centre_m for p in each])
         ends = _lanes(order, [p.cap for p in each])
         load, loaded = first.load(arm, None, nodes)
@@ -109,7 +113,7 @@ class PerturbedArms:
         return cls(first, lanes, load, loaded, first.work(), steps)
 
     def own(self, rows: slice) -> PerturbedArms:
-        """The part for some rows, with work arrays of its own."""
+        """The arguments for some rows, with separate work arrays."""
         lanes, first = self.lanes, self.first
         works = layout.aligned(*lanes.works.shape)
         works[:] = lanes.works

@@ -1,4 +1,4 @@
-"""Gauge pressures as callers give them: shape, finiteness and unit are checked before any kernel sees them."""
+"""Checks of gauge pressures: shape, finiteness and unit."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ Array = NDArray[np.float64]
 VACUUM_PA = -101_325.0
 HIGHEST_PA = 1e8
 LEAST_BAR, MOST_BAR = 0.01, 10.0
-"""Numbers from here to there with at most three decimals are bar; a measured pressure near zero has more digits."""
+"""Numbers in this range with at most three decimals are bar; a measured pressure near zero has more digits."""
 
 
 def pressures(arm: Arm, pressure_pa: ArrayLike) -> Array:
-    """The pressures as an array (N,), or ValueError when they are not N finite numbers."""
+    """The pressures as an array (N,) [Pa]; ValueError unless they are N finite numbers."""
     pressure = np.array(pressure_pa, dtype=np.float64)
     if pressure.shape != (arm.geometry.actuators,):
         raise ValueError(f"pressure_pa must hold {arm.geometry.actuators} numbers, got shape {pressure.shape}")
@@ -28,12 +28,12 @@ def pressures(arm: Arm, pressure_pa: ArrayLike) -> Array:
 
 
 def refuse_other_units(pressure_pa: Array) -> None:
-    """Refuse gauge pressures (N,) that no arm has in pascal.
+    """Refuse gauge pressures (N,) [Pa] that are plausible only in another unit.
 
     Raises:
         ValueError: a pressure lies below vacuum or above any soft arm's, or all are round numbers of bar.
     """
-    # On plain floats: numpy takes longer over three numbers than a static solution does.
+    # With plain floats: NumPy takes longer for three numbers than a static solution.
     given = pressure_pa.tolist()
     if min(given) < VACUUM_PA:
         raise ValueError(f"gauge pressures below vacuum: {given} Pa, expected {VACUUM_PA:g} Pa or more")

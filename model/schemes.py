@@ -25,12 +25,12 @@ class Coefficients:
 
 @dataclass(frozen=True)
 class Scheme:
-    """A scheme of Table 2: its name, and its coefficients for a time step [s] and alpha, which most schemes ignore."""
+    """A scheme of Table 2. formula: coefficients for a time step [s] and alpha, which most schemes ignore."""
 
     name: str
     formula: Callable[[float, float], Coefficients]
     varying: Callable[[float, float, float], Coefficients] | None = None
-    """The same for a time step, the one before and alpha."""
+    """Coefficients for a time step, the one before and alpha; None for a scheme of fixed steps."""
 
     def coefficients(self, dt_s: float, alpha: float = DEFAULT_ALPHA) -> Coefficients:
         """The coefficients; ValueError for a time step that is not positive, or alpha outside its interval."""
@@ -59,7 +59,7 @@ def _bdf_alpha(dt_s: float, alpha: float) -> Coefficients:
 
 
 def _varying_bdf_alpha(dt_s: float, last_s: float, alpha: float) -> Coefficients:
-    """Exact for parabolas through unevenly spaced times; the weight of y_t(t_{i-1}) is that of even ones."""
+    """Exact for parabolas on uneven time steps; d1, the weight of y_t(t_{i-1}), is that of even steps."""
     d1, two = alpha / (1 + alpha), dt_s + last_s
     c2 = dt_s * (1 + d1) / (two * last_s)
     c1 = (d1 - 1 - two * c2) / dt_s

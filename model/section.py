@@ -1,4 +1,4 @@
-"""The cross-section: stiffness between strains and wall wrench, and what a pressure adds.
+"""The cross-section: its stiffness, and the wrench of the pressures.
 
 The section moves as a plane. The wall of actuator i at (x, y) is stretched by v3 - 1 + y u1 - x u2 (from eqs 8 and 13)
 and sheared by (v1 - y u3, v2 + x u3). It carries an axial force k_i (stretch - a P_i) and shear forces gamma k_i times
@@ -6,8 +6,8 @@ the shear, with k_i = E_i A_m; about its own axis it resists bending by E_i I_o 
 over the actuators, strains and wrench couple in two blocks: (v3, u1, u2) with (n3, m1, m2), and (v1, v2, u3) with
 (n1, n2, m3). About the stiffness-weighted centre, which is the paper's neutral axis, the blocks become eqs 16, 20, 21.
 
-Pressure enters twice: it pushes the caps, P_i A_in at each actuator, and its radial part stretches the wall freely by
-a P_i (RPE, 4.4). Both are eigenstrains: constant wrenches that the total wrench lacks against the wall's.
+Pressure acts twice: it pushes the caps, P_i A_in at each actuator, and its radial part stretches the wall freely by
+a P_i (RPE, 4.4). Both are eigenstrains: constant wrenches by which the total wrench is less than that of the walls.
 """
 
 from __future__ import annotations
@@ -39,8 +39,10 @@ class CrossSection:
 
 
 def axial_rows(xy_m: Array) -> Array:
-    """How (v3, u1, u2) stretch each actuator: rows [1, y, -x], (N, 3)."""
-    return np.stack([np.ones(len(xy_m)), xy_m[:, 1], -xy_m[:, 0]], axis=1)
+    """Derivatives of the stretch of each actuator by (v3, u1, u2): rows [1, y, -x], (N, 3)."""
+    rows = np.ones((len(xy_m), 3))
+    rows[:, 1], rows[:, 2] = xy_m[:, 1], -xy_m[:, 0]
+    return rows
 
 
 def section(
@@ -57,19 +59,23 @@ def section(
     """
     rows = axial_rows(xy_m)
     spread = geometry.wall_second_moment_m4 / geometry.wall_area_m2
-    axial = (rows * stiffness_n[:, None]).T @ rows + np.diag([0.0, 1.0, 1.0]) * spread * stiffness_n.sum()
+    weighted = (rows * stiffness_n[:, None]).T
+    axial = weighted @ rows
+    own = spread * stiffness_n.sum()
+    axial[1, 1] += own
+    axial[2, 2] += own
     x, y = xy_m.T
     side = shear_ratio * stiffness_n
-    turn = float((side * (x**2 + y**2 + 2 * spread)).sum())
-    pull_x, pull_y, total = float((side * x).sum()), float((side * y).sum()), float(side.sum())
-    shear = np.array([[total, 0.0, -pull_y], [0.0, total, pull_x], [-pull_y, pull_x, turn]])
+    total, by_x, by_y = side.sum(), (side * x).sum(), (side * y).sum()
+    torsion = (side * (x * x + y * y + 2 * spread)).sum()
+    shear = np.array([[total, 0.0, -by_y], [0.0, total, by_x], [-by_y, by_x, torsion]])
     rest = np.zeros(6)
     rest[2:5] = -axial[:, 0]
     per_pressure = np.zeros((6, len(xy_m)))
     per_pressure[2:5] = -geometry.chamber_area_m2 * rows.T
     free = rpe_per_bar / PA_PER_BAR
-    # As a force, a tube's own bending stiffness resists the RPE; as a strain of the section, it takes part.
-    per_pressure[2:5] -= free * ((rows * stiffness_n[:, None]).T if rpe_as == "force" else axial @ np.linalg.pinv(rows))
+    # As a force, the RPE acts against the bending stiffness of each tube; as a strain of the section, it does not.
+    per_pressure[2:5] -= free * (weighted if rpe_as == "force" else axial @ np.linalg.pinv(rows))
     return CrossSection(axial, shear, rest, per_pressure)
 
 

@@ -1,4 +1,4 @@
-"""Exact gradients of tip and sections by parameters and pressures, for identification.
+"""Gradients of tip and sections with respect to parameters, pressures and loads, for identification.
 
 By the implicit function theorem (model/kernels/tangents.py): tangent vectors of a solved arm are integrated beside it,
 without further Newton iterations.
@@ -20,9 +20,9 @@ from model.dynamics import Dynamics
 from model.errors import NotConverged, Unstable
 from model.hysteresis import effective_pa
 from model.kernels import layout
-from model.kernels.arguments import SectionAnswers, TipAnswers
+from model.kernels.arguments import SectionSensitivities, TipSensitivities
 from model.kernels.dynamic_sensitivities import dynamic_sensitivities
-from model.kernels.lanes import Lanes, apply_tip_load
+from model.kernels.lanes import SensitivityWorkspace, apply_tip_load
 from model.kernels.shooting import TOLERANCE_AT_REST, TOLERANCE_IN_MOTION, workspace_for
 from model.kernels.static_sensitivities import static_sensitivities
 from model.loads import Loads
@@ -41,7 +41,7 @@ USUAL = {"youngs_modulus_pa": 1e5, "rpe_per_bar": 0.05, "a1_per_n": 1e-2, "a2_pe
 
 @dataclass(frozen=True)
 class Gradients:
-    """K tips and how they answer to P changes, per unit of each change's step.
+    """Poses of K tips and their derivatives with respect to P changes, per unit of the step of each change.
 
     tip_m (K, 3), tip_rotation (K, 3, 3), ok (K,). tip_by (K, 3, P) [m]; turn_by (K, 3, P) [rad]: rotation vector in
     the base frame. NaN where there is no stable solution; unstable (K,) where an unstable equilibrium was found.
@@ -81,18 +81,18 @@ def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, n
     tip_loads = np.zeros((1, len(stack.lanes.works), 12, layout.LANES))
     if loads is not None:
         load, loaded = stack.first.load(arm, loads, nodes)
-        # What is kept must not remember a load.
+        # The cached arms have no load.
         stack = stack.own(slice(None))
         stack = replace(
             stack, lanes=stack.lanes._replace(loaded=loaded or stack.lanes.loaded), load=load, loaded=loaded
         )
-        tip_loads = tip_loads + np.concatenate([loads.tip(), loads.pull()])[:, None]
+        tip_loads = tip_loads + np.concatenate([loads.tip(), loads.eccentric_force()])[:, None]
     rows = pressure[:, None] + _shifts(len(names), len(pressure))
-    found = _solve(stack, rows, tip_loads, nodes, _kept.lanes(len(stack.steps), nodes))
-    if not found.ok[0]:
-        raise (Unstable if found.unstable[0] else NotConverged).at(pressure)
-    by = found.tip_by[0]
-    return TipGradient(found.tip_m[0], dict(zip(names, by.T, strict=False)), by[:, len(names) :])
+    tips, _ = _solve(stack, rows, tip_loads, nodes, _kept.workspace(len(stack.steps), nodes))
+    if not tips.good[0]:
+        raise (Unstable if tips.unstable[0] else NotConverged).at(pressure)
+    by = tips.by[0, :, :3]
+    return TipGradient(tips.place[0], dict(zip(names, by, strict=False)), by[len(names) :].T)
 
 
 def statics(
@@ -100,20 +100,20 @@ def statics(
     pressure_pa: ArrayLike,
     changes: Sequence[Variation] = (),
     weight_kg: ArrayLike | None = None,
-    pull: TipWrench | None = None,
+    tip_wrench: TipWrench | None = None,
     nodes: int | None = None,
     workers: int | None = None,
     sections_m: ArrayLike = (),
 ) -> Gradients:
-    """Tips at rest for rows of pressure_pa (K, N) [Pa], and how they answer to each change, in one call on all cores.
+    """Tips at rest for rows of pressure_pa (K, N) [Pa], with the derivatives for each change, on all cores.
 
-    weight_kg (K,), pull (K rows): hang on the tip. sections_m (S,): arc lengths [m] of sections of the arm at rest that
-    are asked for, too. Raises ValueError for what does not fit.
+    weight_kg (K,): masses at the tip. tip_wrench: K wrenches at the tip. sections_m (S,): arc lengths [m] of further
+    sections to differentiate. Raises ValueError for arguments of the wrong shape or not finite.
     """
     rows, nodes = _rows(arm, pressure_pa), steps_along(arm, nodes)
     _check_changes(arm, changes, rows)
     at = _arc_lengths(arm, sections_m)
-    tip_loads = lane_tip_loads(arm, changes, len(rows), weight_kg, pull)
+    tip_loads = lane_tip_loads(arm, changes, len(rows), weight_kg, tip_wrench)
     stack = PerturbedArms.of(arm, changes, nodes, rows)
     by_lane = lane_rows(rows, [change.pressure_pa for change in changes])
     parts: dict[int, Gradients] = {}
@@ -121,10 +121,9 @@ def statics(
     def part(span: range) -> None:
         if len(span):
             own = slice(span.start, span.stop)
-            workspace = Lanes.of(len(changes), nodes, 1)
-            parts[span.start] = _solve(
-                stack.own(own), by_lane[own], tip_loads if len(tip_loads) == 1 else tip_loads[own], nodes, workspace, at
-            )
+            workspace = SensitivityWorkspace.of(len(changes), nodes, 1)
+            loads = tip_loads if len(tip_loads) == 1 else tip_loads[own]
+            parts[span.start] = _gradients(*_solve(stack.own(own), by_lane[own], loads, nodes, workspace, at))
 
     spread(part, len(rows), workers, ROWS_PER_THREAD)
     each = [parts[start] for start in sorted(parts)]
@@ -139,51 +138,50 @@ def motion(
     weight_kg: ArrayLike | None = None,
     every: int = 1,
     nodes: int | None = None,
-    pull: TipWrench | None = None,
+    tip_wrench: TipWrench | None = None,
     sections_m: ArrayLike = (),
 ) -> Gradients:
-    """The tip in motion, from rest under the first of the rows of pressure_pa (1 + T, N) [Pa], one time step a row.
+    """The tip in motion, from rest under the first row of pressure_pa (1 + T, N) [Pa], one time step for each row.
 
-    Answers of the first row and of `every` so many steps after it: K = 1 + T // every. weight_kg (1 + T,), pull
-    (1 + T rows): hang on the tip. sections_m: as of `statics`. The scheme is BDF-alpha. Raises ValueError for what does
-    not fit.
+    Returns the first row and each `every`-th time step after it: K = 1 + T // every. weight_kg (1 + T,), tip_wrench
+    (1 + T rows), sections_m: as of `statics`. The scheme is BDF-alpha. Raises ValueError for arguments of the wrong
+    shape or not finite.
     """
     rows = _rows(arm, pressure_pa)
     _check_changes(arm, changes, rows)
     changes = [_with_hysteresis(change, arm, rows) for change in changes]
     rows = effective_pa(arm.actuation.stops, rows)
     if every < 1:
-        raise ValueError(f"answers are asked for every so many steps, at least 1, got {every}")
-    tip_loads = lane_tip_loads(arm, changes, len(rows), weight_kg, pull)
-    count, neighbours = 1 + (len(rows) - 1) // every, len(changes)
-    answers = _no_answers(count, neighbours)
-    sections = _no_sections(count, neighbours, _arc_lengths(arm, sections_m))
+        raise ValueError(f"`every` must be at least 1 time step, got {every}")
+    tip_loads = lane_tip_loads(arm, changes, len(rows), weight_kg, tip_wrench)
+    count = 1 + (len(rows) - 1) // every
+    tips = _empty_tips(count, len(changes))
+    sections = _empty_sections(count, len(changes), _arc_lengths(arm, sections_m))
     dynamics = Dynamics(arm, dt_s, nodes=nodes)
     n = dynamics.nodes
-    still = PerturbedArms.of(arm, changes, n, rows[:1])
-    here = np.empty(layout.HANGS)
-    apply_tip_load(still.first.cap, tip_loads[0], here)
+    at_rest = PerturbedArms.of(arm, changes, n, rows[:1])
+    tip_load = np.empty(layout.TIP_LOAD_SIZE)
+    apply_tip_load(at_rest.first.cap, tip_loads[0], tip_load)
     try:
-        dynamics.begin(still.first, rows[0], here, still.load, still.loaded)
+        dynamics.start_from(at_rest.first, rows[0], tip_load, at_rest.load, at_rest.loaded)
     except NotConverged as fault:
-        answers.unstable[0] = isinstance(fault, Unstable)
-        return _gradients(answers, sections)
-    swinging = PerturbedArms.of(arm, changes, n, rows, dynamics.c0, dt_s)
+        tips.unstable[0] = isinstance(fault, Unstable)
+        return _gradients(*_without_failures(tips, sections))
+    moving = PerturbedArms.of(arm, changes, n, rows, dynamics.c0, dt_s)
+    first, lanes = moving.first, moving.lanes
     arm_in_motion = dynamics.arm_with_cap._replace(
-        stiffness=swinging.first.stiffness, rest=swinging.first.rest, per_pressure=swinging.first.per_pressure
+        stiffness=first.stiffness, rest=first.rest, per_pressure=first.per_pressure
     )
-    works, branches = len(swinging.lanes.works), len(arm.material.branches)
+    works, branches = len(lanes.works), len(arm.material.branches)
     dynamic_sensitivities(
-        swinging.first.walls, arm_in_motion, dynamics.state, still.lanes, still.first.scale, swinging.lanes,
-        lane_rows(rows, [change.pressure_pa for change in changes]), tip_loads, swinging.steps, every,
+        first.walls, tuple(arm_in_motion), tuple(dynamics.state), tuple(at_rest.lanes), at_rest.first.scale,
+        tuple(lanes), lane_rows(rows, [change.pressure_pa for change in changes]), tip_loads, moving.steps, every,
         layout.aligned(works, n + 1, (36 if branches else 24) * layout.LANES),
-        layout.aligned(works, branches, n + 1, 12 * layout.LANES), dynamics.workspace,
-        Lanes.of(neighbours, n, dynamics.segments), TOLERANCE_IN_MOTION, answers, sections,
+        layout.aligned(works, branches, n + 1, 12 * layout.LANES), dynamics.pool,
+        tuple(SensitivityWorkspace.of(len(changes), n, dynamics.segments)), TOLERANCE_IN_MOTION, tuple(tips),
+        tuple(sections),
     )  # fmt: skip
-    lost = ~answers.good
-    for found in (answers, sections):
-        found.place[lost], found.turned[lost], found.by[lost] = np.nan, np.nan, np.nan
-    return _gradients(answers, sections)
+    return _gradients(*_without_failures(tips, sections))
 
 
 def _with_hysteresis(change: Variation, arm: Arm, rows: Array) -> Variation:
@@ -195,20 +193,29 @@ def _with_hysteresis(change: Variation, arm: Arm, rows: Array) -> Variation:
     return replace(change, pressure_pa=effective_pa(stops, given))
 
 
-def _no_answers(count: int, neighbours: int) -> TipAnswers:
-    """Answers of K rows by P changes, nothing solved yet."""
-    place, turned = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
-    by, unstable = np.full((count, neighbours, 6), np.nan), np.zeros(count, dtype=np.bool_)
-    return TipAnswers(place, turned, by, np.zeros(count, dtype=np.bool_), unstable)
+def _empty_tips(count: int, changes: int) -> TipSensitivities:
+    """Arrays for K rows and P changes, before the solution."""
+    place, turned, by = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, changes, 6))
+    return TipSensitivities(place, turned, by, np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_))
 
 
-def _no_sections(count: int, neighbours: int, at_m: Array) -> SectionAnswers:
-    """The same of the sections at arc lengths (S,)."""
-    place, turned = np.full((count, len(at_m), 3), np.nan), np.full((count, len(at_m), 3, 3), np.nan)
-    return SectionAnswers(at_m, place, turned, np.full((count, len(at_m), neighbours, 6), np.nan))
+def _empty_sections(count: int, changes: int, at_m: Array) -> SectionSensitivities:
+    """The same for the sections at arc lengths (S,)."""
+    place, turned = np.empty((count, len(at_m), 3)), np.empty((count, len(at_m), 3, 3))
+    return SectionSensitivities(at_m, place, turned, np.empty((count, len(at_m), changes, 6)))
 
 
-def _gradients(tip: TipAnswers, sections: SectionAnswers) -> Gradients:
+def _without_failures(
+    tips: TipSensitivities, sections: SectionSensitivities
+) -> tuple[TipSensitivities, SectionSensitivities]:
+    """The same with NaN in the rows without a solution."""
+    failed = ~tips.good
+    for poses in (tips, sections):
+        poses.place[failed], poses.turned[failed], poses.by[failed] = np.nan, np.nan, np.nan
+    return tips, sections
+
+
+def _gradients(tip: TipSensitivities, sections: SectionSensitivities) -> Gradients:
     by, section_by = tip.by.swapaxes(-1, -2), sections.by.swapaxes(-1, -2)
     return Gradients(
         tip.place, tip.turned, tip.good, by[:, :3], by[:, 3:], tip.unstable,
@@ -245,16 +252,16 @@ def _check_changes(arm: Arm, changes: Sequence[Variation], rows: Array) -> None:
 
 
 def _parameters(arm: Arm) -> tuple[str, ...]:
-    """The material's fields that the section rests on."""
+    """Fields of the material that the section depends on."""
     return (*arm.law.parameters, "rpe_per_bar", "shear_ratio")
 
 
 def _varied(arm: Arm, pressure: Array) -> list[Variation]:
-    """Changes of these fields and then of each pressure (N,)."""
+    """Changes of these fields, then of each pressure (N,)."""
     changes = []
     for name in _parameters(arm):
         value = getattr(arm.material, name)
-        # A parameter that is zero, such as no effect of the radial pressure, moves by a share of what is usual.
+        # The step of a parameter that is zero is a fraction of its usual magnitude.
         step = STEP * abs(value) or STEP * USUAL.get(name, 1.0)
         changes.append(Variation(step, replace(arm, material=replace(arm.material, **{name: value + step}))))
     pressed = pressure + PRESSURE_STEP_PA * np.eye(len(pressure))
@@ -263,17 +270,17 @@ def _varied(arm: Arm, pressure: Array) -> list[Variation]:
 
 @lru_cache(maxsize=16)
 def _shifts(fields: int, actuators: int) -> Array:
-    """What the pressures of these lanes differ by, (1, W, N, 8) [Pa]."""
+    """Differences of the pressures of these lanes from those of the arm, (1, W, N, 8) [Pa]."""
     still = np.zeros((1, actuators))
     return lane_rows(still, [still] * fields + list(PRESSURE_STEP_PA * np.eye(actuators)[:, None]))
 
 
 class _Kept(threading.local):
-    """What `tip_gradient` works in, made once per thread: its arrays are written to."""
+    """Arrays that `tip_gradient` writes to, allocated once for each thread."""
 
     def __init__(self) -> None:
         self.stack = lru_cache(maxsize=64)(_stack_of_material)
-        self.lanes = lru_cache(maxsize=8)(_lanes_at_rest)
+        self.workspace = lru_cache(maxsize=8)(_workspace_at_rest)
 
 
 def _stack_of_material(arm: Arm, nodes: int) -> PerturbedArms:
@@ -281,8 +288,8 @@ def _stack_of_material(arm: Arm, nodes: int) -> PerturbedArms:
     return PerturbedArms.of(arm, _varied(arm, nothing), nodes, nothing[None])
 
 
-def _lanes_at_rest(neighbours: int, nodes: int) -> Lanes:
-    return Lanes.of(neighbours, nodes, 1)
+def _workspace_at_rest(copies: int, nodes: int) -> SensitivityWorkspace:
+    return SensitivityWorkspace.of(copies, nodes, 1)
 
 
 _kept = _Kept()
@@ -292,23 +299,20 @@ _NO_SECTIONS = np.empty(0)
 
 
 def _solve(
-    stack: PerturbedArms, rows: Array, tip_loads: Array, nodes: int, workspace: Lanes, at_m: Array = _NO_SECTIONS
-) -> Gradients:
-    """For pressures (K, W, N, 8); the stack's work arrays are written to."""
-    count, first, neighbours = len(rows), stack.first, len(stack.steps)
+    stack: PerturbedArms,
+    rows: Array,
+    tip_loads: Array,
+    nodes: int,
+    workspace: SensitivityWorkspace,
+    at_m: Array = _NO_SECTIONS,
+) -> tuple[TipSensitivities, SectionSensitivities]:
+    """Solve for pressures (K, W, N, 8) [Pa]; writes to the work arrays of the stack."""
+    count, first = len(rows), stack.first
     arm = first.arm(stack.work, first.cap, stack.load, stack.loaded)
-    answers, sections = _no_answers(count, neighbours), _no_sections(count, neighbours, at_m)
+    pool, _ = workspace_for(nodes)
+    tips, sections = _empty_tips(count, len(stack.steps)), _empty_sections(count, len(stack.steps), at_m)
     static_sensitivities(
-        first.walls,
-        arm,
-        stack.lanes,
-        rows,
-        tip_loads,
-        stack.steps,
-        workspace_for(nodes),
-        workspace,
-        TOLERANCE_AT_REST,
-        answers,
-        sections,
-    )
-    return _gradients(answers, sections)
+        first.walls, tuple(arm), tuple(stack.lanes), rows, tip_loads, stack.steps, pool, tuple(workspace),
+        TOLERANCE_AT_REST, tuple(tips), tuple(sections),
+    )  # fmt: skip
+    return tips, sections

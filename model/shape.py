@@ -1,4 +1,4 @@
-"""The solved rod: where the arm is."""
+"""The shape of a solved arm."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Shape:
     """The arm's axis at n points, in the base frame (z along the straight arm).
 
     s_m (n,): arc length at rest. p_m (n, 3): position. rotation (n, 3, 3): section frame to base frame. v (n, 3): shear
-    and stretch. u (n, 3) [1/m]: curvature and twist, both in the section frame. ok: False when this is the last good
-    shape because the asked one could not be solved. stable: whether an arm at rest is a minimum of its potential
-    energy; None where this is not decided, as in motion.
+    and stretch. u (n, 3) [1/m]: curvature and twist, both in the section frame. ok: False for the last good
+    shape in place of one that could not be solved. stable: whether an arm at rest is at a minimum of its potential
+    energy; None if this is not decided, as in motion.
     """
 
     s_m: Array

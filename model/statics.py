@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from functools import lru_cache
 
 import numpy as np
@@ -12,7 +13,8 @@ from model.arm import Arm
 from model.errors import NotConverged, Unstable
 from model.kernel_arguments import KernelArguments
 from model.kernels.axis import axis
-from model.kernels.equilibrium import UNSTABLE, equilibrium
+from model.kernels.equilibrium import UNSTABLE, solve_equilibrium
+from model.kernels.layout import aligned
 from model.kernels.shooting import TOLERANCE_AT_REST, workspace_for
 from model.loads import Loads
 from model.pressures import pressures, refuse_other_units
@@ -57,7 +59,7 @@ def statics(
 
 
 def steps_along(arm: Arm, nodes: int | None) -> int:
-    """Return the number of steps along the arm at rest: as many as asked for, else what it needs.
+    """Return the number of steps along an arm at rest: `nodes`, or by default what its slenderness needs.
 
     Raises:
         ValueError: fewer than two, or more than MOST_NODES.
@@ -71,19 +73,26 @@ def steps_along(arm: Arm, nodes: int | None) -> int:
     return nodes
 
 
+class _Arrays(threading.local):
+    """Work arrays of static solutions, allocated once for each thread."""
+
+    def __init__(self) -> None:
+        self.work = lru_cache(maxsize=4)(aligned)
+
+
+_arrays = _Arrays()
+
+
 def states(arguments: KernelArguments, pressure: Array, tip: Array, load: Array, loaded: bool) -> tuple[Array, bool]:
-    """States at the nodes, then their slopes, (2 N + 2, 16), of the arm at rest, and whether it is stable.
+    """States at the nodes, then their derivatives, (2 N + 2, 16), of the arm at rest, and whether it is stable.
 
-    Raises NotConverged where not even an unstable equilibrium is found.
-
-    tip, load and loaded: as of `KernelArguments`.
+    tip, load and loaded: as of `ArmArguments`. Raises NotConverged if not even an unstable one is found.
     """
-    workspace = workspace_for(len(load) // 12)
-    passes = equilibrium(
-        arguments.work(), arguments.walls, arguments.rest[0], arguments.per_pressure[0],
-        arguments.free_per_pa, pressure, load, loaded, tip, arguments.length_m, arguments.scale, workspace,
-        TOLERANCE_AT_REST,
-    )  # fmt: skip
+    pool, workspace = workspace_for(len(load) // 12)
+    work = _arrays.work(len(arguments.prepared))
+    work[:] = arguments.prepared
+    arm_fields = tuple(arguments.arm(work, tip, load, loaded))
+    passes = solve_equilibrium(arguments.walls, arm_fields, pressure, pool, TOLERANCE_AT_REST)
     if passes < 0 and passes != UNSTABLE:
         raise NotConverged.at(pressure)
     return workspace.x.copy(), passes != UNSTABLE

@@ -1,9 +1,9 @@
-"""One fibre-reinforced tube (section 3): how far a pressure or a force stretches it.
+"""One fibre-reinforced tube (section 3): its stretch under a pressure or a force.
 
 An incompressible neo-Hookean core from R_i to R_m, and around it to R_o the same rubber with two families of fibres.
-The tube stays a cylinder, so a state is two numbers: axial stretch lambda_z and radial stretch r_i / R_i (eq 1). They
-follow from eqs 4 and 5 by root finding, along the load path that starts at rest; where that path turns back, no larger
-load has an equilibrium near it, and the tube balloons.
+The tube stays a cylinder, so its state is two numbers: axial stretch lambda_z and radial stretch r_i / R_i (eq 1). They
+are roots of eqs 4 and 5, found by continuation of the equilibrium from rest. At a limit point, beyond which no larger
+load has an equilibrium nearby, the tube balloons.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ Array = NDArray[np.float64]
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 _STEP = 1e-6
-# The states one step ahead and one step behind along each unknown, for central differences.
+# Steps forward and backward along each unknown, for central differences.
 _AROUND = _STEP * np.stack([np.eye(3), -np.eye(3)])
 
 
 class BallooningError(Exception):
-    """No equilibrium under the load asked for. `limit` is the load [Pa or N] at which it is lost."""
+    """No equilibrium under the load. `limit` is the load [Pa or N] of the limit point."""
 
     def __init__(self, load: float, limit: float, unit: str) -> None:
         self.limit = limit
@@ -85,7 +85,7 @@ class Tube:
         return self._path(lambda hoop, pull, load, _: (hoop, pull - load), force_n, unit, "N")
 
     def loads(self, stretch: PrincipalStretches) -> tuple[float, float]:
-        """What holds a state: the pressure of eq 4 [Pa], and the pull N - P pi r_i^2 on the caps [N] (eq 5)."""
+        """Loads that balance a state: pressure [Pa] (eq 4) and force N - P pi r_i^2 on the caps [N] (eq 5)."""
         hoop, pull = self._loads(np.array(stretch.axial), np.array(stretch.radial))
         return float(hoop), float(pull)
 
@@ -104,7 +104,7 @@ class Tube:
         radius = 0.5 * (first + last) + 0.5 * (last - first) * _POINTS
         weight = 0.5 * (last - first) * _WEIGHTS
         inner, axial = self.inner_radius_m, axial[..., None]
-        # Incompressible: what lies between R_i and R keeps its volume.
+        # Incompressible: the volume between R_i and R is constant.
         now = np.sqrt((radial[..., None] * inner) ** 2 + (radius**2 - inner**2) / axial)
         hoop = now / radius
         thin = 1 / (hoop * axial)
@@ -129,7 +129,7 @@ class Tube:
         unit: float,
         name: str,
     ) -> PrincipalStretches:
-        """Follow the equilibria from rest by pseudo-arclength until the load is reached or turns back."""
+        """Pseudo-arclength continuation of the equilibrium from rest to the load, or to a limit point."""
         if not math.isfinite(target):
             raise ValueError(f"a load must be finite, got {target}")
         if target == 0:
@@ -177,7 +177,7 @@ class Tube:
 
 
 def _correct(lack: Callable[[Array], Array], slope: Callable[[Array], Array], z: Array, normal: Array) -> Array | None:
-    """Newton onto the equilibria within the plane through z; None where it does not converge nearby."""
+    """Newton's method in the plane through z (corrector); None if it does not converge nearby."""
     origin = z
     for _ in range(12):
         if not (0.05 < z[0] < 50 and 0.05 < z[1] < 50):

@@ -1,4 +1,4 @@
-"""The variants of the model, by the names that a rig file takes: a constitutive law, with or without radial effect."""
+"""Registry of the model variants: a constitutive law, with or without radial pressure effect."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from model.laws.quadratic_compliance import FrozenCompliance, QuadraticComplianc
 
 POINTWISE = "pointwise"
 DEFAULT_TUBE_LAW: TubeLaw = QuadraticCompliance()
-"""The law for which the kernels are always compiled: an arm whose tubes follow none runs on the same kernels."""
+"""The tube law of the kernels for an arm whose tubes follow none."""
 _FROZEN = (
     FrozenCompliance("secant", tangent=False, passive_share=False),
     FrozenCompliance("tangent", tangent=True, passive_share=False),
@@ -25,8 +25,8 @@ MODULUS_RULES = (POINTWISE, *(law.name for law in _FROZEN))
 class ModelVariant:
     """A variant: its law, and whether the radial pressure effect of eq 30 stretches the walls.
 
-    rules: the laws that take the place of `law` under the modulus rules other than 'pointwise'; a variant without them
-    follows its law under every rule.
+    rules: the laws that replace `law` under the modulus rules other than 'pointwise'; without them, `law` holds under
+    every rule.
     """
 
     name: str
@@ -48,7 +48,7 @@ VARIANTS: dict[str, ModelVariant] = {}
 
 
 def register(variant: ModelVariant) -> None:
-    """Make a variant known under its name; ValueError for a name that is taken."""
+    """Register a variant by its name; ValueError for a name that is taken."""
     if variant.name in VARIANTS:
         raise ValueError(f"there is already a variant {variant.name!r}")
     VARIANTS[variant.name] = variant

@@ -16,14 +16,14 @@ Array = NDArray[np.float64]
 
 
 def viscous_time_s(material: Material, c0: float, dt_s: float) -> float:
-    """Theta: the time by which the walls of a step of dt_s [s] are viscous; at rest (c0 = 0) that of the damping."""
+    """Viscous time theta [s] of the walls in a time step of dt_s [s]; at rest (c0 = 0) that of the damping."""
     if not material.branches or not c0:
         return material.damping_s
     return material.damping_s + sum(b.relative_modulus * rise(b.time_s, dt_s) for b in material.branches) / c0
 
 
 def branch_factors(material: Material, c0: float, dt_s: float) -> Array:
-    """Numbers (1 + B, 3) by which the kernels advance B branches over a step, as of `relaxation.relax_branches`."""
+    """Factors (1 + B, 3) of B branches in a time step of dt_s [s], as of `relaxation.relax_branches`."""
     theta = viscous_time_s(material, c0, dt_s)
     over = 1 / theta if theta else 0.0
     rows = [(b.relative_modulus * over, math.exp(-dt_s / b.time_s), rise(b.time_s, dt_s)) for b in material.branches]
@@ -31,6 +31,6 @@ def branch_factors(material: Material, c0: float, dt_s: float) -> Array:
 
 
 def rise(time_s: float, dt_s: float) -> float:
-    """Mean of exp(-t / T) over a step: how much of a strain that grows evenly is left in a branch at its end."""
+    """Mean of exp(-t / T) over a time step: the part of a linearly growing strain that a branch keeps."""
     ratio = dt_s / time_s
     return -math.expm1(-ratio) / ratio if ratio else 1.0

@@ -1,4 +1,4 @@
-"""The arm between two nodes: cubic Hermite interpolation of the line's slope and of the orientation."""
+"""Cubic Hermite interpolation between two nodes: of the derivative p' of the line, and of the orientation."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ Quaternion = tuple[float, float, float, float]
 
 
 @inlined
-def passed_between(speed: Triple, bend: Triple, next_speed: Triple, next_bend: Triple, t: float, h: float) -> Triple:
-    """The way from a node to the share t of the step h behind it, by the slopes p' of both nodes and p'' of both.
+def displacement_between(
+    tangent: Triple, tangent_slope: Triple, next_tangent: Triple, next_tangent_slope: Triple, t: float, h: float
+) -> Triple:
+    """Displacement from a node over the fraction t of the step h, from p' and p'' at both nodes.
 
-    The integral of the cubic Hermite interpolant of the slope; over a whole step it is what `axis.axis` adds up.
+    The integral of the cubic Hermite interpolant of p'; over a whole step (t = 1) it equals that of `axis.axis`.
     """
     cube, fourth = t * t * t, 0.25 * t * t * t * t
-    own = plus((0.0, 0.0, 0.0), h * (t - cube + 2.0 * fourth), speed)
-    both = plus(own, h * (cube - 2.0 * fourth), next_speed)
+    own = plus((0.0, 0.0, 0.0), h * (t - cube + 2.0 * fourth), tangent)
+    both = plus(own, h * (cube - 2.0 * fourth), next_tangent)
     third = cube / 3.0
-    ends = plus(both, h * h * (0.5 * t * t - 2.0 * third + fourth), bend)
-    return plus(ends, h * h * (fourth - third), next_bend)  # type: ignore[no-any-return]
+    ends = plus(both, h * h * (0.5 * t * t - 2.0 * third + fourth), tangent_slope)
+    return plus(ends, h * h * (fourth - third), next_tangent_slope)  # type: ignore[no-any-return]
 
 
 @inlined
@@ -34,7 +36,7 @@ def _slope(a: Quaternion, u: Triple) -> Quaternion:
 
 @inlined
 def orientation_between(a: Quaternion, u: Triple, b: Quaternion, next_u: Triple, t: float, h: float) -> Quaternion:
-    """Orientation, as a quaternion of any length, at the share t of the step h from orientation a to b.
+    """Orientation, as a quaternion of any norm, at the fraction t of the step h from orientation a to b.
 
     u, next_u: curvatures at both nodes.
     """

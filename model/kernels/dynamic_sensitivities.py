@@ -1,4 +1,4 @@
-"""The kernel of an arm in motion: its time steps, and how its tip answers to small changes of it."""
+"""The kernel of dynamic sensitivities: time steps, and the derivatives of tip and sections with respect to changes."""
 
 from __future__ import annotations
 
@@ -6,23 +6,30 @@ from typing import Any
 
 import numpy as np
 
-from model.kernels.arguments import ArmArguments, LaneArguments, MotionState, SectionAnswers, TipAnswers
-from model.kernels.axis import place_section, place_tip
+from model.kernels.arguments import (
+    ArmArguments,
+    Fields,
+    LaneArguments,
+    MotionState,
+    SectionSensitivities,
+    TipSensitivities,
+)
+from model.kernels.axis import write_section_pose, write_tip_pose
 from model.kernels.jit import kernel
-from model.kernels.lanes import FIRST, Lanes, apply_pressure, apply_tip_load, places, section_places
+from model.kernels.lanes import FIRST, SensitivityWorkspace, apply_pressure, apply_tip_load, section_poses, tip_poses
 from model.kernels.law import Walls, branched
 from model.kernels.layout import LANES, STATE
-from model.kernels.relaxation import relax_branches_in_lanes
-from model.kernels.shooting import Workspace
+from model.kernels.relaxation import relax_branch_lanes
+from model.kernels.shooting import workspace_within
 from model.kernels.tangents import tangents
-from model.kernels.time_stepping import advance, stiffen
+from model.kernels.time_stepping import advance, set_stiffness
 from model.kernels.vec3 import inlined, leaf
 
 Array = Any
 
 
 @inlined
-def _join(row: Array, first: Array, shares: Array, arm: Array, p: int, count: int, quantities: int) -> None:
+def _combine_row(row: Array, first: Array, shares: Array, arm: Array, p: int, count: int, quantities: int) -> None:
     for c in range(quantities):
         at = c * LANES
         base = first[at]
@@ -38,31 +45,33 @@ def _join(row: Array, first: Array, shares: Array, arm: Array, p: int, count: in
 
 
 @leaf
-def _combine(x: Array, segments: int, workspace: Lanes, states: Array, derivatives: Array) -> None:
-    """Compute the perturbed solution in each lane from the tangents; lanes without one become the arm x."""
+def _perturbed_solutions(
+    x: Array, segments: int, workspace: SensitivityWorkspace, states: Array, derivatives: Array
+) -> None:
+    """Turn the tangent vectors into the perturbed solution of each lane; lanes without a copy take the solution x."""
     n, count = states.shape[1] - 1, workspace.parts.shape[0]
     per = n // segments
     for j in range(n + 1):
         s = min(j // per, segments - 1)
         for p in range(states.shape[0] - 1, -1, -1):
-            _join(states[p, j], states[0, j], workspace.shares[s, p], x[j], p, count, STATE)
-            _join(derivatives[p, j], derivatives[0, j], workspace.shares[s, p], x[n + 1 + j], p, count, 12)
+            _combine_row(states[p, j], states[0, j], workspace.shares[s, p], x[j], p, count, STATE)
+            _combine_row(derivatives[p, j], derivatives[0, j], workspace.shares[s, p], x[n + 1 + j], p, count, 12)
 
 
 @leaf
-def _moved(
-    x: Array, works: Array, workspace: Lanes, states: Array, derivatives: Array, steps: Array, by: Array
+def _tip_derivatives(
+    x: Array, works: Array, workspace: SensitivityWorkspace, states: Array, derivatives: Array, steps: Array, by: Array
 ) -> None:
-    """How tip and turn answer (P, 6) to each neighbour's change, after `_combine`."""
+    """Fill the derivatives (P, 6) of the pose of the tip, after `_perturbed_solutions`."""
     n = states.shape[1] - 1
     for p in range(works.shape[0]):
-        places(works[p], states[p], derivatives[p], x[n], workspace.place[p])
-    _answers(workspace, steps, by)
+        tip_poses(works[p], states[p], derivatives[p], x[n], workspace.place[p])
+    _derivatives(workspace, steps, by)
 
 
 @leaf
-def _answers(workspace: Lanes, steps: Array, by: Array) -> None:
-    """Derivatives (P, 6) of the places in the workspace by each change of size steps (P,)."""
+def _derivatives(workspace: SensitivityWorkspace, steps: Array, by: Array) -> None:
+    """Derivatives (P, 6) of the tip_poses in the workspace by each change of size steps (P,)."""
     for f in range(steps.shape[0]):
         p, i = (FIRST + f) // LANES, (FIRST + f) % LANES
         for c in range(6):
@@ -70,20 +79,20 @@ def _answers(workspace: Lanes, steps: Array, by: Array) -> None:
 
 
 @leaf
-def _sections_moved(
-    x: Array, length: float, works: Array, workspace: Lanes, states: Array, derivatives: Array, steps: Array,
-    at: Array, by: Array,
+def _section_derivatives(
+    x: Array, length: float, works: Array, workspace: SensitivityWorkspace, states: Array, derivatives: Array,
+    steps: Array, at: Array, by: Array,
 ) -> None:  # fmt: skip
-    """How the sections at arc lengths `at` (S,) answer (S, P, 6), after `_combine`."""
+    """Fill the same (S, P, 6) of the sections at arc lengths `at` (S,)."""
     for k in range(at.shape[0]):
         for p in range(works.shape[0]):
-            section_places(works[p], states[p], derivatives[p], at[k], length, x, workspace.place[p])
-        _answers(workspace, steps, by[k])
+            section_poses(works[p], states[p], derivatives[p], at[k], length, x, workspace.place[p])
+        _derivatives(workspace, steps, by[k])
 
 
 @leaf
-def _update_history(past: Array, workspace: Lanes, last: int, a: float, b: float, d: float) -> None:
-    """The history (eq 26) of the next time step: a, b times the last two solutions, d times this history."""
+def _update_history(past: Array, workspace: SensitivityWorkspace, last: int, a: float, b: float, d: float) -> None:
+    """Update the history y^h (eq 26) for the next step: a, b times the last two solutions plus d times the history."""
     half = 12 * LANES
     for k in range(past.shape[0]):
         for j in range(past.shape[1]):
@@ -96,10 +105,10 @@ def _update_history(past: Array, workspace: Lanes, last: int, a: float, b: float
 
 
 @leaf
-def _relax_branches(factors: Array, strains: Array, past: Array, workspace: Lanes, last: int) -> None:
-    """The walls' past strains of the next time step, after `_update_history`."""
+def _relax_branches(factors: Array, strains: Array, past: Array, workspace: SensitivityWorkspace, last: int) -> None:
+    """Update the past strains of the walls for the next time step, after `_update_history`."""
     for p in range(past.shape[0]):
-        relax_branches_in_lanes(
+        relax_branch_lanes(
             factors[p], strains[p], past[p], workspace.states[last, p], workspace.states[1 - last, p],
             workspace.derivatives[last, p], workspace.derivatives[1 - last, p],
         )  # fmt: skip
@@ -108,100 +117,107 @@ def _relax_branches(factors: Array, strains: Array, past: Array, workspace: Lane
 @kernel
 def dynamic_sensitivities(
     walls: Walls,
-    arm: ArmArguments,
-    motion: MotionState,
-    still: LaneArguments,
-    still_scale: Array,
-    swinging: LaneArguments,
+    arm_fields: Fields,
+    state_fields: Fields,
+    static_lane_fields: Fields,
+    static_scale: Array,
+    dynamic_lane_fields: Fields,
     pressure: Array,
     tip_loads: Array,
     steps: Array,
     every: int,
     past: Array,
     branch_strains: Array,
-    solver: Workspace,
-    workspace: Lanes,
+    pool: Array,
+    workspace_fields: Fields,
     tolerance: float,
-    answers: TipAnswers,
-    sections: SectionAnswers,
+    tip_fields: Fields,
+    section_fields: Fields,
 ) -> None:
-    """A motion from rest by BDF-alpha, and how its tip and sections answer to each neighbour's change.
+    """Integrate a motion from rest by BDF-alpha, and differentiate its tip and sections.
 
-    The arm stands at rest in the motion's x; `still` are the lanes of the arm at rest, `swinging` those of the moving
-    one. pressure (1 + T, W, N, 8): at rest, then step by step; sections and tip_loads one for each of these rows, or
-    one for all. past (W, N + 1, 192): for the lanes' history; (W, N + 1, 288) where the walls have branches, whose
-    strains are branch_strains (W, B, N + 1, 96). steps (P,): sizes of the changes; without neighbours the lanes rest.
-    Fills the answers (1 + T / every,) of every so many steps, and those of the sections.
+    state: at rest in its x. static_lanes, dynamic_lanes: of the arm at rest and in motion. pressure (1 + T, W, N, 8)
+    [Pa]: at rest, then for each time step; sections and tip_loads: one for each of these rows, or one for all. past
+    (W, N + 1, 192): work array for the history of the lanes; (W, N + 1, 288) for walls with Maxwell branches, whose
+    strains are branch_strains (W, B, N + 1, 96). steps (P,): sizes of the changes. Fills poses and derivatives
+    (1 + T / every,) of tip and sections.
     """
-    row, here, x = np.empty(walls.actuators), arm.tip.copy(), motion.x
-    scheme, segments = motion.coefficients, motion.segments
+    arm, state = ArmArguments(*arm_fields), MotionState(*state_fields)
+    solver = workspace_within(pool, state.x.shape[0] // 2 - 1, state.branch_strains.shape[0])
+    at_rest, moving = LaneArguments(*static_lane_fields), LaneArguments(*dynamic_lane_fields)
+    workspace, tips = SensitivityWorkspace(*workspace_fields), TipSensitivities(*tip_fields)
+    sections = SectionSensitivities(*section_fields)
+    row, tip_load, x = np.empty(walls.actuators), arm.tip.copy(), state.x
+    scheme, segments = state.coefficients, state.segments
     c0, c1, c2, d1 = scheme[0], scheme[1], scheme[2], scheme[4]
-    followed, now, rows = steps.shape[0] > 0, 0, arm.stiffness.shape[0]
+    differentiable, now, rows = steps.shape[0] > 0, 0, arm.stiffness.shape[0]
     for t in range(pressure.shape[0]):
-        r, q, tip_load = t % rows, t % arm.rest.shape[0], tip_loads[t % tip_loads.shape[0]]
-        apply_tip_load(arm.tip, tip_load, here)
+        r, q, row_loads = t % rows, t % arm.rest.shape[0], tip_loads[t % tip_loads.shape[0]]
+        apply_tip_load(arm.tip, row_loads, tip_load)
         solved = 1
-        if t == 0 and followed:
+        if t == 0 and differentiable:
             apply_pressure(
-                still.works, walls.actuators, still.stiffness[0], still.rest[0], still.per_pressure[0], still.frees,
-                still.ends, pressure[t], tip_load,
+                at_rest.works, walls.actuators, at_rest.stiffness[0], at_rest.rest[0], at_rest.per_pressure[0],
+                at_rest.free_per_pa, at_rest.cap_loads, pressure[t], row_loads,
             )  # fmt: skip
-            followed = tangents(
-                still.works, walls, past, arm.load, still.loaded, 0.0, still.heavy, segments, still_scale, x, workspace,
-                workspace.states[0], workspace.derivatives[0],
+            differentiable = tangents(
+                at_rest.works, walls, past, arm.load, at_rest.loaded, 0.0, at_rest.cap_inertia, segments, static_scale,
+                x, workspace, workspace.states[0], workspace.derivatives[0],
             )  # fmt: skip
-            _combine(x, segments, workspace, workspace.states[0], workspace.derivatives[0])
+            _perturbed_solutions(x, segments, workspace, workspace.states[0], workspace.derivatives[0])
             workspace.states[1] = workspace.states[0]
             workspace.derivatives[1] = workspace.derivatives[0]
             # An arm at rest has no rates: y^h = -c0 y.
             _update_history(past, workspace, now, -c0, 0.0, 0.0)
             if branched(walls.law):
-                _relax_branches(swinging.branch_factors, branch_strains, past, workspace, now)
+                _relax_branches(moving.branch_factors, branch_strains, past, workspace, now)
         if t > 0:
             for k in range(walls.actuators):
                 row[k] = pressure[t, 0, k, 0]
             if rows > 1:
-                stiffen(arm.work, arm.stiffness[r])
+                set_stiffness(arm.work, arm.stiffness[r])
             solved = advance(
-                arm.work, walls, arm.rest[q], arm.per_pressure[r], arm.free_per_pa, motion.before, row, arm.load,
-                arm.loaded, here, arm.length, segments, arm.scale, scheme, motion.past_states, x,
-                motion.branch_factors, motion.branch_strains, solver, tolerance,
+                arm.work, walls, arm.rest[q], arm.per_pressure[r], arm.free_per_pa, state.last_pressures, row, arm.load,
+                arm.loaded, tip_load, arm.length, segments, arm.scale, scheme, state.past_states, x,
+                state.branch_factors, state.branch_strains, solver, tolerance,
             )  # fmt: skip
-            if solved > 0 and followed:
+            if solved > 0 and differentiable:
                 # y_t of the last step is c0 times its solution plus its history.
                 _update_history(past, workspace, now, c1 + d1 * c0, c2, d1)
                 if branched(walls.law):
-                    _relax_branches(swinging.branch_factors, branch_strains, past, workspace, now)
+                    _relax_branches(moving.branch_factors, branch_strains, past, workspace, now)
                 now = 1 - now
                 apply_pressure(
-                    swinging.works, walls.actuators, swinging.stiffness[r], swinging.rest[q], swinging.per_pressure[r],
-                    swinging.frees, swinging.ends, pressure[t], tip_load,
+                    moving.works, walls.actuators, moving.stiffness[r], moving.rest[q], moving.per_pressure[r],
+                    moving.free_per_pa, moving.cap_loads, pressure[t], row_loads,
                 )  # fmt: skip
-                followed = tangents(
-                    swinging.works, walls, past, arm.load, swinging.loaded, c0, swinging.heavy, segments, arm.scale, x,
+                differentiable = tangents(
+                    moving.works, walls, past, arm.load, moving.loaded, c0, moving.cap_inertia, segments, arm.scale, x,
                     workspace, workspace.states[now], workspace.derivatives[now],
                 )  # fmt: skip
-                _combine(x, segments, workspace, workspace.states[now], workspace.derivatives[now])
+                _perturbed_solutions(x, segments, workspace, workspace.states[now], workspace.derivatives[now])
         if t % every == 0:
             at = t // every
-            answers.good[at] = solved > 0
-            place_tip(x, arm.length, arm.centre, answers.place, answers.turned, at)
+            tips.good[at] = solved > 0
+            write_tip_pose(x, arm.length, arm.centre, tips.place, tips.turned, at)
             for k in range(sections.at.shape[0]):
-                place_section(x, arm.length, arm.centre, sections.at[k], sections.place[at], sections.turned[at], k)
-            if followed:
-                _moved(
+                write_section_pose(
+                    x, arm.length, arm.centre, sections.at[k], sections.place[at], sections.turned[at], k
+                )
+            if differentiable:
+                _tip_derivatives(
                     x,
-                    swinging.works,
+                    moving.works,
                     workspace,
                     workspace.states[now],
                     workspace.derivatives[now],
                     steps,
-                    answers.by[at],
+                    tips.by[at],
                 )
-                _sections_moved(
-                    x, arm.length, swinging.works, workspace, workspace.states[now], workspace.derivatives[now],
+                _section_derivatives(
+                    x, arm.length, moving.works, workspace, workspace.states[now], workspace.derivatives[now],
                     steps, sections.at, sections.by[at],
                 )  # fmt: skip
             else:
-                answers.by[at] = np.nan
+                tips.by[at] = np.nan
                 sections.by[at] = np.nan

@@ -1,6 +1,6 @@
-"""Kernels that find an arm at rest: from a guess, by following the loads up, or by letting it swing until it rests.
+"""Kernels that solve for an arm at rest: from a guess, by load continuation, or by dynamic relaxation.
 
-An equilibrium counts as found only if it is stable (model/kernels/stability.py).
+Only a stable equilibrium counts as a solution (model/kernels/stability.py).
 """
 
 from __future__ import annotations
@@ -9,30 +9,31 @@ from typing import Any
 
 import numpy as np
 
+from model.kernels.arguments import ArmArguments, Fields
 from model.kernels.jit import kernel
 from model.kernels.law import Walls
 from model.kernels.layout import C0, LAG, LANES, LINE_DENSITY, RATE, SHEAR_INVERSE, SLOPE, STAGE, STATE, WRENCH
 from model.kernels.rod import resting_wrench, strain_changes
-from model.kernels.shooting import LONGEST, TOLERANCE_IN_MOTION, Workspace, newton
+from model.kernels.shooting import LONGEST_UPDATE, TOLERANCE_IN_MOTION, Workspace, newton, workspace_within
 from model.kernels.simd import broadcast
 from model.kernels.stability import is_stable
-from model.kernels.time_stepping import between, copy_rows, divisor, set_pressures
-from model.kernels.vec3 import called, cross, leaf, plus, put, three, triple
+from model.kernels.time_stepping import copy_rows, divisor, interpolate_midpoints, set_pressures
+from model.kernels.vec3 import cross, leaf, plus, put, three, triple
 
 Array = Any
 
 NONE = -1  # no equilibrium found
-UNSTABLE = -2  # none found that is stable
-SHORTEST = 1e-3  # share of the loads by which these are led up at least
-SWINGS = 3  # times that an arm is let go
-MOST_STEPS = 600  # of each such motion
-CALM = 1e-3  # change within a step, in scaled strains and orientations, at which an arm may rest
-NUDGE = 1e-4  # force that moves an arm out of an unstable equilibrium, as a share of the shear stiffness
+UNSTABLE = -2  # only unstable equilibria found
+SMALLEST_INCREMENT = 1e-3  # of the load continuation, as a fraction of the loads
+RELEASES = 3  # dynamic relaxations, each from rest
+MAX_STEPS = 600  # time steps of a dynamic relaxation
+RESTING_CHANGE = 1e-3  # of scaled strains and orientations within a time step, below which an arm may rest
+PERTURBATION = 1e-4  # force that drives an arm out of an unstable equilibrium, as a fraction of the shear stiffness
 
 
 @leaf
 def uniform_guess(w: Array, walls: Walls, tip: Array, scale: Array, workspace: Workspace) -> None:
-    """Fill x with the strains that the section would have everywhere if the tip's load did not turn with the arm."""
+    """Fill x with the uniform strains that balance a load at the tip whose direction does not turn with the arm."""
     x = workspace.x
     n = workspace.states.shape[0] - 1
     for i in range(LANES):
@@ -58,7 +59,7 @@ def uniform_guess(w: Array, walls: Walls, tip: Array, scale: Array, workspace: W
             x[j, c] = w[(STAGE + c) * LANES]
 
 
-@called
+@leaf
 def equilibrium(
     w: Array,
     walls: Walls,
@@ -74,23 +75,25 @@ def equilibrium(
     workspace: Workspace,
     tolerance: float,
 ) -> int:
-    """Solve the static rod into workspace.x from scratch. Returns the number of passes, NONE or UNSTABLE.
+    """Solve the static rod into workspace.x without a guess. Returns the number of passes, NONE or UNSTABLE.
 
-    First by simple shooting from a uniform guess. Where that fails or finds an unstable equilibrium, by following the
-    loads up from nothing; where the arm loses its stability on this way, by letting it swing until it rests. With
-    UNSTABLE, an unstable equilibrium stands in workspace.x.
+    First by simple shooting from a uniform guess. If that fails or finds an unstable equilibrium, by load continuation;
+    if the arm loses its stability on this way, by dynamic relaxation. With UNSTABLE, workspace.x holds an unstable
+    equilibrium.
     """
     for m in range(workspace.history.shape[0]):
         workspace.history[m] = 0.0
     set_pressures(w, walls.actuators, rest, per_pressure, free, pressure)
     uniform_guess(w, walls, tip, scale, workspace)
-    # One segment; a plain 1 would have numba compile Newton's method once more, for this constant. A shortened update
-    # would depend on the direction in which the arm stands, and with it the equilibrium that is found.
-    passes = newton(w, walls, load, loaded, tip, 0.0, length, np.int64(1), scale, workspace, tolerance, 20.0, LONGEST)
+    # One segment; numba would compile Newton's method again for the constant 1. A shortened update would depend on the
+    # direction of the arm in the base frame, and so would the equilibrium: a longer update is refused.
+    passes = newton(
+        w, walls, load, loaded, tip, 0.0, length, np.int64(1), scale, workspace, tolerance, 20.0, LONGEST_UPDATE
+    )
     if passes > 0 and is_stable(w, walls, workspace.x, length, tip):
         return int(passes)
     return int(
-        _searched(
+        _search(
             w, walls, rest, per_pressure, free, pressure, load, loaded, tip, length, scale, workspace, tolerance,
             passes > 0,
         )
@@ -98,7 +101,7 @@ def equilibrium(
 
 
 @kernel
-def _searched(
+def _search(
     w: Array,
     walls: Walls,
     rest: Array,
@@ -114,10 +117,10 @@ def _searched(
     tolerance: float,
     found: bool,
 ) -> int:
-    """What `equilibrium` does where the first guess does not suffice; found: an unstable one stands in workspace.x."""
+    """The methods of `equilibrium` after the first guess; found: workspace.x holds an unstable equilibrium."""
     x = workspace.x
     unstable = x.copy()
-    passes = _followed(
+    passes = _load_continuation(
         w, walls, rest, per_pressure, free, pressure, load, loaded, tip, length, scale, workspace, tolerance
     )
     if passes > 0:
@@ -141,7 +144,7 @@ def _searched(
 
 
 @kernel
-def _followed(
+def _load_continuation(
     w: Array,
     walls: Walls,
     rest: Array,
@@ -156,40 +159,40 @@ def _followed(
     workspace: Workspace,
     tolerance: float,
 ) -> int:
-    """Lead pressures and loads up from nothing, in strides as long as they end in a stable equilibrium.
+    """Increase pressures and loads from zero, in increments that adapt, as long as each equilibrium is stable.
 
-    Returns the number of passes, or NONE where stability is lost on the way, with the last stable one in workspace.x.
+    Returns the number of passes, or NONE where stability is lost, with the last stable equilibrium in workspace.x.
     """
     n, x = workspace.states.shape[0] - 1, workspace.x
-    # Straight, with nothing in it and nothing on it, an arm has the strains that it has at rest.
+    # Without pressures and loads the arm is straight and unstrained.
     for j in range(x.shape[0]):
         for c in range(STATE):
             x[j, c] = 1.0 if c in (2, 12) and j <= n else 0.0
-    good, some, some_load, some_tip = x.copy(), np.empty_like(pressure), load.copy(), tip.copy()
-    done, stride, total, segments = 0.0, 0.125, 0, divisor(n, 4)
-    while done < 1.0:
-        share = min(1.0, done + stride)
+    good, partial_pressure, partial_load, partial_tip_load = x.copy(), np.empty_like(pressure), load.copy(), tip.copy()
+    fraction, increment, total, segments = 0.0, 0.125, 0, divisor(n, 4)
+    while fraction < 1.0:
+        share = min(1.0, fraction + increment)
         for k in range(walls.actuators):
-            some[k] = share * pressure[k]
+            partial_pressure[k] = share * pressure[k]
         for k in range(load.shape[0]):
-            some_load[k] = share * load[k]
+            partial_load[k] = share * load[k]
         for k in range(6):
-            some_tip[k] = share * tip[k]
+            partial_tip_load[k] = share * tip[k]
         for k in range(13, 16):
-            some_tip[k] = share * tip[k]
-        set_pressures(w, walls.actuators, rest, per_pressure, free, some)
+            partial_tip_load[k] = share * tip[k]
+        set_pressures(w, walls.actuators, rest, per_pressure, free, partial_pressure)
         passes = newton(
-            w, walls, some_load, loaded, some_tip, 0.0, length, segments, scale, workspace, tolerance, 20.0,
-            0.5 * LONGEST,
+            w, walls, partial_load, loaded, partial_tip_load, 0.0, length, segments, scale, workspace, tolerance, 20.0,
+            0.5 * LONGEST_UPDATE,
         )  # fmt: skip
-        if passes > 0 and is_stable(w, walls, x, length, some_tip):
+        if passes > 0 and is_stable(w, walls, x, length, partial_tip_load):
             total += passes
-            done, stride = share, 2.0 * stride
+            fraction, increment = share, 2.0 * increment
             copy_rows(x, good)
         else:
-            stride = 0.25 * min(stride, share - done)
+            increment = 0.25 * min(increment, share - fraction)
             copy_rows(good, x)
-            if stride < SHORTEST:
+            if increment < SMALLEST_INCREMENT:
                 return NONE
     return total
 
@@ -201,25 +204,25 @@ def _relax_dynamically(
 ) -> int:  # fmt: skip
     """Integrate the arm in workspace.x by backward Euler under its full load until it rests in a stable equilibrium.
 
-    Time steps of about the time that a shear wave takes along the arm damp the swing and let the arm leave an unstable
-    equilibrium. Returns the number of passes of the equilibrium, or NONE.
+    Time steps of about the time that a shear wave takes along the arm damp the oscillation and let the arm leave an
+    unstable equilibrium. Returns the number of passes of the final solution, or NONE.
     """
     n, x, history = workspace.states.shape[0] - 1, workspace.x, workspace.history
     size = STATE * (n + 1)
-    before, some_tip, own_scale = x.copy(), tip.copy(), scale.copy()
+    before, partial_tip_load, own_scale = x.copy(), tip.copy(), scale.copy()
     stiffness = 1.0 / w[SHEAR_INVERSE * LANES]
     wave_s = length * (w[LINE_DENSITY * LANES] / stiffness) ** 0.5
     lag, passes = w[LAG * LANES], NONE
-    for swing in range(SWINGS):
-        _stop(x)
+    for release in range(RELEASES):
+        _zero_velocities(x)
         copy_rows(x, before)
         broadcast(w, LAG, 0.0)
         dt, steps = wave_s, 0
-        while steps < MOST_STEPS:
+        while steps < MAX_STEPS:
             steps += 1
-            nudged = swing > 0 and steps <= 5
-            some_tip[0] = tip[0] + (NUDGE * stiffness if nudged else 0.0)
-            some_tip[1] = tip[1] + (0.5 * NUDGE * stiffness if nudged else 0.0)
+            perturbed = release > 0 and steps <= 5
+            partial_tip_load[0] = tip[0] + (PERTURBATION * stiffness if perturbed else 0.0)
+            partial_tip_load[1] = tip[1] + (0.5 * PERTURBATION * stiffness if perturbed else 0.0)
             c0 = 1.0 / dt
             broadcast(w, C0, c0)
             carried = max(1.0, 0.25 * c0 * length)
@@ -229,9 +232,9 @@ def _relax_dynamically(
             for j in range(x.shape[0]):
                 for c in range(STATE):
                     history[STATE * j + c] = -c0 * before[j, c]
-            between(history, size, length / n)
+            interpolate_midpoints(history, size, length / n)
             moved = newton(
-                w, walls, load, loaded, some_tip, c0, length, divisor(n, max(1, int(0.5 * c0 * wave_s))),
+                w, walls, load, loaded, partial_tip_load, c0, length, divisor(n, max(1, int(0.5 * c0 * wave_s))),
                 own_scale, workspace, TOLERANCE_IN_MOTION, 20.0, np.inf,
             )  # fmt: skip
             if moved < 0:
@@ -241,9 +244,9 @@ def _relax_dynamically(
                     break
                 continue
             _normalise(x, n)
-            change = _change(x, before, scale, n)
+            change = _largest_change(x, before, scale, n)
             copy_rows(x, before)
-            if change < CALM and not nudged:
+            if change < RESTING_CHANGE and not perturbed:
                 break
             if change < 0.05:
                 dt = min(1.5 * dt, 20.0 * wave_s)
@@ -253,10 +256,10 @@ def _relax_dynamically(
         broadcast(w, LAG, lag)
         for m in range(history.shape[0]):
             history[m] = 0.0
-        _stop(x)
+        _zero_velocities(x)
         copy_rows(x, before)
         passes = newton(
-            w, walls, load, loaded, tip, 0.0, length, divisor(n, 4), scale, workspace, tolerance, 20.0, LONGEST
+            w, walls, load, loaded, tip, 0.0, length, divisor(n, 4), scale, workspace, tolerance, 20.0, LONGEST_UPDATE
         )
         if passes > 0 and is_stable(w, walls, x, length, tip):
             return int(passes)
@@ -266,7 +269,7 @@ def _relax_dynamically(
 
 
 @leaf
-def _stop(x: Array) -> None:
+def _zero_velocities(x: Array) -> None:
     for j in range(x.shape[0]):
         for c in range(6, 12):
             x[j, c] = 0.0
@@ -281,7 +284,7 @@ def _normalise(x: Array, n: int) -> None:
 
 
 @leaf
-def _change(x: Array, before: Array, scale: Array, n: int) -> float:
+def _largest_change(x: Array, before: Array, scale: Array, n: int) -> float:
     """The largest change of strains and orientations, in units of `scale`."""
     largest = 0.0
     for j in range(n + 1):
@@ -289,3 +292,16 @@ def _change(x: Array, before: Array, scale: Array, n: int) -> float:
             if c < 6 or c >= 12:
                 largest = max(largest, abs(x[j, c] - before[j, c]) / scale[c])
     return largest
+
+
+@kernel
+def solve_equilibrium(walls: Walls, arm_fields: Fields, pressure: Array, pool: Array, tolerance: float) -> int:
+    """Solve as `equilibrium` for one arm under pressures (N,) [Pa], into the workspace of a pool."""
+    arm = ArmArguments(*arm_fields)
+    workspace = workspace_within(pool, arm.load.shape[0] // 12, 0)
+    return int(
+        equilibrium(
+            arm.work, walls, arm.rest[0], arm.per_pressure[0], arm.free_per_pa, pressure, arm.load, arm.loaded,
+            arm.tip, arm.length, arm.scale, workspace, tolerance,
+        )
+    )  # fmt: skip

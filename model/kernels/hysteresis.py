@@ -11,7 +11,7 @@ Array = Any
 
 @called
 def slide(elements: Array, stops: Array, before: Array, pressure: Array, effective: Array) -> None:
-    """Follow a course of pressures (T, N); fills the effective ones.
+    """Apply the stop elements to a sequence of pressures (T, N); fills the effective ones.
 
     elements (K, 2): weight and width. stops (K, N) and before (N,), the last pressures, are advanced.
     """

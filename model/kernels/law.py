@@ -1,7 +1,7 @@
-"""How the walls respond, as an argument of the kernels.
+"""The constitutive law of the walls as an argument of the kernels.
 
-Each law of a tube is a numba type of its own, for which the kernels are compiled with the law's response in the place
-of the call. So is each law whose walls have Maxwell branches: without them the kernels have no trace of these.
+Each law of a tube is a numba type of its own, for which the kernels are compiled with the response of the law inlined.
+A law with Maxwell branches is a further type, so that kernels without branches contain no code for them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Function = Callable[[float, Constants, float], Response]
 
 
 class _LawType(types.Type):
-    """Type of a law: by name and source, so that no kernel compiled for another law is taken from the disk."""
+    """numba type of a law: by name and source, so that no kernel compiled for another law is loaded from disk."""
 
     def __init__(self, name: str, digest: str, branched: bool) -> None:
         self.law, self.branched = (name, digest), branched
@@ -32,7 +32,7 @@ class _LawType(types.Type):
 
     @property
     def key(self) -> tuple[str, str, bool]:
-        """What makes two types the same."""
+        """Identity of the type."""
         return *self.law, self.branched
 
 
@@ -46,7 +46,7 @@ def _unbox(kind: Any, value: Any, c: Any) -> Any:
 
 
 class KernelLaw:
-    """A law as the kernels take it. response: as of `model.laws.base.TubeLaw`; branched: the walls have branches."""
+    """A law as an argument of kernels. response: as of `model.laws.base.TubeLaw`; branched: with Maxwell branches."""
 
     def __init__(self, name: str, response: Function, branched: bool) -> None:
         kind = _LawType(name, _digest(response), branched)
@@ -57,10 +57,10 @@ class KernelLaw:
 
 
 class Walls(NamedTuple):
-    """How the walls respond.
+    """The constitutive law of the walls.
 
-    pointwise: whether each tube follows `law` at every point; else the section's stiffness is constant, and `law` is
-    not looked at.
+    pointwise: whether each tube follows `law` at every point; else the stiffness of the section is constant, and `law`
+    is not evaluated.
     """
 
     pointwise: bool
@@ -69,18 +69,18 @@ class Walls(NamedTuple):
 
     @property
     def _numba_type_(self) -> Any:
-        """Found by numba's dispatcher, which would otherwise inspect the fields at every call."""
+        """Read by numba at each call, in place of the fields."""
         return self.law.walls_type
 
 
 @cache
 def kernel_law(name: str, response: Function, branched: bool = False) -> KernelLaw:
-    """The same object for the same law."""
+    """The one object of a law."""
     return KernelLaw(name, response, branched)
 
 
 def branched(law: KernelLaw) -> bool:
-    """Whether the walls have branches; of the kernels, which are compiled with the answer in place of the call."""
+    """Whether the walls have Maxwell branches; a constant in compiled kernels."""
     return bool(law._numba_type_.branched)
 
 
@@ -90,7 +90,7 @@ def _branched(law):  # type: ignore[no-untyped-def]
 
 
 def respond(law: KernelLaw, strain: float, constants: Constants, share: float) -> Response:
-    """Response of a law; of the kernels, compiled into the caller."""
+    """Response of a law; inlined in compiled kernels."""
     return law.response(strain, constants, share)
 
 

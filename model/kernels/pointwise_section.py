@@ -1,4 +1,4 @@
-"""The section whose tubes each follow a law at their own place (section.py derives what is summed)."""
+"""The section whose tube_responses each follow a law at their own place (section.py derives what is summed)."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ from typing import Any
 
 from model.kernels.law import Walls, respond
 from model.kernels.layout import (
+    ALL_TRIOS,
     AXIAL,
-    CHANGES,
     LANES,
     LAW,
-    MORE,
     OFFSET,
-    OTHERS,
+    OTHER_TRIOS,
     PER_TRIO,
     PER_TUBE,
-    PULLS,
     SECANTS,
     SHEAR,
+    STIFFNESS_SLOPES,
     STRAINS,
     SUMS,
     TANGENTS,
     TRIO,
     TUBE,
+    WALL_FORCES,
 )
 from model.kernels.vec3 import Triple, inlined, leaf, plus, put, six, times, triple
 
@@ -30,14 +30,14 @@ Array = Any
 
 
 @inlined
-def _on(total: float, a: Triple, b: Triple) -> float:
+def _add_products(total: float, a: Triple, b: Triple) -> float:
     """total + a . b."""
     return total + a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @inlined
-def tubes(w: Array, walls: Walls, i: int, v3: float, u1: float, u2: float) -> Any:
-    """Responses of the three tubes at TRIO of lane i."""
+def tube_responses(w: Array, walls: Walls, i: int, v3: float, u1: float, u2: float) -> Any:
+    """Responses of the law for the three tubes at TRIO of lane i."""
     at = LAW * LANES + i
     constants = w[at], w[at + LANES], w[at + 2 * LANES], w[at + 3 * LANES]
     x1, y1, free1 = triple(w, TRIO, i)
@@ -59,67 +59,72 @@ def _of_tubes(w: Array, i: int, c: int) -> Triple:
 
 
 @inlined
-def sum_tubes(w: Array, i: int, answers: Any, to: int) -> None:
-    """Sum over all tubes of lane i: wall forces, tangent and side stiffnesses, to `to`.
+def sum_tubes(w: Array, i: int, responses: Any, to: int) -> None:
+    """Sum the moments of wall forces, tangent and side stiffnesses over all tubes of lane i, to offset `to`.
 
-    These are the three at TRIO, whose answers are given, on top of what stands at OTHERS.
+    These are the three tubes at TRIO, with their responses, and the sums at OTHER_TRIOS.
     """
-    f, t, k, e = answers
+    f, t, k, e = responses
     x, y, far = _of_tubes(w, i, 0), _of_tubes(w, i, 1), _of_tubes(w, i, 7)
     xx, xy, yy = _of_tubes(w, i, 4), _of_tubes(w, i, 5), _of_tubes(w, i, 6)
     less, g = (-x[0], -x[1], -x[2]), (e[0] * far[0], e[1] * far[1], e[2] * far[2])
-    s0, s1, s2, s3 = triple(w, OTHERS, i), triple(w, OTHERS + 3, i), triple(w, OTHERS + 6, i), triple(w, OTHERS + 9, i)
-    s4, s5, s6 = triple(w, OTHERS + 12, i), triple(w, OTHERS + 15, i), triple(w, OTHERS + 18, i)
-    put(w, to, i, (s0[0] + f[0] + f[1] + f[2], _on(s0[1], f, y), _on(s0[2], f, less)))
-    put(w, to + 3, i, (s1[0] + t[0] + t[1] + t[2], _on(s1[1], t, x), _on(s1[2], t, y)))
-    put(w, to + 6, i, (_on(s2[0], t, xx), _on(s2[1], t, xy), _on(s2[2], t, yy)))
-    put(w, to + 9, i, (s3[0] + k[0] + k[1] + k[2], _on(s3[1], k, x), _on(s3[2], k, y)))
-    put(w, to + 12, i, (_on(s4[0], k, far), s4[1] + e[0] + e[1] + e[2], _on(s4[2], e, x)))
-    put(w, to + 15, i, (_on(s5[0], e, y), _on(s5[1], e, xx), _on(s5[2], e, xy)))
-    put(w, to + 18, i, (_on(s6[0], e, yy), _on(s6[1], g, x), _on(s6[2], g, y)))
+    s0, s1, s2, s3 = (
+        triple(w, OTHER_TRIOS, i),
+        triple(w, OTHER_TRIOS + 3, i),
+        triple(w, OTHER_TRIOS + 6, i),
+        triple(w, OTHER_TRIOS + 9, i),
+    )
+    s4, s5, s6 = triple(w, OTHER_TRIOS + 12, i), triple(w, OTHER_TRIOS + 15, i), triple(w, OTHER_TRIOS + 18, i)
+    put(w, to, i, (s0[0] + f[0] + f[1] + f[2], _add_products(s0[1], f, y), _add_products(s0[2], f, less)))
+    put(w, to + 3, i, (s1[0] + t[0] + t[1] + t[2], _add_products(s1[1], t, x), _add_products(s1[2], t, y)))
+    put(w, to + 6, i, (_add_products(s2[0], t, xx), _add_products(s2[1], t, xy), _add_products(s2[2], t, yy)))
+    put(w, to + 9, i, (s3[0] + k[0] + k[1] + k[2], _add_products(s3[1], k, x), _add_products(s3[2], k, y)))
+    put(w, to + 12, i, (_add_products(s4[0], k, far), s4[1] + e[0] + e[1] + e[2], _add_products(s4[2], e, x)))
+    put(w, to + 15, i, (_add_products(s5[0], e, y), _add_products(s5[1], e, xx), _add_products(s5[2], e, xy)))
+    put(w, to + 18, i, (_add_products(s6[0], e, yy), _add_products(s6[1], g, x), _add_products(s6[2], g, y)))
 
 
 @leaf
-def sum_others(w: Array, walls: Walls) -> None:
-    """Sum over all trios but the last, all lanes, at the strains kept for it, and make the last one ready."""
+def sum_other_trios(w: Array, walls: Walls) -> None:
+    """Sum the responses of all trios but the last, all lanes, at STRAINS, and copy the last one to TRIO."""
     for i in range(SUMS * LANES):
-        w[OTHERS * LANES + i] = 0.0
+        w[OTHER_TRIOS * LANES + i] = 0.0
     last = (walls.actuators - 1) // 3
     for k in range(last + 1):
-        # Copied to a constant place, or the compiler gives up on vector instructions.
-        at = (MORE + PER_TRIO * k) * LANES
+        # The compiler vectorises constant offsets only.
+        at = (ALL_TRIOS + PER_TRIO * k) * LANES
         for i in range(PER_TRIO * LANES):
             w[TRIO * LANES + i] = w[at + i]
         if k < last:
             for i in range(LANES):
                 v3, u1, u2 = triple(w, STRAINS, i)
-                sum_tubes(w, i, tubes(w, walls, i, v3, u1, u2), OTHERS)
+                sum_tubes(w, i, tube_responses(w, walls, i, v3, u1, u2), OTHER_TRIOS)
 
 
 @inlined
 def pointwise_wrench(w: Array, i: int, c0: float, v: Triple, u: Triple, v_p: Triple, u_p: Triple):  # type: ignore[no-untyped-def]
-    """Total wrench of the strains from the tubes' sums; the blocks hold the damping time times the stiffness."""
+    """Total wrench from the sums over the tubes; the blocks hold the damping time times the stiffness."""
     v_t, u_t = plus(v_p, c0, v), plus(u_p, c0, u)
     a = times(six(w, AXIAL, i), (v_t[2], u_t[0], u_t[1]))
     b = times(six(w, SHEAR, i), (v_t[0], v_t[1], u_t[2]))
-    offset, pull = six(w, OFFSET, i), triple(w, PULLS, i)
+    offset, force = six(w, OFFSET, i), triple(w, WALL_FORCES, i)
     gamma, spread = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i]
     k0, kx, ky = triple(w, SECANTS, i)
     kr = w[(SECANTS + 3) * LANES + i]
     return (
         offset[0] + b[0] + gamma * (k0 * v[0] - ky * u[2]),
         offset[1] + b[1] + gamma * (k0 * v[1] + kx * u[2]),
-        offset[2] + a[0] + pull[0],
+        offset[2] + a[0] + force[0],
     ), (
-        offset[3] + a[1] + pull[1] + spread * k0 * u[0],
-        offset[4] + a[2] + pull[2] + spread * k0 * u[1],
+        offset[3] + a[1] + force[1] + spread * k0 * u[0],
+        offset[4] + a[2] + force[2] + spread * k0 * u[1],
         offset[5] + b[2] + gamma * (kx * v[1] - ky * v[0] + kr * u[2]),
     )
 
 
 @inlined
 def pointwise_slopes(w: Array, i: int, c0: float, v: Triple, u: Triple, n: Triple, m: Triple, v_p: Triple, u_p: Triple):  # type: ignore[no-untyped-def]
-    """Strain slopes whose wrench has the slopes n, m, by the tangent; v_p, u_p: slopes of the past strains."""
+    """Strain derivatives for the wrench derivatives n, m, by the tangent; v_p, u_p: of the past strains."""
     a11, a12, a13, a22, a23, a33 = six(w, AXIAL, i)
     s11, s12, s13, s22, s23, s33 = six(w, SHEAR, i)
     # Viscous part first.
@@ -134,8 +139,8 @@ def pointwise_slopes(w: Array, i: int, c0: float, v: Triple, u: Triple, n: Tripl
     t22, t23, t33 = c0 * a22 + tyy, c0 * a23 - txy, c0 * a33 + txx
     k0, kx, ky = triple(w, SECANTS, i)
     kr = w[(SECANTS + 3) * LANES + i]
-    e0, ex, ey = triple(w, CHANGES, i)
-    exx, exy, eyy = triple(w, CHANGES + 3, i)
+    e0, ex, ey = triple(w, STIFFNESS_SLOPES, i)
+    exx, exy, eyy = triple(w, STIFFNESS_SLOPES + 3, i)
     b1, b2 = spread * u1, spread * u2
     # Not symmetric: a tube's own bending stiffness follows its axial strain, not the other way round.
     p21, p22, p23 = t12 + b1 * e0, t22 + b1 * ey + spread * k0, t23 - b1 * ex
@@ -153,7 +158,11 @@ def pointwise_slopes(w: Array, i: int, c0: float, v: Triple, u: Triple, n: Tripl
     r0 = e0 * dv3 + ey * du1 - ex * du2
     rx = ex * dv3 + exy * du1 - exx * du2
     ry = ey * dv3 + eyy * du1 - exy * du2
-    rr = (exx + eyy + 2.0 * spread * e0) * dv3 + w[(CHANGES + 7) * LANES + i] * du1 - w[(CHANGES + 6) * LANES + i] * du2
+    rr = (
+        (exx + eyy + 2.0 * spread * e0) * dv3
+        + w[(STIFFNESS_SLOPES + 7) * LANES + i] * du1
+        - w[(STIFFNESS_SLOPES + 6) * LANES + i] * du2
+    )
     f1 -= gamma * (r0 * v1 - ry * u3)
     f2 -= gamma * (r0 * v2 + rx * u3)
     f6 -= gamma * (rx * v2 - ry * v1 + rr * u3)

@@ -21,9 +21,9 @@ Array = Any
 
 @leaf
 def relax_branches(factors: Array, strains: Array, now: Array, last: Array) -> None:
-    """Advance the branches' strains (B, 2 N + 2, 6) over a step from the states `last` to `now` (2 N + 2, 16).
+    """Advance the strains (B, 2 N + 2, 6) of the branches over a step from the states `last` to `now` (2 N + 2, 16).
 
-    factors (1 + B, 3): tau / theta, theta; then of each branch g / theta, decay and rise.
+    factors (1 + B, 3): tau / theta, theta, 0; then for each branch g / theta, decay and rise.
     """
     for b in range(strains.shape[0]):
         decay, rise = factors[1 + b, 1], factors[1 + b, 2]
@@ -33,8 +33,8 @@ def relax_branches(factors: Array, strains: Array, now: Array, last: Array) -> N
 
 
 @called
-def recall_branches(factors: Array, strains: Array, x: Array, history: Array, walls_past: Array) -> None:
-    """The past strains of the walls at the nodes, and their slopes, from the history y^h and the last states x."""
+def compute_past_strains(factors: Array, strains: Array, x: Array, history: Array, walls_past: Array) -> None:
+    """Fill the past strains of the walls at the nodes, and their derivatives, from y^h and the last states x."""
     damped = factors[0, 0]
     for j in range(x.shape[0]):
         for c in range(6):
@@ -47,13 +47,13 @@ def recall_branches(factors: Array, strains: Array, x: Array, history: Array, wa
 
 
 @leaf
-def relax_branches_in_lanes(
+def relax_branch_lanes(
     factors: Array, strains: Array, past: Array, now: Array, last: Array, slope: Array, last_slope: Array
 ) -> None:
-    """The same for lanes: the branches' strains (B, N + 1, 96), and what stands behind the history in `past`.
+    """The same for lanes: strains (B, N + 1, 96) of the branches, and the part of `past` behind the history.
 
-    factors (1 + B, 3, 8), by lane. past (N + 1, 288): history, its slopes, the walls' past strains and their slopes.
-    now, last, slope, last_slope: solutions (N + 1, 128) of the last two steps, and their slopes.
+    factors (1 + B, 3, 8), by lane. past (N + 1, 288): history, its derivatives, past strains and their derivatives.
+    now, last, slope, last_slope: solutions (N + 1, 128) of the last two steps, and their derivatives.
     """
     half, own = 6 * LANES, 24 * LANES
     for j in range(past.shape[0]):

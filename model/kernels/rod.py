@@ -1,11 +1,11 @@
 """Right-hand side of the rod (eqs 7-13) and its integration along the arc length.
 
-Everything is written in the section's own frame, with the total wrench: what the walls carry minus what the pressure
-pushes. Its balance has no pressure term left,
+All quantities are in the section frame. The total wrench is that of the walls minus the push of the pressures. Its
+balance has no pressure term,
 
     n' = -u x n + rho A (q_t + w x q) - f,      m' = -u x m - v x n + rho (J w_t + w x J w) - l,
 
-which is eqs 12 and 13 with the pressure moved into the section law. Time derivatives are y_t = c0 y + y^h (eq 26).
+which is eqs 12 and 13 with the pressure as part of the section law. Time derivatives are y_t = c0 y + y^h (eq 26).
 """
 
 from __future__ import annotations
@@ -25,21 +25,27 @@ from model.kernels.layout import (
     LOAD,
     NODE,
     OFFSET,
+    OWN_LOAD,
     PAST,
-    PULLS,
     RATE,
     SHEAR,
     SHEAR_INVERSE,
     SLOPE,
     STAGE,
     STATE,
+    STEP_LENGTH,
     STRAINS,
-    STRIDE,
     THIRD,
-    WEIGHT,
+    WALL_FORCES,
     WRENCH,
 )
-from model.kernels.pointwise_section import pointwise_slopes, pointwise_wrench, sum_others, sum_tubes, tubes
+from model.kernels.pointwise_section import (
+    pointwise_slopes,
+    pointwise_wrench,
+    sum_other_trios,
+    sum_tubes,
+    tube_responses,
+)
 from model.kernels.vec3 import Six, Triple, cross, dot, inlined, leaf, plus, put, rotation, six, three, times, triple
 
 Array = Any
@@ -48,7 +54,7 @@ Past = tuple[Triple, Triple, Triple, Triple, Triple, Triple, Triple, Triple]
 
 @inlined
 def compatibility(v: Triple, u: Triple, q: Triple, o: Triple, v_t: Triple, u_t: Triple) -> tuple[Triple, Triple]:
-    """Slopes of the velocities q, o (eq 11)."""
+    """Arc-length derivatives of the velocities q, o (eq 11)."""
     return plus(plus(v_t, 1.0, cross(o, v)), -1.0, cross(u, q)), plus(u_t, -1.0, cross(u, o))
 
 
@@ -56,7 +62,7 @@ def compatibility(v: Triple, u: Triple, q: Triple, o: Triple, v_t: Triple, u_t: 
 def inertia(
     mass: float, inertias: tuple[float, float, float, float], q: Triple, o: Triple, q_t: Triple, o_t: Triple
 ) -> tuple[Triple, Triple]:
-    """Force and moment per length that accelerate the rod. inertias: rho J as 11, 22, 12, 33."""
+    """Rate of momentum and angular momentum per length. inertias: rho J as 11, 22, 12, 33."""
     j11, j22, j12, j33 = inertias
     spin = (j11 * o[0] + j12 * o[1], j12 * o[0] + j22 * o[1], j33 * o[2])
     spun = (j11 * o_t[0] + j12 * o_t[1], j12 * o_t[0] + j22 * o_t[1], j33 * o_t[2])
@@ -66,44 +72,44 @@ def inertia(
 
 @inlined
 def balance(v: Triple, u: Triple, n: Triple, m: Triple, force: Triple, couple: Triple) -> tuple[Triple, Triple]:
-    """Slopes of the wrench n, m (eqs 12, 13); force and couple: of the inertia, less the load, per length."""
+    """Arc-length derivatives of the wrench n, m (eqs 12, 13); force, couple: inertia minus load, per length."""
     return plus(cross(n, u), 1.0, force), plus(plus(cross(m, u), 1.0, cross(n, v)), 1.0, couple)
 
 
 @inlined
-def _move(w: Array, k: int, slope: float, to: int, ahead: float) -> None:
-    """Where a slope leads: to the next stage of RK4, or to the next node. k: where the quantity stands in a state.
+def _advance(w: Array, k: int, slope: float, to: int, step_share: float) -> None:
+    """Advance one quantity by its derivative to the next stage of RK4 or to the next node. k: its index in a state.
 
-    The next node is (second + 2 third + fourth stage - node) / 3 + h / 6 slope: RK4 without a sum to carry along.
+    The next node is (second + 2 third + fourth stage - node) / 3 + h / 6 slope: RK4 without an accumulated sum.
     """
     node = w[NODE * LANES + k]
     if to == NODE:
         apart = (w[STAGE * LANES + k] - node) + w[FOURTH * LANES + k] + 2.0 * w[THIRD * LANES + k]
-        w[NODE * LANES + k] = (1.0 / 3.0) * apart + ahead * slope
+        w[NODE * LANES + k] = (1.0 / 3.0) * apart + step_share * slope
     else:
-        w[to * LANES + k] = node + ahead * slope
+        w[to * LANES + k] = node + step_share * slope
 
 
 @inlined
-def _move_three(w: Array, k: int, slope: Triple, to: int, ahead: float) -> None:
-    _move(w, k, slope[0], to, ahead)
-    _move(w, k + LANES, slope[1], to, ahead)
-    _move(w, k + 2 * LANES, slope[2], to, ahead)
+def _advance_three(w: Array, k: int, slope: Triple, to: int, step_share: float) -> None:
+    _advance(w, k, slope[0], to, step_share)
+    _advance(w, k + LANES, slope[1], to, step_share)
+    _advance(w, k + 2 * LANES, slope[2], to, step_share)
 
 
 @inlined
-def _move_and_keep(w: Array, c: int, i: int, slope: Triple, to: int, ahead: float) -> None:
-    """The same of lane i, from quantity c on; the first stage's slopes are kept."""
+def _advance_and_store(w: Array, c: int, i: int, slope: Triple, to: int, step_share: float) -> None:
+    """Advance three quantities of lane i from index c on; the derivatives of the first stage are kept."""
     if to == STAGE:
         put(w, SLOPE + c, i, slope)
-    _move_three(w, c * LANES + i, slope, to, ahead)
+    _advance_three(w, c * LANES + i, slope, to, step_share)
 
 
 @inlined
-def _move_motion(w: Array, i: int, past: Past, at: int, to: int, ahead: float) -> tuple[Triple, Triple]:
-    """The same for velocities and orientation, whose slope is h u / 2 as quaternions (eq 9).
+def _advance_motion(w: Array, i: int, past: Past, at: int, to: int, step_share: float) -> tuple[Triple, Triple]:
+    """Advance velocities and orientation, whose derivative is h u / 2 as quaternions (eq 9).
 
-    Returns what the balance of the wrench needs of them: force and couple of the inertia, less the load, per length.
+    Returns force and couple for the balance of the wrench: inertia minus load, per length.
     """
     v, u, q, o = triple(w, at, i), triple(w, at + 3, i), triple(w, at + 6, i), triple(w, at + 9, i)
     v_h, u_h, q_h, o_h, _, _, _, _ = past
@@ -115,21 +121,21 @@ def _move_motion(w: Array, i: int, past: Past, at: int, to: int, ahead: float) -
     )  # fmt: skip
     h = (at + 12) * LANES + i
     a, b, c, d = w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]
-    _move(w, 12 * LANES + i, -0.5 * (b * u[0] + c * u[1] + d * u[2]), to, ahead)
+    _advance(w, 12 * LANES + i, -0.5 * (b * u[0] + c * u[1] + d * u[2]), to, step_share)
     h_s = (0.5 * (a * u[0] + c * u[2] - d * u[1]), 0.5 * (a * u[1] + d * u[0] - b * u[2]),
            0.5 * (a * u[2] + b * u[1] - c * u[0]))  # fmt: skip
-    _move_three(w, 13 * LANES + i, h_s, to, ahead)
-    _move_and_keep(w, 6, i, q_s, to, ahead)
-    _move_and_keep(w, 9, i, o_s, to, ahead)
+    _advance_three(w, 13 * LANES + i, h_s, to, step_share)
+    _advance_and_store(w, 6, i, q_s, to, step_share)
+    _advance_and_store(w, 9, i, o_s, to, step_share)
     return plus(force, -1.0, triple(w, LOAD, i)), plus(couple, -1.0, triple(w, LOAD + 3, i))
 
 
 @inlined
 def linear_wrench(axial: Six, shear: Six, offset: Six, lag: float, v: Triple, u: Triple, v_p: Triple, u_p: Triple):  # type: ignore[no-untyped-def]
-    """Total wrench of the strains: a constant stiffness, coupled by the actuators' places (eqs 15, 16, 20).
+    """Total wrench of the strains for a constant stiffness, coupled by the positions of the tubes (eqs 15, 16, 20).
 
-    Viscous walls with time tau: the blocks hold (1 + tau c0) times the stiffness, lag is tau / (1 + tau c0), and v_p,
-    u_p are the walls' past strains, in place of the history v^h, u^h where they are only damped.
+    For viscous walls with time tau the blocks hold (1 + tau c0) times the stiffness, and lag is tau / (1 + tau c0).
+    v_p, u_p: past strains of the walls; without Maxwell branches the history v^h, u^h.
     """
     e, g = plus(v, lag, v_p), plus(u, lag, u_p)
     a = times(axial, (e[2], g[0], g[1]))
@@ -143,7 +149,7 @@ def linear_wrench(axial: Six, shear: Six, offset: Six, lag: float, v: Triple, u:
 
 @inlined
 def linear_slopes(axial_inverse: Six, shear_inverse: Six, lag: float, n: Triple, m: Triple, v_p: Triple, u_p: Triple):  # type: ignore[no-untyped-def]
-    """Strain slopes whose wrench has the slopes n, m; v_p, u_p are the slopes of the walls' past strains."""
+    """Strain derivatives for the wrench derivatives n, m; v_p, u_p: derivatives of the past strains."""
     a = times(axial_inverse, (n[2], m[0], m[1]))
     b = times(shear_inverse, (n[0], n[1], m[2]))
     return plus((b[0], b[1], a[0]), -lag, v_p), plus((a[1], a[2], b[2]), -lag, u_p)
@@ -151,7 +157,7 @@ def linear_slopes(axial_inverse: Six, shear_inverse: Six, lag: float, n: Triple,
 
 @inlined
 def past_of(history: Array, walls_past: Array, size: int, at: int) -> Past:
-    """History of v, u, q, w that stands at `at`; the walls' past of v, u, and its slopes, `size` further on."""
+    """History of v, u, q, w at offset `at`; past strains v, u of the walls, and their derivatives `size` further on."""
     return (
         three(history, at), three(history, at + 3), three(history, at + 6), three(history, at + 9),
         three(walls_past, at), three(walls_past, at + 3),
@@ -161,7 +167,7 @@ def past_of(history: Array, walls_past: Array, size: int, at: int) -> Past:
 
 @inlined
 def own_past(w: Array, walls: Walls, i: int) -> Past:
-    """The same of one lane that has its own."""
+    """The same of one lane with a history of its own."""
     at = PAST + 18 if branched(walls.law) else PAST
     return (
         triple(w, PAST, i), triple(w, PAST + 3, i), triple(w, PAST + 6, i), triple(w, PAST + 9, i),
@@ -170,58 +176,58 @@ def own_past(w: Array, walls: Walls, i: int) -> Past:
 
 
 @inlined
-def _linear_stage(w: Array, walls: Walls, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
-    """Slopes of the state at `at`, all lanes, for a constant stiffness, and the state at `to` that follows."""
+def _linear_stage(w: Array, walls: Walls, past: Past, own: bool, at: int, to: int, step_share: float) -> None:
+    """Stage of RK4 for a constant stiffness, all lanes: from the state at `at` to the state at `to`."""
     for i in range(LANES):
         here = own_past(w, walls, i) if own else past
         _, _, _, _, v_p, u_p, v_ps, u_ps = here
-        further = ahead * w[STRIDE * LANES + i]
+        step = step_share * w[STEP_LENGTH * LANES + i]
         v, u, lag = triple(w, at, i), triple(w, at + 3, i), w[LAG * LANES + i]
         n, m = linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), lag, v, u, v_p, u_p)
-        force, couple = _move_motion(w, i, here, at, to, further)
+        force, couple = _advance_motion(w, i, here, at, to, step)
         n_s, m_s = balance(v, u, n, m, force, couple)
         v_s, u_s = linear_slopes(six(w, AXIAL_INVERSE, i), six(w, SHEAR_INVERSE, i), lag, n_s, m_s, v_ps, u_ps)
-        _move_and_keep(w, 0, i, v_s, to, further)
-        _move_and_keep(w, 3, i, u_s, to, further)
+        _advance_and_store(w, 0, i, v_s, to, step)
+        _advance_and_store(w, 3, i, u_s, to, step)
 
 
 @inlined
-def _sum_others_at(w: Array, walls: Walls, at: int) -> None:
+def _sum_other_trios(w: Array, walls: Walls, at: int) -> None:
     if walls.actuators > 3:
         for i in range(LANES):
             put(w, STRAINS, i, triple(w, at + 2, i))
-        sum_others(w, walls)
+        sum_other_trios(w, walls)
 
 
 @inlined
-def _pointwise_stage(w: Array, walls: Walls, past: Past, own: bool, at: int, to: int, ahead: float) -> None:
-    """The same where each tube follows its law at its own place.
+def _pointwise_stage(w: Array, walls: Walls, past: Past, own: bool, at: int, to: int, step_share: float) -> None:
+    """Stage of RK4 for tubes that each follow the law at their own position, as `_linear_stage`.
 
-    Roots and divisions of the tubes come first: what needs none of their answers fills the wait for them.
+    The roots and divisions of the tubes come first, so that independent arithmetic fills their latency.
     """
-    _sum_others_at(w, walls, at)
+    _sum_other_trios(w, walls, at)
     for i in range(LANES):
         here = own_past(w, walls, i) if own else past
         _, _, _, _, v_p, u_p, v_ps, u_ps = here
-        further = ahead * w[STRIDE * LANES + i]
+        step = step_share * w[STEP_LENGTH * LANES + i]
         v, u, c0 = triple(w, at, i), triple(w, at + 3, i), w[C0 * LANES + i]
-        answers = tubes(w, walls, i, v[2], u[0], u[1])
-        force, couple = _move_motion(w, i, here, at, to, further)
-        sum_tubes(w, i, answers, PULLS)
+        responses = tube_responses(w, walls, i, v[2], u[0], u[1])
+        force, couple = _advance_motion(w, i, here, at, to, step)
+        sum_tubes(w, i, responses, WALL_FORCES)
         n, m = pointwise_wrench(w, i, c0, v, u, v_p, u_p)
         n_s, m_s = balance(v, u, n, m, force, couple)
         v_s, u_s = pointwise_slopes(w, i, c0, v, u, n_s, m_s, v_ps, u_ps)
-        _move_and_keep(w, 0, i, v_s, to, further)
-        _move_and_keep(w, 3, i, u_s, to, further)
+        _advance_and_store(w, 0, i, v_s, to, step)
+        _advance_and_store(w, 3, i, u_s, to, step)
 
 
 @inlined
-def _loads_in_section(w: Array, load: Array, own: bool, row: int, at: int) -> None:
-    """Turn a distributed load (force and moment per metre, base frame) into the section frame."""
+def _rotate_load(w: Array, load: Array, own: bool, row: int, at: int) -> None:
+    """Rotate a distributed load (force and moment per metre, base frame) into the section frame."""
     f, couple = three(load, 6 * row), three(load, 6 * row + 3)
     for i in range(LANES):
-        force = plus(f, 1.0, triple(w, WEIGHT, i)) if own else f
-        moment = plus(couple, 1.0, triple(w, WEIGHT + 3, i)) if own else couple
+        force = plus(f, 1.0, triple(w, OWN_LOAD, i)) if own else f
+        moment = plus(couple, 1.0, triple(w, OWN_LOAD + 3, i)) if own else couple
         h = (at + 12) * LANES + i
         d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
         put(w, LOAD, i, (dot(d1, force), dot(d2, force), dot(d3, force)))
@@ -230,7 +236,7 @@ def _loads_in_section(w: Array, load: Array, own: bool, row: int, at: int) -> No
 
 @inlined
 def wrench(w: Array, walls: Walls, i: int, at: int, v_p: Triple, u_p: Triple) -> tuple[Triple, Triple]:
-    """Total wrench of one lane, whose state stands at `at`; of a pointwise section, after its tubes were summed."""
+    """Total wrench of one lane with its state at `at`; of a pointwise section, after `sum_tubes`."""
     v, u = triple(w, at, i), triple(w, at + 3, i)
     if not walls.pointwise:
         return linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), w[LAG * LANES + i], v, u, v_p, u_p)  # type: ignore[no-any-return]
@@ -239,13 +245,13 @@ def wrench(w: Array, walls: Walls, i: int, at: int, v_p: Triple, u_p: Triple) ->
 
 @leaf
 def resting_wrench(w: Array, walls: Walls) -> None:
-    """Total wrench at the stage, all lanes, of an arm that has no history."""
+    """Total wrench at STAGE, all lanes, of an arm without history."""
     zero = (0.0, 0.0, 0.0)
     if walls.pointwise:
-        _sum_others_at(w, walls, STAGE)
+        _sum_other_trios(w, walls, STAGE)
         for i in range(LANES):
             v3, u1, u2 = triple(w, STAGE + 2, i)
-            sum_tubes(w, i, tubes(w, walls, i, v3, u1, u2), PULLS)
+            sum_tubes(w, i, tube_responses(w, walls, i, v3, u1, u2), WALL_FORCES)
     for i in range(LANES):
         n, m = wrench(w, walls, i, STAGE, zero, zero)
         put(w, WRENCH, i, n)
@@ -254,9 +260,9 @@ def resting_wrench(w: Array, walls: Walls) -> None:
 
 @leaf
 def strain_changes(w: Array, walls: Walls) -> None:
-    """Static changes of the stage's strains that change its wrench by what stands at the rate, to first order.
+    """Static changes of the strains at STAGE that change the wrench by the values at RATE, to first order.
 
-    For a pointwise section after `resting_wrench`, which leaves the tubes' sums.
+    For a pointwise section call `resting_wrench` first, which sums the tubes.
     """
     zero = (0.0, 0.0, 0.0)
     for i in range(LANES):
@@ -273,19 +279,19 @@ def strain_changes(w: Array, walls: Walls) -> None:
 @inlined
 def stage(
     w: Array, walls: Walls, past: Past, own: bool, load: Array, loaded: bool, row: int, at: int, to: int,
-    ahead: float,
+    step_share: float,
 ) -> None:  # fmt: skip
-    """One stage of RK4, all lanes: slopes of the state at `at`, and the state at `to`, `ahead` of a stride further.
+    """Stage of RK4, all lanes: from the state at `at` to the state at `to`, `step_share` of a step further.
 
-    past: the history that all lanes share; with `own`, each has one at PAST instead, and a weight of its own. Shared
-    numbers are read before the loops over the lanes, or these are not made of vector instructions.
+    past: the history that all lanes share; with `own`, each lane has its own at PAST, and a load of its own. Shared
+    numbers are read before the loops over the lanes, otherwise the compiler does not vectorise these.
     """
     if loaded:
-        _loads_in_section(w, load, own, row, at)
+        _rotate_load(w, load, own, row, at)
     if not walls.pointwise:
-        _linear_stage(w, walls, past, own, at, to, ahead)
+        _linear_stage(w, walls, past, own, at, to, step_share)
     else:
-        _pointwise_stage(w, walls, past, own, at, to, ahead)
+        _pointwise_stage(w, walls, past, own, at, to, step_share)
 
 
 @leaf
@@ -301,11 +307,11 @@ def integrate(
     states: Array,
     derivatives: Array,
 ) -> None:
-    """Integrate the node's state, all lanes, from node `first` to node `last` by RK4, a stride each.
+    """Integrate the state at NODE in all lanes from node `first` to node `last` by RK4, one step from node to node.
 
-    history, walls_past: as of `time_stepping.advance`. load: one row of 6 per node and per mid-point, (2 N + 1) flat.
-    states, derivatives: (N + 1, 128), filled at each node but the last, unless this is the arm's tip: elsewhere, only
-    its state is left, in the work array. Of the derivatives the first twelve quantities are.
+    history, walls_past: as of `time_stepping.advance`. load: one row of 6 for each node and mid-point, (2 N + 1) flat.
+    states, derivatives: (N + 1, 128), filled at each node but `last`; at the tip also at that. Of the derivatives, the
+    first twelve quantities are filled.
     """
     n, size = states.shape[0] - 1, STATE * states.shape[0]
     if not branched(walls.law):

@@ -1,8 +1,8 @@
-"""What the compiler does not make vector instructions of by itself: all lanes set to one number, and lanes added up.
+"""Vector instructions that the compiler does not generate by itself: broadcasts, and sums over lanes.
 
-Each function is written twice: as the loops that define it, and as the instructions that kernels have in their place.
-A loop of eight is unrolled before it could become a vector, and a sum over lanes becomes a reduction of its own for
-each quantity; eight quantities at a time take a third of the instructions.
+Each function is written twice: as the loops that define it, and as the instructions that replace them in kernels. The
+compiler unrolls a loop of eight before it could become a vector, and reduces a sum over lanes for each quantity alone;
+reducing eight quantities at a time takes a third of the instructions.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ _LANES = ir.VectorType(_DOUBLE, LANES)
 
 
 def broadcast(w: Array, at: int, value: float) -> None:
-    """Quantity `at` of the work array becomes `value` in all lanes."""
+    """Set quantity `at` of the work array to `value` in all lanes."""
     for i in range(LANES):
         w[at * LANES + i] = value
 
 
-def horizontal_sum(weights: Array, s: int, lanes: Array, j: int, x: Array, moved: Array) -> None:
-    """Row j of x (.., 16) becomes lane 0 of row j of lanes (.., 128) plus the sum of its lanes by row s of weights.
+def horizontal_sum(weights: Array, s: int, lanes: Array, j: int, x: Array, update: Array) -> None:
+    """Set row j of x (.., 16) to lane 0 of row j of lanes (.., 128) plus its weighted sum by row s of weights.
 
-    moved (2, 16) keeps the largest of these sums, taken positive, and their total, which no NaN gets lost in.
+    update (2, 16) keeps the largest absolute value of these sums, and their total, which a NaN always reaches.
     """
     for c in range(STATE):
         total = 0.0
         for i in range(LANES):
             total += weights[s, i] * lanes[j, c * LANES + i]
         x[j, c] = lanes[j, c * LANES] + total
-        moved[0, c] = max(moved[0, c], abs(total))
-        moved[1, c] += abs(total)
+        update[0, c] = max(update[0, c], abs(total))
+        update[1, c] += abs(total)
 
 
-def horizontal_sum_slopes(weights: Array, s: int, lanes: Array, j: int, x: Array, to: int, moved: Array) -> None:
-    """The same for slopes, of strains and velocities, into row `to` of x; moved has the total of what is written."""
+def horizontal_sum_slopes(weights: Array, s: int, lanes: Array, j: int, x: Array, to: int, update: Array) -> None:
+    """Set row `to` of x likewise for derivatives of strains and velocities; update[1] adds up the results."""
     for c in range(STATE - 4):
         total = 0.0
         for i in range(LANES):
             total += weights[s, i] * lanes[j, c * LANES + i]
         x[to, c] = lanes[j, c * LANES] + total
-        moved[1, c] += x[to, c]
+        update[1, c] += x[to, c]
 
 
 def _at(context: Any, builder: Any, kind: Any, array: Any, row: Any, width: int, offset: int, count: int) -> Any:
@@ -90,7 +90,7 @@ def _sums(context: Any, builder: Any, kinds: Any, values: Any, first: int, count
     return _first_and_sum(builder, weights, [builder.load(row, align=8) for row in rows])
 
 
-def _write_everywhere(context: Any, w: Any, at: Any, value: Any) -> Any:
+def _emit_broadcast(context: Any, w: Any, at: Any, value: Any) -> Any:
     def instructions(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         place = _at(context, builder, signature.args[0], values[0], values[1], LANES, 0, LANES)
         alone = builder.insert_element(ir.Constant(_LANES, ir.Undefined), values[2], ir.Constant(ir.IntType(32), 0))
@@ -101,7 +101,7 @@ def _write_everywhere(context: Any, w: Any, at: Any, value: Any) -> Any:
     return types.void(w, types.intp, types.float64), instructions
 
 
-def _write_add_up(context: Any, weights: Any, s: Any, lanes: Any, j: Any, x: Any, moved: Any) -> Any:
+def _emit_horizontal_sum(context: Any, weights: Any, s: Any, lanes: Any, j: Any, x: Any, update: Any) -> Any:
     def instructions(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         kinds = signature.args
         size = builder.module.declare_intrinsic(f"llvm.fabs.v{LANES}f64", (), ir.FunctionType(_LANES, [_LANES]))
@@ -120,10 +120,12 @@ def _write_add_up(context: Any, weights: Any, s: Any, lanes: Any, j: Any, x: Any
             builder.store(builder.fadd(builder.load(whole, align=8), change), whole, align=8)
         return context.get_dummy_value()
 
-    return types.void(weights, types.intp, lanes, types.intp, x, moved), instructions
+    return types.void(weights, types.intp, lanes, types.intp, x, update), instructions
 
 
-def _write_add_up_slopes(context: Any, weights: Any, s: Any, lanes: Any, j: Any, x: Any, to: Any, moved: Any) -> Any:
+def _emit_horizontal_sum_slopes(
+    context: Any, weights: Any, s: Any, lanes: Any, j: Any, x: Any, to: Any, update: Any
+) -> Any:
     def instructions(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         kinds = signature.args
         for c, count in ((0, LANES), (LANES, STATE - 4 - LANES)):
@@ -135,22 +137,22 @@ def _write_add_up_slopes(context: Any, weights: Any, s: Any, lanes: Any, j: Any,
             builder.store(builder.fadd(builder.load(whole, align=8), here), whole, align=8)
         return context.get_dummy_value()
 
-    return types.void(weights, types.intp, lanes, types.intp, x, types.intp, moved), instructions
+    return types.void(weights, types.intp, lanes, types.intp, x, types.intp, update), instructions
 
 
-_everywhere: Any = intrinsic(_write_everywhere)
-_add_up: Any = intrinsic(_write_add_up)
-_add_up_slopes: Any = intrinsic(_write_add_up_slopes)
+_broadcast: Any = intrinsic(_emit_broadcast)
+_horizontal_sum: Any = intrinsic(_emit_horizontal_sum)
+_horizontal_sum_slopes: Any = intrinsic(_emit_horizontal_sum_slopes)
 
 # Kernels take these instructions in the place of the loops.
-overload(broadcast)(lambda w, at, value: lambda w, at, value: _everywhere(w, at, value))
+overload(broadcast)(lambda w, at, value: lambda w, at, value: _broadcast(w, at, value))
 overload(horizontal_sum)(
-    lambda weights, s, lanes, j, x, moved: (
-        lambda weights, s, lanes, j, x, moved: _add_up(weights, s, lanes, j, x, moved)
+    lambda weights, s, lanes, j, x, update: (
+        lambda weights, s, lanes, j, x, update: _horizontal_sum(weights, s, lanes, j, x, update)
     )
 )
 overload(horizontal_sum_slopes)(
-    lambda weights, s, lanes, j, x, to, moved: (
-        lambda weights, s, lanes, j, x, to, moved: _add_up_slopes(weights, s, lanes, j, x, to, moved)
+    lambda weights, s, lanes, j, x, to, update: (
+        lambda weights, s, lanes, j, x, to, update: _horizontal_sum_slopes(weights, s, lanes, j, x, to, update)
     )
 )

@@ -4,10 +4,10 @@ With xi the displacement and theta the rotation of a section, both in its own fr
 
     gamma = xi' + u x xi + v x theta,      kappa = theta' + u x theta,
     d2E = int (gamma, kappa) K (gamma, kappa) - 2 gamma . (n x theta) - kappa . (m x theta)
-              + (n . v) |theta|^2 - (n . theta) (v . theta) ds  +  the tip's levers.
+              + (n . v) |theta|^2 - (n . theta) (v . theta) ds  +  terms of the load at the tip.
 
-docs/explanation/model.md derives it. K is the symmetric part of the section's tangent. Two tests follow from it: an
-inequality that settles the ordinary arm at no cost, and the exact count of negative directions.
+docs/explanation/model.md derives it. K is the symmetric part of the tangent stiffness of the section. Two tests follow:
+a sufficient inequality, which is cheap and holds for the ordinary arm, and the exact count of negative directions.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ import numpy as np
 
 from model.kernels.jit import kernel
 from model.kernels.law import Walls
-from model.kernels.layout import AXIAL, CHANGES, LANES, SECANTS, SHEAR, STAGE, TANGENTS, TUBE, WRENCH
+from model.kernels.layout import AXIAL, LANES, SECANTS, SHEAR, STAGE, STIFFNESS_SLOPES, TANGENTS, TUBE, WRENCH
 from model.kernels.rod import resting_wrench
 from model.kernels.vec3 import dot, inlined, leaf, rotation, three, triple
 
 Array = Any
 
 NODE_UNKNOWNS = 6
-STRAINED = 9  # gamma, kappa and theta
-ELEMENT = 18  # unknowns of an element: near node, middle, far node
+STRAIN_UNKNOWNS = 9  # gamma, kappa and theta
+ELEMENT = 18  # unknowns of an element: first node, mid-point, last node
 GAUSS = 1.0 / math.sqrt(3.0)
-# The inequality holds between the nodes too if it holds at them with the wrenches larger by this.
+# Factor on the wrenches at the nodes, so that the inequality also holds between them.
 MARGIN = 1.1
-# Share of the axial stiffness that the inequality leaves to stretch; the rest bounds its coupling with bending.
-LEFT = 0.125
-# A direction counts as negative below this share of the softest bending stiffness: rounding and the elements' error.
+# Share of the axial stiffness kept for stretch in the inequality; the rest bounds its coupling with bending.
+STRETCH_SHARE = 0.125
+# Threshold of a negative direction, relative to the softest bending stiffness, for rounding and discretisation errors.
 NEUTRAL = 1e-7
 
 
 @inlined
-def _blocks(w: Array, walls: Walls, i: int):  # type: ignore[no-untyped-def]
+def _tangent_blocks(w: Array, walls: Walls, i: int):  # type: ignore[no-untyped-def]
     """Of lane i, after `resting_wrench`: axial block 11, 12, 13, 22, 23, 33, and shear block 11, 13, 23, 33.
 
-    The parts of the tangent that are symmetric anyway.
+    The symmetric parts of the tangent.
     """
     if not walls.pointwise:
         a, s = AXIAL * LANES + i, SHEAR * LANES + i
@@ -60,28 +60,28 @@ def _blocks(w: Array, walls: Walls, i: int):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _least(w: Array, walls: Walls, i: int):  # type: ignore[no-untyped-def]
-    """Numbers a, b with (gamma, kappa) K (gamma, kappa) >= a |gamma|^2 + b |kappa|^2, but for `_beside`."""
-    a11, a12, a13, a22, a23, a33, s11, s13, s23, s33 = _blocks(w, walls, i)
-    over = 1.0 / (1.0 - LEFT)
+def _stiffness_bound(w: Array, walls: Walls, i: int):  # type: ignore[no-untyped-def]
+    """Numbers a, b with (gamma, kappa) K (gamma, kappa) >= a |gamma|^2 + b |kappa|^2 minus `_asymmetric_bound`."""
+    a11, a12, a13, a22, a23, a33, s11, s13, s23, s33 = _tangent_blocks(w, walls, i)
+    over = 1.0 / (1.0 - STRETCH_SHARE)
     apart = math.sqrt((a22 - a33) * (a22 - a33) + 4.0 * a23 * a23)
     bending = 0.5 * (a22 + a33 - apart) - over * (a12 * a12 + a13 * a13) / a11
     torsion = s33 - over * (s13 * s13 + s23 * s23) / s11
-    return LEFT * min(a11, s11), min(bending, torsion)
+    return STRETCH_SHARE * min(a11, s11), min(bending, torsion)
 
 
 @inlined
-def _beside(w: Array, i: int):  # type: ignore[no-untyped-def]
-    """Of a pointwise section, what its own bending and shear, which follow the axial strain, take away at most.
+def _asymmetric_bound(w: Array, i: int):  # type: ignore[no-untyped-def]
+    """Upper bound of the terms by which bending and shear stiffness of a pointwise section depend on the axial strain.
 
     Factors of |gamma|^2, |gamma| |kappa| and |kappa|^2.
     """
     gamma, spread = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i]
     v1, v2, _ = triple(w, STAGE, i)
     u1, u2, u3 = triple(w, STAGE + 3, i)
-    e0, ex, ey = triple(w, CHANGES, i)
-    exx, exy, eyy = triple(w, CHANGES + 3, i)
-    far = abs(w[(CHANGES + 6) * LANES + i]) + abs(w[(CHANGES + 7) * LANES + i])
+    e0, ex, ey = triple(w, STIFFNESS_SLOPES, i)
+    exx, exy, eyy = triple(w, STIFFNESS_SLOPES + 3, i)
+    far = abs(w[(STIFFNESS_SLOPES + 6) * LANES + i]) + abs(w[(STIFFNESS_SLOPES + 7) * LANES + i])
     once, twice, turn = abs(ex) + abs(ey), abs(exx) + abs(exy) + abs(eyy), abs(exx + eyy + 2.0 * spread * e0)
     bent, sheared, twisted = spread * (abs(u1) + abs(u2)), gamma * (abs(v1) + abs(v2)), gamma * abs(u3)
     return (
@@ -92,8 +92,8 @@ def _beside(w: Array, i: int):  # type: ignore[no-untyped-def]
 
 
 @leaf
-def surely_stable(w: Array, walls: Walls, x: Array, length: float, tip: Array) -> bool:
-    """Whether an inequality shows the solved arm x to be stable. False decides nothing.
+def satisfies_stability_bound(w: Array, walls: Walls, x: Array, length: float, tip: Array) -> bool:
+    """Whether a sufficient inequality proves the solved arm x stable. False decides nothing.
 
     |theta|' <= |kappa| and theta = 0 at the base give int |theta|^2 <= (2 L / pi)^2 int |kappa|^2. With bounds on K and
     on the wrenches, the second variation is then at least a quadratic form of two numbers.
@@ -113,11 +113,11 @@ def surely_stable(w: Array, walls: Walls, x: Array, length: float, tip: Array) -
             force, moment = max(force, size), max(moment, dot(m, m))
             pressed = max(pressed, 0.5 * (size * math.sqrt(dot(v, v)) - dot(f, v)))
             if walls.pointwise:
-                a, b = _least(w, walls, i)
-                less, between, least = _beside(w, i)
+                a, b = _stiffness_bound(w, walls, i)
+                less, between, least = _asymmetric_bound(w, i)
                 stiff, bending, mixed = min(stiff, a - less), min(bending, b - least), max(mixed, between)
     if not walls.pointwise:
-        stiff, bending = _least(w, walls, 0)
+        stiff, bending = _stiffness_bound(w, walls, 0)
     place, lever, pull = three(tip, 10), three(tip, 16), three(tip, 13)
     ends = math.sqrt(dot(three(tip, 0), three(tip, 0)) * dot(place, place)) + math.sqrt(
         dot(lever, lever) * dot(pull, pull)
@@ -130,11 +130,11 @@ def surely_stable(w: Array, walls: Walls, x: Array, length: float, tip: Array) -
 
 @leaf
 def _fill_tangent(w: Array, walls: Walls, i: int, h: Array) -> None:
-    """Symmetric part of the tangent of lane i over (gamma, kappa), into h (9, 9)."""
+    """Fill h (9, 9) with the symmetric part of the tangent of lane i over (gamma, kappa)."""
     for r in range(6):
         for c in range(6):
             h[r, c] = 0.0
-    a11, a12, a13, a22, a23, a33, s11, s13, s23, s33 = _blocks(w, walls, i)
+    a11, a12, a13, a22, a23, a33, s11, s13, s23, s33 = _tangent_blocks(w, walls, i)
     h[0, 0], h[1, 1], h[5, 5] = s11, s11, s33
     h[0, 5], h[1, 5] = s13, s23
     if not walls.pointwise:
@@ -144,13 +144,13 @@ def _fill_tangent(w: Array, walls: Walls, i: int, h: Array) -> None:
         gamma, spread = w[TUBE * LANES + i], w[(TUBE + 1) * LANES + i]
         v1, v2, _ = triple(w, STAGE, i)
         u1, u2, u3 = triple(w, STAGE + 3, i)
-        e0, ex, ey = triple(w, CHANGES, i)
-        exx, exy, eyy = triple(w, CHANGES + 3, i)
-        rrx, rry = w[(CHANGES + 6) * LANES + i], w[(CHANGES + 7) * LANES + i]
+        e0, ex, ey = triple(w, STIFFNESS_SLOPES, i)
+        exx, exy, eyy = triple(w, STIFFNESS_SLOPES + 3, i)
+        rrx, rry = w[(STIFFNESS_SLOPES + 6) * LANES + i], w[(STIFFNESS_SLOPES + 7) * LANES + i]
         sums, by_x, by_y = (e0, ey, -ex), (ex, exy, -exx), (ey, eyy, -exy)
         turns = (exx + eyy + 2.0 * spread * e0, rry, -rrx)
         for k in range(3):
-            # Half of what stands on one side of the diagonal only.
+            # Half of the terms on one side of the diagonal only.
             c = 2 + k
             h[0, c] += 0.5 * gamma * (sums[k] * v1 - by_y[k] * u3)
             h[1, c] += 0.5 * gamma * (sums[k] * v2 + by_x[k] * u3)
@@ -163,8 +163,8 @@ def _fill_tangent(w: Array, walls: Walls, i: int, h: Array) -> None:
 
 
 @leaf
-def _fill_spin(h: Array, row: int, share: float, a: tuple[float, float, float]) -> None:
-    """-share times the matrix of a x theta, beside the diagonal."""
+def _fill_cross_product(h: Array, row: int, share: float, a: tuple[float, float, float]) -> None:
+    """Fill the blocks beside the diagonal with -share times the matrix of a x theta."""
     for r in range(3):
         h[row + r, 6 + r] = 0.0
     h[row, 7], h[row, 8] = share * a[2], -share * a[1]
@@ -176,7 +176,7 @@ def _fill_spin(h: Array, row: int, share: float, a: tuple[float, float, float]) 
 
 
 @inlined
-def _sway(a: tuple[float, float, float], b: tuple[float, float, float], d: Array, at: int) -> None:
+def _add_load_stiffness(a: tuple[float, float, float], b: tuple[float, float, float], d: Array, at: int) -> None:
     """Add (a . b) |theta|^2 - (a . theta) (b . theta) to a matrix from row and column `at` on."""
     for r in range(3):
         d[at + r, at + r] += dot(a, b)
@@ -185,27 +185,27 @@ def _sway(a: tuple[float, float, float], b: tuple[float, float, float], d: Array
 
 
 @leaf
-def _fill(w: Array, walls: Walls, i: int, h: Array) -> None:
-    """The second variation's integrand at lane i over (gamma, kappa, theta), h (9, 9)."""
+def _fill_integrand(w: Array, walls: Walls, i: int, h: Array) -> None:
+    """Fill h (9, 9) with the integrand of the second variation at lane i over (gamma, kappa, theta)."""
     _fill_tangent(w, walls, i, h)
     v, n, m = triple(w, STAGE, i), triple(w, WRENCH, i), triple(w, WRENCH + 3, i)
-    _fill_spin(h, 0, 1.0, n)
-    _fill_spin(h, 3, 0.5, m)
+    _fill_cross_product(h, 0, 1.0, n)
+    _fill_cross_product(h, 3, 0.5, m)
     for r in range(3):
         for c in range(3):
             h[6 + r, 6 + c] = 0.0
-    _sway(n, v, h, 6)
+    _add_load_stiffness(n, v, h, 6)
 
 
 @leaf
-def _add_point(w: Array, i: int, at: float, step: float, h: Array, b: Array, hb: Array, k: Array) -> None:
-    """Add a Gauss point of lane i, `at` in [-1, 1] of an element of length `step`, to its matrix k (18, 18)."""
+def _add_gauss_point(w: Array, i: int, at: float, step: float, h: Array, b: Array, hb: Array, k: Array) -> None:
+    """Add the Gauss point of lane i, `at` in [-1, 1] of an element of length `step`, to its matrix k (18, 18)."""
     v, u = triple(w, STAGE, i), triple(w, STAGE + 3, i)
     share, over = 0.5 * step, 2.0 / step
     for node in range(3):
         value = 1.0 - at * at if node == 1 else 0.5 * at * (at + (node - 1.0))
         slope = over * (-2.0 * at if node == 1 else at + 0.5 * (node - 1.0))
-        for r in range(STRAINED):
+        for r in range(STRAIN_UNKNOWNS):
             for c in range(NODE_UNKNOWNS):
                 b[node, r, c] = 0.0
         for r in range(3):
@@ -218,14 +218,14 @@ def _add_point(w: Array, i: int, at: float, step: float, h: Array, b: Array, hb:
             b[node, r, 3 + two] = value * v[one]
             b[node, 6 + r, 3 + r] = value
     for right in range(3):
-        for r in range(STRAINED):
+        for r in range(STRAIN_UNKNOWNS):
             for c in range(NODE_UNKNOWNS):
                 total = 0.0
-                for q in range(STRAINED):
+                for q in range(STRAIN_UNKNOWNS):
                     total += h[r, q] * b[right, q, c]
                 hb[r, c] = share * total
         for left in range(right, 3):
-            for q in range(STRAINED):
+            for q in range(STRAIN_UNKNOWNS):
                 for r in range(NODE_UNKNOWNS):
                     value = b[left, q, r]
                     for c in range(NODE_UNKNOWNS):
@@ -234,9 +234,9 @@ def _add_point(w: Array, i: int, at: float, step: float, h: Array, b: Array, hb:
 
 @leaf
 def _eliminate(k: Array, last: int) -> int:
-    """Eliminate the unknowns from the last down to `last` from a symmetric matrix, of which the lower half is read.
+    """Eliminate the unknowns from the last to `last` from a symmetric matrix, of which the lower half is read.
 
-    Returns how many pivots were not positive: negative directions, by Sylvester's law of inertia.
+    Returns the number of pivots that are not positive: negative directions, by Sylvester's law of inertia.
     """
     negative = 0
     for p in range(ELEMENT - 1, last - 1, -1):
@@ -254,8 +254,8 @@ def _eliminate(k: Array, last: int) -> int:
 
 
 @leaf
-def _points(w: Array, x: Array, first: int, h: float) -> None:
-    """Strains at the Gauss points of four steps from `first` on, by cubics through the nodes, in the stage's lanes."""
+def _interpolate_to_gauss_points(w: Array, x: Array, first: int, h: float) -> None:
+    """Strains at the Gauss points of four steps from `first` on, by cubic Hermite, into the lanes of STAGE."""
     n = x.shape[0] // 2 - 1
     for i in range(LANES):
         j = min(first + i // 2, n - 1)
@@ -269,26 +269,26 @@ def _points(w: Array, x: Array, first: int, h: float) -> None:
 
 @kernel
 def negative_directions(w: Array, walls: Walls, x: Array, length: float, tip: Array) -> int:
-    """How many independent directions lower the potential energy of the solved arm x (2 N + 2, 16): 0 is stable.
+    """Number of independent directions that lower the potential energy of the solved arm x (2 N + 2, 16): 0 is stable.
 
-    The inertia of the second variation in quadratic elements, one a step, with two Gauss points each. Eliminated from
-    the tip to the base, a negative pivot is a conjugate point of the arm's part beyond.
+    The inertia of the second variation in quadratic elements, one for each step along the arm, with two Gauss points.
+    Eliminated from the tip to the base, a negative pivot is a conjugate point of the part beyond.
     """
     n = x.shape[0] // 2 - 1
     step, negative = length / n, 0
     h, b, hb = (
-        np.zeros((STRAINED, STRAINED)),
-        np.empty((3, STRAINED, NODE_UNKNOWNS)),
-        np.empty((STRAINED, NODE_UNKNOWNS)),
+        np.zeros((STRAIN_UNKNOWNS, STRAIN_UNKNOWNS)),
+        np.empty((3, STRAIN_UNKNOWNS, NODE_UNKNOWNS)),
+        np.empty((STRAIN_UNKNOWNS, NODE_UNKNOWNS)),
     )
-    k, held = np.zeros((ELEMENT, ELEMENT)), np.zeros((NODE_UNKNOWNS, NODE_UNKNOWNS))
+    k, condensed = np.zeros((ELEMENT, ELEMENT)), np.zeros((NODE_UNKNOWNS, NODE_UNKNOWNS))
     d1, d2, d3 = rotation((x[n, 12], x[n, 13], x[n, 14], x[n, 15]))
     force, pull = three(tip, 0), three(tip, 13)
-    _sway((dot(d1, force), dot(d2, force), dot(d3, force)), three(tip, 10), held, 3)
-    _sway((dot(d1, pull), dot(d2, pull), dot(d3, pull)), three(tip, 16), held, 3)
+    _add_load_stiffness((dot(d1, force), dot(d2, force), dot(d3, force)), three(tip, 10), condensed, 3)
+    _add_load_stiffness((dot(d1, pull), dot(d2, pull), dot(d3, pull)), three(tip, 16), condensed, 3)
     first = LANES // 2 * ((n - 1) // (LANES // 2))
     for begin in range(first, -1, -(LANES // 2)):
-        _points(w, x, begin, step)
+        _interpolate_to_gauss_points(w, x, begin, step)
         resting_wrench(w, walls)
         for e in range(min(begin + LANES // 2, n) - 1, begin - 1, -1):
             for r in range(ELEMENT):
@@ -296,25 +296,25 @@ def negative_directions(w: Array, walls: Walls, x: Array, length: float, tip: Ar
                     k[r, c] = 0.0
             for r in range(NODE_UNKNOWNS):
                 for c in range(NODE_UNKNOWNS):
-                    k[2 * NODE_UNKNOWNS + r, 2 * NODE_UNKNOWNS + c] = held[r, c]
+                    k[2 * NODE_UNKNOWNS + r, 2 * NODE_UNKNOWNS + c] = condensed[r, c]
             for g in range(2):
                 i = 2 * (e - begin) + g
-                _fill(w, walls, i, h)
+                _fill_integrand(w, walls, i, h)
                 soft = NEUTRAL * min(h[3, 3], min(h[4, 4], h[5, 5])) * (0.5 * math.pi / length) ** 2
-                for r in range(6, STRAINED):
+                for r in range(6, STRAIN_UNKNOWNS):
                     h[r, r] -= soft
-                _add_point(w, i, GAUSS if g else -GAUSS, step, h, b, hb, k)
+                _add_gauss_point(w, i, GAUSS if g else -GAUSS, step, h, b, hb, k)
             negative += _eliminate(k, NODE_UNKNOWNS)
             for r in range(NODE_UNKNOWNS):
                 for c in range(r + 1):
-                    held[r, c] = k[r, c]
-                    held[c, r] = k[r, c]
+                    condensed[r, c] = k[r, c]
+                    condensed[c, r] = k[r, c]
     return negative
 
 
 @kernel
 def is_stable(w: Array, walls: Walls, x: Array, length: float, tip: Array) -> bool:
-    """Whether the solved arm x is stable: by the inequality if that suffices."""
-    if surely_stable(w, walls, x, length, tip):
+    """Whether the solved arm x is stable: by the inequality, else by counting the negative directions."""
+    if satisfies_stability_bound(w, walls, x, length, tip):
         return True
     return bool(negative_directions(w, walls, x, length, tip) == 0)

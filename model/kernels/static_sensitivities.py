@@ -1,4 +1,4 @@
-"""The kernel of arms at rest: their equilibria, and how their tips answer to small changes."""
+"""The kernel of static sensitivities: equilibria, and the derivatives of tip and sections with respect to changes."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from typing import Any
 
 import numpy as np
 
-from model.kernels.arguments import ArmArguments, LaneArguments, SectionAnswers, TipAnswers
-from model.kernels.axis import place_section, place_tip
+from model.kernels.arguments import ArmArguments, Fields, LaneArguments, SectionSensitivities, TipSensitivities
+from model.kernels.axis import write_section_pose, write_tip_pose
 from model.kernels.equilibrium import UNSTABLE, equilibrium
 from model.kernels.jit import kernel
-from model.kernels.lanes import FIRST, Lanes, apply_pressure, apply_tip_load, places, section_places
+from model.kernels.lanes import FIRST, SensitivityWorkspace, apply_pressure, apply_tip_load, section_poses, tip_poses
 from model.kernels.law import Walls
 from model.kernels.layout import LANES
-from model.kernels.shooting import Workspace
+from model.kernels.shooting import workspace_within
 from model.kernels.tangents import tangents
-from model.kernels.time_stepping import stiffen
+from model.kernels.time_stepping import set_stiffness
 from model.kernels.vec3 import leaf
 
 Array = Any
 
 
 @leaf
-def _answers(works: Array, workspace: Lanes, steps: Array, by: Array) -> None:
-    """Derivatives (P, 6) of places and rotations by each change of size steps (P,), of the places in the workspace."""
+def _derivatives(works: Array, workspace: SensitivityWorkspace, steps: Array, by: Array) -> None:
+    """Fill the derivatives (P, 6) of the poses in the workspace with respect to each change, of size steps (P,)."""
     for f in range(steps.shape[0]):
         p, i = (FIRST + f) // LANES, (FIRST + f) % LANES
         for c in range(6):
@@ -34,86 +34,92 @@ def _answers(works: Array, workspace: Lanes, steps: Array, by: Array) -> None:
 
 
 @leaf
-def _tip_answers(x: Array, works: Array, workspace: Lanes, steps: Array, by: Array) -> None:
-    """Derivatives (P, 6) of tip and rotation, after the tangents are solved."""
+def _tip_derivatives(x: Array, works: Array, workspace: SensitivityWorkspace, steps: Array, by: Array) -> None:
+    """Fill the derivatives (P, 6) of the pose of the tip, after `tangents`."""
     n = workspace.states.shape[2] - 1
     for p in range(works.shape[0]):
-        places(works[p], workspace.states[0, p], workspace.derivatives[0, p], x[n], workspace.place[p])
-    _answers(works, workspace, steps, by)
+        tip_poses(works[p], workspace.states[0, p], workspace.derivatives[0, p], x[n], workspace.place[p])
+    _derivatives(works, workspace, steps, by)
 
 
 @leaf
-def _section_answers(
-    x: Array, length: float, works: Array, workspace: Lanes, steps: Array, at: Array, by: Array
+def _section_derivatives(
+    x: Array, length: float, works: Array, workspace: SensitivityWorkspace, steps: Array, at: Array, by: Array
 ) -> None:
-    """The same (S, P, 6) of the sections at arc lengths `at` (S,)."""
+    """Fill the same (S, P, 6) of the sections at arc lengths `at` (S,)."""
     for k in range(at.shape[0]):
         for p in range(works.shape[0]):
-            section_places(
+            section_poses(
                 works[p], workspace.states[0, p], workspace.derivatives[0, p], at[k], length, x, workspace.place[p]
             )
-        _answers(works, workspace, steps, by[k])
+        _derivatives(works, workspace, steps, by[k])
 
 
 @kernel
 def static_sensitivities(
     walls: Walls,
-    arm: ArmArguments,
-    lanes: LaneArguments,
+    arm_fields: Fields,
+    lane_fields: Fields,
     pressure: Array,
     tip_loads: Array,
     steps: Array,
-    solver: Workspace,
-    workspace: Lanes,
+    pool: Array,
+    workspace_fields: Fields,
     tolerance: float,
-    answers: TipAnswers,
-    sections: SectionAnswers,
+    tip_fields: Fields,
+    section_fields: Fields,
 ) -> None:
-    """One equilibrium per row of pressure (K, W, N, 8); how its tip and sections answer to each neighbour's change.
+    """Solve one equilibrium for each row of pressure (K, W, N, 8) [Pa], and differentiate its tip and sections.
 
-    tip_loads (K, W, 12, 8): what hangs on the lanes' tips beyond the cap, one for each row or for all. steps (P,):
-    sizes of the changes. Fills the answers and those of the sections.
+    tip_loads (K or 1, W, 12, 8): loads at the tips beyond those of the cap, as of `lanes.apply_pressure`. steps (P,):
+    sizes of the changes. Fills the poses and derivatives of tip and sections, NaN where no stable solution is found.
     """
-    row, here = np.empty(walls.actuators), arm.tip.copy()
+    arm, lanes = ArmArguments(*arm_fields), LaneArguments(*lane_fields)
+    solver = workspace_within(pool, arm.load.shape[0] // 12, 0)
+    workspace, tips = SensitivityWorkspace(*workspace_fields), TipSensitivities(*tip_fields)
+    sections = SectionSensitivities(*section_fields)
+    row, tip_load = np.empty(walls.actuators), arm.tip.copy()
     nothing = np.zeros((lanes.works.shape[0], 1, 1))
     segments = workspace.shares.shape[0]
     for t in range(pressure.shape[0]):
         r, q = t % arm.stiffness.shape[0], t % arm.rest.shape[0]
-        tip_load = tip_loads[t % tip_loads.shape[0]]
-        apply_tip_load(arm.tip, tip_load, here)
+        row_loads = tip_loads[t % tip_loads.shape[0]]
+        apply_tip_load(arm.tip, row_loads, tip_load)
         for k in range(walls.actuators):
             row[k] = pressure[t, 0, k, 0]
-        stiffen(arm.work, arm.stiffness[r])
+        set_stiffness(arm.work, arm.stiffness[r])
         solved = equilibrium(
-            arm.work, walls, arm.rest[q], arm.per_pressure[r], arm.free_per_pa, row, arm.load, arm.loaded, here,
+            arm.work, walls, arm.rest[q], arm.per_pressure[r], arm.free_per_pa, row, arm.load, arm.loaded, tip_load,
             arm.length, arm.scale, solver, tolerance,
         )  # fmt: skip
-        answers.good[t], answers.unstable[t] = solved > 0, solved == UNSTABLE
+        tips.good[t], tips.unstable[t] = solved > 0, solved == UNSTABLE
         if solved > 0:
-            place_tip(solver.x, arm.length, arm.centre, answers.place, answers.turned, t)
+            write_tip_pose(solver.x, arm.length, arm.centre, tips.place, tips.turned, t)
             for k in range(sections.at.shape[0]):
-                place_section(
+                write_section_pose(
                     solver.x, arm.length, arm.centre, sections.at[k], sections.place[t], sections.turned[t], k
                 )
             if steps.shape[0] > 0:
                 apply_pressure(
-                    lanes.works, walls.actuators, lanes.stiffness[r], lanes.rest[q], lanes.per_pressure[r], lanes.frees,
-                    lanes.ends, pressure[t], tip_load,
+                    lanes.works, walls.actuators, lanes.stiffness[r], lanes.rest[q], lanes.per_pressure[r],
+                    lanes.free_per_pa, lanes.cap_loads, pressure[t], row_loads,
                 )  # fmt: skip
                 found = tangents(
-                    lanes.works, walls, nothing, arm.load, lanes.loaded, 0.0, lanes.heavy, segments, arm.scale,
+                    lanes.works, walls, nothing, arm.load, lanes.loaded, 0.0, lanes.cap_inertia, segments, arm.scale,
                     solver.x, workspace, workspace.states[0], workspace.derivatives[0],
                 )  # fmt: skip
                 if found:
-                    _tip_answers(solver.x, lanes.works, workspace, steps, answers.by[t])
-                    _section_answers(solver.x, arm.length, lanes.works, workspace, steps, sections.at, sections.by[t])
+                    _tip_derivatives(solver.x, lanes.works, workspace, steps, tips.by[t])
+                    _section_derivatives(
+                        solver.x, arm.length, lanes.works, workspace, steps, sections.at, sections.by[t]
+                    )
                 else:
-                    answers.by[t] = np.nan
+                    tips.by[t] = np.nan
                     sections.by[t] = np.nan
         else:
-            answers.place[t] = np.nan
-            answers.turned[t] = np.nan
-            answers.by[t] = np.nan
+            tips.place[t] = np.nan
+            tips.turned[t] = np.nan
+            tips.by[t] = np.nan
             sections.place[t] = np.nan
             sections.turned[t] = np.nan
             sections.by[t] = np.nan

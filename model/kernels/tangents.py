@@ -1,14 +1,15 @@
-"""The kernel that finds an arm's neighbours from its solution, in one pass over the lanes.
+"""Tangent vectors of the solved boundary value problem, in one integration of all lanes.
 
-By the implicit function theorem. A neighbour is the same arm but for a parameter, a pressure, a load or a past. What
-its tip lacks is made good along the moved base strains, so no further Newton iterations are needed.
+By the implicit function theorem: a copy of the arm with a perturbed parameter, pressure, load or history is integrated
+from the base strains of the solution. The base strains that cancel its residual at the tip follow from the Jacobian by
+the perturbed base strains, so no further Newton iteration is needed.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from model.kernels.lanes import FIRST, OWN, Lanes, integrate_lanes
+from model.kernels.lanes import FIRST, UNUSED_HISTORY, SensitivityWorkspace, integrate_lanes
 from model.kernels.law import Walls
 from model.kernels.layout import LANES, NODE, STATE, WRENCH
 from model.kernels.linear_algebra import orthonormalise, solve_six_rows
@@ -17,20 +18,26 @@ from model.kernels.vec3 import leaf
 
 Array = Any
 
-STEP = 1e-7  # of the moved base strains, in scaled states
+STEP = 1e-7  # of the perturbed base strains, in scaled states
 
 
 @leaf
 def tangents(
-    works: Array, walls: Walls, past: Array, load: Array, loaded: bool, c0: float, heavy: bool,
-    segments: int, scale: Array, x: Array, workspace: Lanes, states: Array, derivatives: Array,
+    works: Array, walls: Walls, past: Array, load: Array, loaded: bool, c0: float, cap_inertia: bool,
+    segments: int, scale: Array, x: Array, workspace: SensitivityWorkspace, states: Array, derivatives: Array,
 ) -> bool:  # fmt: skip
-    """One pass from the solved arm x (2 N + 2, 16): fills states, derivatives (W, N + 1, 128) and the shares of them.
+    """Integrate all lanes along the solved arm x (2 N + 2, 16): fills states, derivatives (W, N + 1, 128) and shares.
 
-    A neighbour is its lane plus, in segment s, its shares of lanes 1 to 6, all against lane 0. Segments are joined as
-    in `shooting.newton`. past (W, N + 1, 192 or 288), at rest not looked at. False when no answer is found.
+    The solution of a copy in segment s is its lane plus its shares of lanes 1 to 6, all relative to lane 0. Segments
+    are joined as in `shooting.newton`. past (W, N + 1, 192 or 288) is not read for an arm at rest. Returns False if the
+    Jacobian is singular.
     """
-    directions, triangle, along, parts = workspace.directions, workspace.triangle, workspace.along, workspace.parts
+    directions, triangle, projections, parts = (
+        workspace.directions,
+        workspace.triangle,
+        workspace.projections,
+        workspace.parts,
+    )
     n, count = states.shape[1] - 1, parts.shape[0]
     per = n // segments
     first = works[0]
@@ -74,14 +81,14 @@ def tangents(
                 total = 0.0
                 for c in range(STATE):
                     total += directions[s + 1, k, c] * parts[f, c]
-                along[s + 1, f, k] = total
+                projections[s + 1, f, k] = total
             for k in range(6):
                 for c in range(STATE):
-                    parts[f, c] -= along[s + 1, f, k] * directions[s + 1, k, c]
+                    parts[f, c] -= projections[s + 1, f, k] * directions[s + 1, k, c]
             for c in range(STATE):
                 parts[f, c] *= scale[c]
     for p in range(works.shape[0]):
-        tip_residual(works[p], walls, OWN, True, c0, heavy)
+        tip_residual(works[p], walls, UNUSED_HISTORY, True, c0, cap_inertia)
     for i in range(6):
         at = (WRENCH + i) * LANES
         for k in range(6):
@@ -98,7 +105,7 @@ def tangents(
                 workspace.shares[s, p, k, i] = right[k] * (1.0 / STEP)
             if s > 0:
                 for k in range(5, -1, -1):
-                    total = right[k] - along[s, f, k]
+                    total = right[k] - projections[s, f, k]
                     for c in range(k + 1, 6):
                         total -= triangle[s, k, c] * right[c]
                     right[k] = total / triangle[s, k, k]

@@ -1,4 +1,4 @@
-"""Kernels that solve the rod in motion, one time step after the other, and what equilibria share with them."""
+"""Kernels of the time steps of an arm in motion."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from model.kernels.jit import kernel
 from model.kernels.law import Walls, branched
-from model.kernels.layout import AXIAL, LANES, MORE, OFFSET, PER_TUBE, STATE, TRIO
-from model.kernels.relaxation import recall_branches, relax_branches
+from model.kernels.layout import ALL_TRIOS, AXIAL, LANES, OFFSET, PER_TUBE, STATE, TRIO
+from model.kernels.relaxation import compute_past_strains, relax_branches
 from model.kernels.shooting import Workspace, newton
 from model.kernels.vec3 import called, inlined, leaf
 
@@ -18,22 +18,22 @@ Array = Any
 
 @leaf
 def set_pressures(w: Array, actuators: int, rest: Array, per_pressure: Array, free: float, pressure: Array) -> None:
-    """Write what the pressures [Pa] do into the parameters of all lanes; free is the RPE's strain per pascal."""
+    """Write the wrench and free strains of the pressures (N,) [Pa] into all lanes; free: free strain per pascal."""
     for c in range(6):
         total = rest[c]
         for k in range(actuators):
             total += per_pressure[c, k] * pressure[k]
         for i in range(LANES):
             w[(OFFSET + c) * LANES + i] = total
-    first = TRIO if actuators <= 3 else MORE
+    first = TRIO if actuators <= 3 else ALL_TRIOS
     for k in range(actuators):
         for i in range(LANES):
             w[(first + PER_TUBE * k + 2) * LANES + i] = free * pressure[k]
 
 
 @leaf
-def stiffen(w: Array, stiffness: Array) -> None:
-    """Write a section's stiffness blocks and their inverses (24,) into the parameters of all lanes."""
+def set_stiffness(w: Array, stiffness: Array) -> None:
+    """Write the stiffness blocks of a section and their inverses (24,) into all lanes."""
     for c in range(24):
         for i in range(LANES):
             w[(AXIAL + c) * LANES + i] = stiffness[c]
@@ -41,7 +41,7 @@ def stiffen(w: Array, stiffness: Array) -> None:
 
 @leaf
 def copy_rows(a: Array, b: Array) -> None:
-    """Copy rows of a to b; for an assignment of whole arrays numba adds code that formats errors."""
+    """Copy rows of a to b. An assignment of whole arrays would compile code that formats errors."""
     for j in range(a.shape[0]):
         for c in range(STATE):
             b[j, c] = a[j, c]
@@ -66,24 +66,24 @@ def _continuation(
     workspace: Workspace,
     tolerance: float,
 ) -> int:
-    """Lead the pressures from the last ones to the new ones, in strides as long as succeed."""
+    """Change the pressures from the last ones to the new ones in increments that adapt (continuation)."""
     x = workspace.x
-    good, some = x.copy(), np.empty_like(pressure)
-    done, stride, total = 0.0, 0.125, 0
-    while done < 1.0:
-        share = min(1.0, done + stride)
+    good, partial_pressure = x.copy(), np.empty_like(pressure)
+    fraction, increment, total = 0.0, 0.125, 0
+    while fraction < 1.0:
+        share = min(1.0, fraction + increment)
         for k in range(walls.actuators):
-            some[k] = last[k] + (pressure[k] - last[k]) * share
-        set_pressures(w, walls.actuators, rest, per_pressure, free, some)
+            partial_pressure[k] = last[k] + (pressure[k] - last[k]) * share
+        set_pressures(w, walls.actuators, rest, per_pressure, free, partial_pressure)
         passes = newton(w, walls, load, loaded, tip, c0, length, segments, scale, workspace, tolerance, 40.0, np.inf)
         if passes > 0:
             total += passes
-            done, stride = share, 2.0 * stride
+            fraction, increment = share, 2.0 * increment
             copy_rows(x, good)
         else:
-            stride *= 0.25
+            increment *= 0.25
             copy_rows(good, x)
-            if stride < 1e-3:
+            if increment < 1e-3:
                 return -1
     return total
 
@@ -98,10 +98,10 @@ def divisor(n: int, wanted: int) -> int:
 
 
 @leaf
-def between(history: Array, size: int, h: float) -> None:
-    """The history half-way between the nodes, by cubic Hermite: of velocities and strains, and their slopes.
+def interpolate_midpoints(history: Array, size: int, h: float) -> None:
+    """Interpolate the history half-way between the nodes by cubic Hermite: values, and their derivatives.
 
-    The mid-point's slope from the same cubic is of fourth order too: its leading error vanishes by symmetry.
+    The derivative at the mid-point is of fourth order too: its leading error vanishes by symmetry.
     """
     over = 1.5 / h
     for m in range(size - STATE):
@@ -113,19 +113,19 @@ def between(history: Array, size: int, h: float) -> None:
 
 @called
 def initialise_history(scheme: Array, x: Array, past_states: Array, length: float, workspace: Workspace) -> None:
-    """The past of the first time step of an arm that has long been at rest in x: past_states, and workspace.history."""
+    """Fill past_states and workspace.history for the first time step of an arm that has long been at rest in x."""
     history, share = workspace.history, scheme[1] + scheme[2] + scheme[3]
     flat, past = x.reshape(x.size), past_states.reshape(2, x.size)
     for m in range(x.size):
         history[m] = share * flat[m]
         past[0, m] = flat[m]
         past[1, m] = flat[m]
-    between(history, x.size // 2, length / (workspace.states.shape[0] - 1))
+    interpolate_midpoints(history, x.size // 2, length / (workspace.states.shape[0] - 1))
 
 
 @inlined
 def _update_history(scheme: Array, y: Array, x: Array, past_states: Array, history: Array) -> None:
-    """After a time step to y: the history y^h (eq 26) of the next step, and all the past one step back."""
+    """Compute the history y^h (eq 26) for the next time step after a step to y, and shift the past solutions by one."""
     c0, c1, c2, c3, d1 = scheme[0], scheme[1], scheme[2], scheme[3], scheme[4]
     now, last, past = y.reshape(y.size), x.reshape(y.size), past_states.reshape(2, y.size)
     for m in range(now.size):
@@ -143,7 +143,7 @@ def advance(
     rest: Array,
     per_pressure: Array,
     free: float,
-    before: Array,
+    last_pressures: Array,
     pressure: Array,
     load: Array,
     loaded: bool,
@@ -159,32 +159,32 @@ def advance(
     workspace: Workspace,
     tolerance: float,
 ) -> int:
-    """One time step. Returns the number of passes, or -1: then only work array and workspace are changed.
+    """Solve one time step. Returns the number of passes, or -1: then only work array and workspace are changed.
 
-    scheme: c0, c1, c2, c3, d1. x (2 N + 2, 16): the last solution and its slopes; past_states (2, 2 N + 2, 16): the two
-    before. before (3, N): the last three's pressures. The guess is extrapolated if extrapolation also predicts the
-    pressures better than the last ones do. workspace.history: y^h at the nodes, its slopes, and the same at the
-    mid-points, (N + 1) x 16 each; workspace.walls_past the same of the walls' past strains, which differ where there
-    are branches, see `relaxation`. Where a step fails: more segments, then the pressures led from the last ones to the
-    new ones in parts.
+    scheme: c0, c1, c2, c3, d1. x (2 N + 2, 16): the last solution and its derivatives; past_states (2, 2 N + 2, 16):
+    the two before. last_pressures (3, N): of the last three steps. The guess is extrapolated if extrapolation also
+    predicts the new pressures better than the last ones do. workspace.history: y^h at the nodes, its derivatives, and
+    the same at the mid-points, (N + 1) x 16 each; workspace.walls_past: likewise of the past strains of the walls,
+    which differ with Maxwell branches (`relaxation`). If Newton's method fails, it is repeated with more segments,
+    then with continuation in the pressures.
     """
     n = workspace.states.shape[0] - 1
     c0, y = scheme[0], workspace.x
     set_pressures(w, walls.actuators, rest, per_pressure, free, pressure)
-    ahead, off = 0.0, 0.0
+    extrapolate, off = 0.0, 0.0
     for k in range(walls.actuators):
-        off += abs(pressure[k] - before[0, k])
-        ahead += abs(pressure[k] - 3.0 * (before[0, k] - before[1, k]) - before[2, k])
-    _guess(x, past_states, ahead <= off, n, segments, y)
+        off += abs(pressure[k] - last_pressures[0, k])
+        extrapolate += abs(pressure[k] - 3.0 * (last_pressures[0, k] - last_pressures[1, k]) - last_pressures[2, k])
+    _predict(x, past_states, extrapolate <= off, n, segments, y)
     passes = newton(w, walls, load, loaded, tip, c0, length, segments, scale, workspace, tolerance, 8.0, np.inf)
     if passes < 0:
         finer = divisor(n, max(4, 2 * segments))
-        _guess(x, past_states, False, n, finer, y)
+        _predict(x, past_states, False, n, finer, y)
         passes = newton(w, walls, load, loaded, tip, c0, length, finer, scale, workspace, tolerance, 25.0, np.inf)
         if passes < 0:
-            _guess(x, past_states, False, n, finer, y)
+            _predict(x, past_states, False, n, finer, y)
             passes = _continuation(
-                w, walls, rest, per_pressure, free, before[0], pressure, load, loaded, tip, c0, length,
+                w, walls, rest, per_pressure, free, last_pressures[0], pressure, load, loaded, tip, c0, length,
                 finer, scale, workspace, tolerance,
             )  # fmt: skip
             if passes < 0:
@@ -194,22 +194,22 @@ def advance(
         for c in range(12, 16):
             y[j, c] *= over
     for k in range(walls.actuators):
-        before[2, k] = before[1, k]
-        before[1, k] = before[0, k]
-        before[0, k] = pressure[k]
+        last_pressures[2, k] = last_pressures[1, k]
+        last_pressures[1, k] = last_pressures[0, k]
+        last_pressures[0, k] = pressure[k]
     if branched(walls.law):
         relax_branches(branch_factors, branch_strains, y, x)
     _update_history(scheme, y, x, past_states, workspace.history)
-    between(workspace.history, x.size // 2, length / n)
+    interpolate_midpoints(workspace.history, x.size // 2, length / n)
     if branched(walls.law):
-        recall_branches(branch_factors, branch_strains, x, workspace.history, workspace.walls_past)
-        between(workspace.walls_past, x.size // 2, length / n)
+        compute_past_strains(branch_factors, branch_strains, x, workspace.history, workspace.walls_past)
+        interpolate_midpoints(workspace.walls_past, x.size // 2, length / n)
     return int(passes)
 
 
 @leaf
-def _guess(x: Array, past_states: Array, ahead: bool, n: int, segments: int, y: Array) -> None:
-    """Where each segment starts: the last solution, or ahead of the last three by a parabola."""
+def _predict(x: Array, past_states: Array, extrapolate: bool, n: int, segments: int, y: Array) -> None:
+    """Guess the state at the start of each segment: the last solution, or the parabola through the last three."""
     for j in range(0, n, n // segments):
         for c in range(STATE):
-            y[j, c] = 3.0 * (x[j, c] - past_states[0, j, c]) + past_states[1, j, c] if ahead else x[j, c]
+            y[j, c] = 3.0 * (x[j, c] - past_states[0, j, c]) + past_states[1, j, c] if extrapolate else x[j, c]

@@ -1,4 +1,4 @@
-"""Vectors and symmetric blocks as tuples of numbers, for the bodies of the kernels' loops over lanes."""
+"""Vectors and symmetric blocks as tuples of numbers, for the loops over lanes."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ Six = tuple[float, float, float, float, float, float]
 
 
 def inlined(function: Any) -> Any:
-    """Compile into every caller: a loop that calls is not made of vector instructions."""
+    """Compile a function into every caller: a loop with a call in it is not vectorised."""
     return kernel(function, inlined=True, allocates=False, called=False)
 
 
 def leaf(function: Any) -> Any:
-    """Compile a kernel that makes no array and that only kernels call."""
+    """Compile a kernel that allocates no array and is called by kernels only."""
     return kernel(function, allocates=False, called=False)
 
 
 def called(function: Any) -> Any:
-    """Compile a kernel that makes no array and that Python calls."""
+    """Compile a kernel that allocates no array and is called from Python."""
     return kernel(function, allocates=False)
 
 
 @inlined
 def triple(w: Array, at: int, i: int) -> Triple:
-    """Three quantities of lane i that stand at `at` and after."""
+    """Three quantities of lane i, from offset `at` on."""
     return w[at * LANES + i], w[(at + 1) * LANES + i], w[(at + 2) * LANES + i]
 
 
 @inlined
 def six(w: Array, at: int, i: int) -> Six:
-    """Six quantities of lane i that stand at `at` and after."""
+    """Six quantities of lane i, from offset `at` on."""
     return (
         w[at * LANES + i], w[(at + 1) * LANES + i], w[(at + 2) * LANES + i],
         w[(at + 3) * LANES + i], w[(at + 4) * LANES + i], w[(at + 5) * LANES + i],
@@ -47,7 +47,7 @@ def six(w: Array, at: int, i: int) -> Six:
 
 @inlined
 def put(w: Array, at: int, i: int, a: Triple) -> None:
-    """Write three quantities of lane i."""
+    """Write three quantities of lane i, from offset `at` on."""
     w[at * LANES + i] = a[0]
     w[(at + 1) * LANES + i] = a[1]
     w[(at + 2) * LANES + i] = a[2]
@@ -55,8 +55,8 @@ def put(w: Array, at: int, i: int, a: Triple) -> None:
 
 @inlined
 def three(a: Array, at: int) -> Triple:
-    """Three numbers in a row."""
-    # An index without a sign is not asked whether it counts from the end.
+    """Three consecutive numbers of an array."""
+    # numba checks a signed index for counting from the end.
     first, second, third = np.uint64(at), np.uint64(at + 1), np.uint64(at + 2)
     return a[first], a[second], a[third]
 
@@ -85,7 +85,7 @@ def times(k: Six, a: Triple) -> Triple:
 
 @inlined
 def rotation(h: tuple[float, float, float, float]) -> tuple[Triple, Triple, Triple]:
-    """Columns of the rotation matrix of a quaternion of any length: the section's axes in the base frame."""
+    """Columns of the rotation matrix of a quaternion of any norm: the axes of the section in the base frame."""
     a, b, c, d = h
     s = 2.0 / (a * a + b * b + c * c + d * d)
     return (
@@ -102,5 +102,5 @@ def dot(a: Triple, b: Triple) -> float:
 
 
 def any_order(function: Any) -> Any:
-    """Compile a leaf whose sums may be taken in any order, which the compiler then fixes once and for all."""
+    """Compile a leaf whose sums may be reordered; the compiler fixes the order once."""
     return kernel(function, fastmath=_ANY_ORDER, allocates=False, called=False)

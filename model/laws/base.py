@@ -1,4 +1,4 @@
-"""What a constitutive law of the walls is: a relation of one tube's strain and axial force."""
+"""Interface of a constitutive law of the walls: the axial force of one tube as a function of its strain."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ Response = tuple[float, float, float, float]
 class ConstitutiveLaw(ABC):
     """A law of constant stiffness, unless it is a `TubeLaw`.
 
-    parameters: the fields of `Material` that it rests on. frozen: the stiffness follows from the pressures, so that
-    each row of these has a section of its own. softest: the smallest tangent stiffness in ordinary use, as a share of
-    that at zero strain.
+    parameters: the fields of `Material` that it depends on. frozen: whether the stiffness is a function of the
+    pressures, so that each row of pressures has its own section. softest: the smallest tangent stiffness in ordinary
+    use, relative to that at zero strain.
     """
 
     name: str
@@ -35,12 +35,12 @@ class ConstitutiveLaw(ABC):
         """Axial stiffness [N] of one tube at zero strain."""
 
     def constants(self, material: Material, geometry: Geometry) -> tuple[float, ...]:
-        """The numbers that the kernels take of a `TubeLaw`."""
+        """Constants of a `TubeLaw` for the kernels."""
         return ()
 
     @property
     def tube_law(self) -> TubeLaw | None:
-        """Itself, if each tube follows it at its own place."""
+        """The law itself if each tube follows it at its own position, else None."""
         return None
 
     def stiffness_under_pressure_n(
@@ -51,7 +51,7 @@ class ConstitutiveLaw(ABC):
 
 
 class TubeLaw(ConstitutiveLaw):
-    """A law that each tube follows at its own place, at every point of the rod.
+    """A law that each tube follows at its own position, at every point of the rod.
 
     The kernels are compiled for each such law.
     """
@@ -60,21 +60,21 @@ class TubeLaw(ConstitutiveLaw):
 
     @property
     def tube_law(self) -> TubeLaw:
-        """Itself."""
+        """The law itself."""
         return self
 
     @abstractmethod
     def constants(self, material: Material, geometry: Geometry) -> tuple[float, ...]:
-        """The numbers that `response` takes, at most four."""
+        """The constants of `response`, at most four."""
 
     @staticmethod
     @abstractmethod
     def response(strain: float, constants: Constants, share: float) -> Response:
-        """Wall force [N] of an axial strain and its derivative; side stiffness [N] and its derivative.
+        """Wall force [N] at an axial strain and its derivative; side stiffness [N] and its derivative.
 
-        The side stiffness is the secant stiffness, force over strain, which the tube has against shear, and for bending
-        and torsion about its own axis. It must be smooth and positive. All four numbers are times `share`: 1, or 0 for
-        a place without a tube. constants: those of the law, filled up with zeros.
+        The side stiffness is the secant stiffness, force over strain. It governs shear of the tube, and bending and
+        torsion about its own axis, and must be smooth and positive. All four numbers are multiplied by `share`: 1, or 0
+        for a position without a tube. constants: those of the law, followed by zeros.
 
-        Compiled by numba: `math` and plain numbers only.
+        Compiled by numba: use `math` and plain numbers only.
         """

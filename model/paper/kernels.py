@@ -13,7 +13,8 @@ Array = Any
 
 STATE = 19  # p (3), h (4), n (3), m (3), q (3), w (3): base frame for p, n, m, section frame for q, w
 SAMPLE = 12  # v, u, q, w
-_inner = partial(kernel, called=False)
+_called = partial(kernel, sources=(__file__,))
+_inner = partial(kernel, sources=(__file__,), called=False)
 
 
 class SectionArguments(NamedTuple):
@@ -59,7 +60,7 @@ def _cross(a: Array, b: Array, out: Array) -> None:
     out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@kernel
+@_called
 def turn(h: Array, r: Array) -> None:
     """The rotation matrix of a quaternion (eq 9)."""
     a, b, c, d = h[0], h[1], h[2], h[3]
@@ -139,7 +140,7 @@ def slopes(y: Array, history: Array, load: Array, section: SectionArguments, dy:
         dy[16 + k] = swept[k] + c0 * u[k] + history[3 + k]
 
 
-@kernel
+@_called
 def shoot(guess: Array, rod: RodArguments, states: Array, samples: Array) -> Array:
     """The residual E(G) (6,) of eq 28 for base loads G = (n, m). Fills states (N + 1, 19) and samples (N + 1, 12)."""
     history, load, section, tip = rod.history, rod.load, rod.section, rod.tip
@@ -197,7 +198,7 @@ def shoot(guess: Array, rod: RodArguments, states: Array, samples: Array) -> Arr
     return residual
 
 
-@kernel
+@_called
 def jacobian(guess: Array, rod: RodArguments, states: Array, samples: Array) -> Array:
     """dE/dG (6, 6) by one-sided differences; the steps are absolute, for a load that happens to be zero is no less."""
     at = shoot(guess, rod, states, samples)

@@ -1,8 +1,7 @@
-"""The paper's own method, so that the paper can be reproduced: the neutral axis as the rod's line, and plain shooting.
+"""The method of the paper, to reproduce it: the neutral axis as the line of the rod, and simple shooting.
 
-Where a printed formula contradicts the others, the default is the one that follows from them (docs/explanation/paper.md
-lists all);
-`as_printed` brings a printed one back.
+Where a printed formula contradicts the others, the default is the one that follows from them; `as_printed` selects the
+printed one (docs/explanation/paper.md lists all).
 """
 
 from __future__ import annotations
@@ -122,9 +121,9 @@ class PaperRod:
         """The shape at rest under gauge pressures (N,) [Pa]. Raises NotConverged."""
         pressure = pressures(self._arm, pressure_pa)
         known = NeutralSection.of(self._arm, pressure, self._as_printed)
-        # The base carries about what the pressure pushes and the cap weighs.
+        # The load at the base is about the push of the pressures.
         guess = np.zeros(6)
-        # MINPACK's first step is in proportion to the guess: never start from nothing.
+        # The first step of MINPACK is proportional to the guess, so the guess must not be zero.
         guess[2] = known.push_n.sum() + 1.0
         guess[3:] = np.cross(known.arms_m, np.outer(known.push_n, [0.0, 0.0, 1.0])).sum(axis=0)
         history = np.zeros((self._steps + 1, SAMPLE))
@@ -133,7 +132,7 @@ class PaperRod:
         return self._shape(known, ok=True)
 
     def start(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
-        """Begin at rest. Raises ValueError for a cap with inertia, viscous walls and friction: not the paper's."""
+        """Start at rest. Raises ValueError for inertia of the cap, viscous walls and friction."""
         if self._arm.cap_inertia or self._arm.material.damping_s > 0 or self._arm.remembers:
             raise ValueError(
                 "the paper's formulation has neither the cap's inertia nor viscous walls or friction in motion: "
@@ -146,7 +145,7 @@ class PaperRod:
         return shape
 
     def step(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
-        """Advance by one time step; the last good shape with ok=False where shooting fails."""
+        """Advance by one time step; if shooting fails, the last good shape with ok=False."""
         if self._last is None or self._guess is None:
             raise ValueError("start(pressure_pa) comes before the first step")
         pressure = pressures(self._arm, pressure_pa)
@@ -184,14 +183,14 @@ class PaperRod:
         with np.errstate(all="ignore"):
             found = root(shoot, guess, args=fixed, jac=jacobian, method=self._method, options=self._options)
             residual = shoot(found.x, *fixed)
-        # MINPACK's own verdict is about progress; what counts is what is left.
+        # MINPACK judges progress only: check the residual.
         if not (np.isfinite(self._states).all() and np.abs(residual).max() < 1e-6):
             return False
         self._guess = found.x
         return True
 
     def _shape(self, known: NeutralSection, ok: bool) -> Shape:
-        """The central axis, by eq 29."""
+        """The central axis (eq 29)."""
         n = self._steps + 1
         rotation = np.empty((n, 3, 3))
         for j in range(n):

@@ -38,7 +38,7 @@ def longer(x: float) -> Arm:
     return replace(ARM, geometry=replace(ARM.geometry, length_m=LENGTH * (1 + x)))
 
 
-CHANGES: tuple[Callable[[float], Arm], ...] = (stiffer, sheared, longer)
+STIFFNESS_SLOPES: tuple[Callable[[float], Arm], ...] = (stiffer, sheared, longer)
 
 
 def at_rest(arm: Arm, changes: tuple[Variation, ...] = ()) -> Gradients:
@@ -54,9 +54,9 @@ def test_gradients_of_sections_are_those_of_whole_solutions(
     monkeypatch: pytest.MonkeyPatch, solve: Callable[..., Gradients]
 ) -> None:
     monkeypatch.setattr("model.sensitivities.TOLERANCE_IN_MOTION", 1e-7)
-    found = solve(ARM, tuple(Variation(STEP, change(STEP)) for change in CHANGES))
+    found = solve(ARM, tuple(Variation(STEP, change(STEP)) for change in STIFFNESS_SLOPES))
     assert found.section_m.shape == (len(found.tip_m), len(AT_M), 3)
-    for k, change in enumerate(CHANGES):
+    for k, change in enumerate(STIFFNESS_SLOPES):
         h = 2e-3
         more, less = solve(change(h)), solve(change(-h))
         expected = (more.section_m - less.section_m) / (2 * h)

@@ -133,7 +133,7 @@ def test_tip_gradients_by_pressures_and_geometry_equal_finite_differences_for_an
 
     pull = TipWrench(np.array([force]), np.zeros((1, 3)), np.zeros(3))
     change = Variation(1e-7, arm_at(1e-7), (p + 1e-7 * push)[None])
-    found = sensitivities.statics(arm_at(0.0), p[None], [change], pull=pull)
+    found = sensitivities.statics(arm_at(0.0), p[None], [change], tip_wrench=pull)
     assert found.tip_m[0] == pytest.approx(tip_at(0.0), abs=1e-9)
     assert found.tip_by[0, :, 0] == pytest.approx(slope(tip_at, 2e-3), rel=1e-4, abs=2e-6)
 
@@ -174,14 +174,14 @@ def test_the_motion_beside_its_gradient_is_the_motion() -> None:
     assert np.array_equal(found.tip_m[1:], dynamics.run(p[1:]).tip_m[1::2])
 
 
-PULL = TipWrench(
+ECCENTRIC_WRENCH = TipWrench(
     np.array([[0.5, -0.3, 0.4], [0.2, 0.6, 0.1], [-0.4, 0.1, 0.3], [0.1, 0.2, -0.3], [0.3, 0.3, 0.3]]),
     np.array([[0.004, -0.002, 0.003]] * 5), np.array([0.02, -0.01, 0.03]),
 )  # fmt: skip
 
 
 @pytest.mark.parametrize("rule", ["linear", "pointwise", "secant", "paper-tangent"])
-@pytest.mark.parametrize("pull", [None, PULL])
+@pytest.mark.parametrize("pull", [None, ECCENTRIC_WRENCH])
 def test_dynamic_tip_gradients_by_pressures_geometry_weight_and_wrench_equal_finite_differences(
     monkeypatch: pytest.MonkeyPatch, rule: str, pull: TipWrench | None
 ) -> None:
@@ -211,7 +211,7 @@ def test_dynamic_tip_gradients_by_pressures_geometry_weight_and_wrench_equal_fin
         return np.array([shape.tip_m for shape in (first, *steps)])
 
     change = Variation(1e-7, arm_at(1e-7), path + 1e-7 * push, pull_at(1e-7))
-    found = sensitivities.motion(arm_at(0.0), path, 0.05, [change], hung, pull=pull)
+    found = sensitivities.motion(arm_at(0.0), path, 0.05, [change], hung, tip_wrench=pull)
     assert found.ok.all()
     assert found.tip_m == pytest.approx(tips_at(0.0), abs=1e-9)
     assert found.tip_by[:, :, 0] == pytest.approx(slope(tips_at, 2e-3), rel=1e-4, abs=2e-6)
@@ -223,7 +223,7 @@ def test_dynamic_tip_gradients_by_pressures_geometry_weight_and_wrench_equal_fin
         (Variation(0.0, Arm.paper()), "step"),
         (Variation(1e-6, Arm.paper("homogeneous")), "laws of the arm"),
         (Variation(1e-6, Arm.paper(), np.zeros((2, 3))), "shape"),
-        (Variation(1e-6, Arm.paper(), None, TipWrench(np.ones((1, 3)), np.zeros((1, 3)), np.zeros(3))), "pulls"),
+        (Variation(1e-6, Arm.paper(), None, TipWrench(np.ones((1, 3)), np.zeros((1, 3)), np.zeros(3))), "wrench"),
     ],
 )
 def test_a_change_that_does_not_fit_the_arm_is_refused(change: Variation, message: str) -> None:
@@ -248,6 +248,6 @@ def test_an_invalid_tip_wrench_is_refused(force: Array, moment: Array, point: Ar
 def test_an_invalid_motion_is_refused() -> None:
     rows, pull = np.zeros((3, 3)), TipWrench(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(3))
     with pytest.raises(ValueError, match="2 rows, the pressures 3"):
-        sensitivities.motion(Arm.paper(), rows, DT, [], pull=pull)
+        sensitivities.motion(Arm.paper(), rows, DT, [], tip_wrench=pull)
     with pytest.raises(ValueError, match="every"):
         sensitivities.motion(Arm.paper(), rows, DT, [], every=0)
