@@ -1,4 +1,4 @@
-"""What the experimenter asks for: protocols in YAML, checked, and their set-points over time."""
+"""Experiment protocols: YAML files, their validation, and the trajectories of their set-points."""
 
 from protocols.library import Protocol, from_steps, load, named
 from protocols.parameters import ParameterValue

@@ -1,4 +1,4 @@
-"""Decimal numbers of a YAML file, computed with as written: 0.15 to 0.65 by 0.05 is eleven levels, not ten."""
+"""Exact arithmetic with the decimal numbers of a YAML file: 0.15 to 0.65 by 0.05 is eleven levels, not ten."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def pa(bar: float) -> float:
 
 
 def stair_count(start: float, stop: float, step: float) -> int:
-    """Number of levels from start to stop, both included, as far as whole steps go."""
+    """Number of levels from start, at whole steps, up to stop, both included."""
     return int(abs(_exact(stop) - _exact(start)) / _exact(step)) + 1
 
 
@@ -26,7 +26,7 @@ def levels_bar(start: float, stop: float, step: float) -> tuple[float, ...]:
 
 
 def uneven_stairs(start: float, stop: float, step: float) -> tuple[str, str] | None:
-    """What is expected and what may be meant where whole steps do not lead from start to stop; None where they do."""
+    """Expectation and suggestion if whole steps do not lead from start to stop; None if they do."""
     first, last, size = _exact(start), _exact(stop), _exact(step)
     whole = int(abs(last - first) / size)
     reached = first + whole * (size if last > first else -size)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protocols.problems import BadInputError, Problem
+from protocols.problems import BadInputError, Problem, raise_all
 from protocols.schema import InnerSteps, Step
 from protocols.source_positions import Document, path_text
 from protocols.steps.base import MOST_SEGMENTS, LeafStep
@@ -57,14 +57,13 @@ def expand(
     data: Mapping[LeafStep, Any],
     inverse: TipInverse | None = None,
 ) -> SetPointTrajectory:
-    """The trajectory for a rig with so many actuators, or `BadInputError` if a step names an unknown one.
+    """The trajectory for a rig with N actuators; `BadInputError` if a step names an unknown one.
 
-    `data` is what the `read` of the steps has returned. `inverse` gives the set-points of `tip` steps.
+    data: results of `LeafStep.read`. inverse: solves for the set-points of `tip` steps.
     """
     expander = _Expander(actuators, document, data, inverse)
     expander.play(steps, ("steps",))
-    if expander.problems:
-        raise BadInputError(expander.problems)
+    raise_all(expander.problems)
     segments = tuple(expander.segments)
     if not segments:
         raise BadInputError([_problem(document, ("steps",), "at least one step that takes time", "")])
@@ -188,7 +187,7 @@ class _Expander:
         return TipReference(tuple(self._motions))
 
     def _history(self) -> Array:
-        """The set-points (k, N) [Pa] of the time before now, oldest first; before the protocol 0."""
+        """The set-points (k, N) [Pa] of the last HISTORY_S, oldest first; zero before the protocol."""
         count = round(HISTORY_S / HISTORY_STEP_S)
         rows = np.zeros((count + 1, len(self._level_pa)))
         rows[-1] = self._level_pa
@@ -232,7 +231,7 @@ class _Expander:
 
 
 def _part(times_s: Array, pressure_pa: Array, from_s: float, to_s: float) -> list[Samples]:
-    """The waveforms of a part of linear set-points, with times from its beginning."""
+    """The waveforms of an interval of piecewise linear set-points, with times from its start."""
     inner = times_s[(times_s > from_s + 1e-9) & (times_s < to_s - 1e-9)]
     times = np.concatenate([[from_s], inner, [to_s]])
     # Adding zero turns the minus zero of a bound into zero.
@@ -242,7 +241,7 @@ def _part(times_s: Array, pressure_pa: Array, from_s: float, to_s: float) -> lis
 
 
 def _interpolated(times_s: Array, at_s: Array, values: Array) -> Array:
-    """Columns of values (n, m) at times (k,), linear in between."""
+    """Columns of values (n, m), interpolated linearly at times (k,)."""
     return np.column_stack([np.interp(times_s, at_s, column) for column in values.T])
 
 

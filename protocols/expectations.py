@@ -1,4 +1,4 @@
-"""What a place of a YAML file expects, in words, from the JSON schema of its pydantic model."""
+"""The expected value at a position of a YAML file, in words, from the JSON schema of its pydantic model."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ class Expectation:
         return schema
 
     def _chosen(self, schema: Schema, data: Any) -> Schema:
-        """Of several alternatives the one that `data` is: by its tag, or list or mapping against plain value."""
+        """The alternative that fits `data`: by its tag, or by list, mapping or plain value."""
         branches = [self._resolved(branch) for branch in schema.get("oneOf") or schema.get("anyOf") or ()]
         if not branches:
             return schema

@@ -49,7 +49,7 @@ class Protocol:
     _data: dict[LeafStep, Any] = field(repr=False)
 
     def expand(self, actuators: int, inverse: TipInverse | None = None) -> SetPointTrajectory:
-        """The set-points over time for a rig with so many actuators; `inverse` gives those of its tip paths.
+        """The trajectory of the set-points for a rig with N actuators; `inverse` solves for those of tip paths.
 
         Raises:
             BadInputError: the rig has too few actuators, or cannot follow a path.
@@ -166,7 +166,9 @@ def find(name: str, folder: Path, what: str) -> Path:
     given = Path(name)
     candidates = {known: known for known in names}
     with suppress(OSError, ValueError):
-        candidates |= {path.stem: str(path) for path in sorted(given.parent.glob("*.y*ml"))[:MOST_NEIGHBOURS]}
+        candidates |= {
+            path.stem: str(path) for path in sorted(given.parent.glob("*.y*ml"))[:MOST_NEIGHBOURS] if path.exists()
+        }
     nearby = sorted(candidates[stem] for stem in difflib.get_close_matches(given.stem, candidates))
     expected = f"there is no such file, and no {what} of that name; the names are {', '.join(names)}"
     shown = shortened(name if name.isprintable() else repr(name)) or "''"

@@ -56,6 +56,12 @@ def bad_input(place: str, value: str, expected: str, suggestion: str = "") -> Ba
     return BadInputError([Problem(place, 0, 0, "", value, expected, suggestion)])
 
 
+def raise_all(problems: Iterable[Problem]) -> None:
+    """Raise all problems; do nothing if there are none."""
+    if listed := tuple(problems):
+        raise BadInputError(listed)
+
+
 def closest(word: str, known: Iterable[str]) -> str:
     """The known word closest to `word`, or an empty string."""
     by_folded = {_folded(name): name for name in known}

@@ -22,6 +22,7 @@ DEEPEST = 40
 LARGEST = 50_000
 LONGEST_SOURCE = 200
 LONGEST_NUMBER = 30
+SHOWN_CHARACTERS = 60
 
 _TAG = "tag:yaml.org,2002:"
 _ALIKE = re.compile(r"[\n \"-;=>@-~\xa0-\ud7ff]*")
@@ -71,6 +72,14 @@ class Document:
                 break
             position = position.children[step]
         return position
+
+    def problem(
+        self, path: tuple[str | int, ...], expected: str, value: str | None = None, suggestion: str = ""
+    ) -> Problem:
+        """The problem of the value at `path`, which is quoted as the file has it unless `value` states it."""
+        position = self.position(path)
+        found = position.source if value is None else value
+        return Problem(self.file, position.line, position.column, path_text(path), found, expected, suggestion)
 
 
 def path_text(path: tuple[str | int, ...]) -> str:
@@ -341,10 +350,10 @@ class Reader:
         )
 
 
-def shortened(text: str, width: int = 60) -> str:
-    """`text` on one line, cut to `width` characters."""
+def shortened(text: str) -> str:
+    """`text` on one line, cut to `SHOWN_CHARACTERS`."""
     line = " ".join(text.split())
-    return line if len(line) <= width else line[: width - 1] + "…"
+    return line if len(line) <= SHOWN_CHARACTERS else line[: SHOWN_CHARACTERS - 1] + "…"
 
 
 def _tag_text(tag: str) -> str:

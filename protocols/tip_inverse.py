@@ -1,4 +1,4 @@
-"""What the expansion of a `tip` step asks of a rig: the pressures under which its tip follows the path."""
+"""Interface of the inverse solution for a `tip` step: the set-points under which the tip follows a path."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 HISTORY_STEP_S = 0.01
 HISTORY_S = 1.0
-"""The set-points before a motion that a request has, and the distance of their samples."""
+"""Duration and sampling interval of the set-points before a motion, as part of a request."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class TipSolution:
 
 
 class TipRefusedError(Exception):
-    """The rig cannot follow a path: what was found, and what is expected."""
+    """The rig cannot follow a path; with the value and the expectation of the message."""
 
     def __init__(self, found: str, expected: str) -> None:
         super().__init__(found)

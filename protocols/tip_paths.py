@@ -116,7 +116,7 @@ class PiecewisePath(TipPath):
         return np.asarray((self.points_m.max(axis=0) + self.points_m.min(axis=0)) / 2)
 
     def _place(self, t_s: Array) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:
-        """Line (n,), share of its time that has passed (n,), and whether the time lies in the path (n,)."""
+        """Index of the line (n,), fraction of its time (n,), and whether the time is within the path (n,)."""
         t = np.minimum(t_s, self.duration_s)
         inside = t_s < self.duration_s
         if self.repeats is None:
@@ -167,20 +167,20 @@ class ScaledPath(TipPath):
 
 @dataclass(frozen=True, eq=False)
 class TipStart:
-    """Where the tip is before a motion: position and velocity (3,) [m, m/s]."""
+    """State of the tip before a motion: position and velocity (3,) [m, m/s]."""
 
     position_m: Array
     velocity_m_s: Array
 
 
 def smooth_weight(share: Array) -> Array:
-    """Weights from 0 to 1 over shares 0..1, at rest and unaccelerated at both ends: the quintic of `Smooth`."""
+    """Weights from 0 to 1 at fractions 0..1, with zero slope and curvature at both ends (quintic, as `Smooth`)."""
     weight: Array = share**3 * (10 + share * (6 * share - 15))
     return weight
 
 
 def fade(start: TipStart, path: TipPath, lead_in_s: float, t_s: Array) -> tuple[Array, Array]:
-    """Positions and velocities (n, 3) of a lead-in of `lead_in_s` and the path, at times (n,) from the path's begin.
+    """Positions and velocities (n, 3) of a lead-in of `lead_in_s` and the path, at times (n,) since the path starts.
 
     During the lead-in the tip leaves its start, whose velocity dies away, with the quintic weight of `Smooth`. Before
     the lead-in it rests at the start.
@@ -210,6 +210,6 @@ def closed_polyline(points_m: Sequence[Array]) -> Array:
 
 
 def length_m(path: TipPath) -> float:
-    """Length of one period of a path, or of the whole path, by 4000 chords."""
+    """Arc length of one period of a path, or of the whole path, by 4000 chords."""
     t = np.linspace(0.0, path.period_s or path.duration_s, 4001)
     return float(np.linalg.norm(np.diff(path.positions_m(t), axis=0), axis=1).sum())

@@ -1,4 +1,4 @@
-"""The reference of the tip over the time of a protocol: what its `tip` steps ask for.
+"""Reference trajectory of the tip over the time of a protocol, from its `tip` steps.
 
 Positions are in metres in the rod-base frame. A coordinate that a step does not control is NaN.
 """
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 GRID_S = 0.005
-"""Distance of the samples of a reference."""
+"""Sampling interval of a reference."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +25,8 @@ class TipMotion:
 
     times_s (n,) from `start_s` to `stop_s`, position_m and velocity_m_s (n, 3) at these times. `coordinates` are the
     controlled ones (0 x, 1 y, 2 z). `period_s` is that of the path, None if it does not repeat. `predicted_m` (n, 3)
-    is the tip of the model under the feed-forward pressures; `learned_m` (n, 3) is how far the arm's tip is from that
-    of the model according to earlier runs, zero without them. `line` is that of the step in the protocol's YAML.
+    is the tip of the model under the feed-forward pressures; `learned_m` (n, 3) is the difference of the tip of the arm
+    from it in earlier runs, zero without them. `line` is that of the step in the YAML of the protocol.
     """
 
     start_s: float
@@ -73,7 +73,7 @@ class TipMotion:
         return values[left] + share * (values[left + 1] - values[left])
 
     def _place(self, t_s: Array) -> tuple[NDArray[np.intp], Array, Array]:
-        """Sample to the left (m,), share of the way to the next (m, 1), and distance of the two (m, 1) [s]."""
+        """Index of the sample before (m,), fraction of the interval to the next (m, 1), and its length (m, 1) [s]."""
         left = np.clip(np.searchsorted(self.times_s, t_s, side="right") - 1, 0, len(self.times_s) - 2)
         step = self.times_s[left + 1] - self.times_s[left]
         return left, ((t_s - self.times_s[left]) / step)[:, None], step[:, None]

@@ -1,4 +1,4 @@
-"""The set-points of a whole protocol over time, ready for the control loop."""
+"""The trajectory of the set-points of a protocol, for the control loop."""
 
 from __future__ import annotations
 
@@ -87,9 +87,9 @@ class SetPointTrajectory:
     prompts: tuple[Prompt, ...]
     source: str
     tip: TipReference = NO_TIP_REFERENCE
-    """Where the tip has to be; the set-points of its motions are the feed-forward pressures."""
+    """Reference of the tip; the set-points of its motions are the feed-forward pressures."""
     streams: tuple[StreamInterval, ...] = ()
-    """When another program sets pressures; the set-points here hold there."""
+    """Intervals in which another program sets the pressures; the set-points are constant there."""
     _starts: tuple[float, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -109,7 +109,7 @@ class SetPointTrajectory:
         return level
 
     def rate_pa_s(self, t_s: float) -> NDArray[np.float64]:
-        """Rate of change (N,) [Pa/s] of the set-points just after a protocol time; a jump has none."""
+        """Rate of change (N,) [Pa/s] of the set-points just after a protocol time, without jumps."""
         rate = np.zeros(self.actuators)
         if 0.0 <= t_s < self.duration_s:
             segment = self.segment_at(t_s)
@@ -133,5 +133,12 @@ class SetPointTrajectory:
 
     def sample(self, t_s: Iterable[float]) -> NDArray[np.float64]:
         """Set-points (T, N) [Pa, gauge] at T protocol times."""
-        rows = [self.setpoint_pa(t) for t in t_s]
-        return np.array(rows).reshape(len(rows), self.actuators)
+        times = [min(max(float(t), 0.0), self.duration_s) for t in t_s]
+        found = np.empty((len(times), self.actuators))
+        places = np.array([max(bisect_right(self._starts, t) - 1, 0) for t in times], dtype=np.intp)
+        for place in np.unique(places).tolist():
+            segment, rows = self.segments[place], np.flatnonzero(places == place).tolist()
+            found[rows] = segment.level_pa
+            for index, wave in segment.waves:
+                found[rows, index] = [wave.at(times[row] - segment.start_s) for row in rows]
+        return found

@@ -48,7 +48,7 @@ def nested_faults(error: ValidationError, model_class: type[BaseModel]) -> Pydan
 def _flattened(
     errors: Iterable[ErrorDetails], schemas: dict[tuple[str | int, ...], Any], here: tuple[str | int, ...] = ()
 ) -> Iterator[ErrorDetails]:
-    """The errors, those of nested models at their places; adds the schemas of these models by place."""
+    """The errors, those of nested models at their paths; adds the schemas of these models by path."""
     for error in errors:
         path = (*here, *error["loc"])
         if error["type"] == NESTED:
@@ -67,7 +67,7 @@ def validate(
     """The model of the document, or `BadInputError` with all problems.
 
     If some fields are invalid, `partial` checks the relations between the valid ones; it gets only those. Validators
-    of the model get `context`.
+    of the model get `context`. A mapping with a value that could not be read is not judged as a whole.
     """
     problems = list(document.problems)
     model = None
@@ -83,6 +83,8 @@ def validate(
             found += [translator.fault((), fault) for fault in partial(_valid_parts(model_class, document.data))]
         replaced = {(problem.line, problem.column) for problem in found} & document.replaceable
         problems = [problem for problem in problems if (problem.line, problem.column) not in replaced]
+        unread = {problem.where for problem in problems}
+        found = [p for p in found if p.value or not any(where.startswith(f"{p.where}, ") for where in unread)]
         known = {(problem.line, problem.column) for problem in problems}
         problems += [problem for problem in found if (problem.line, problem.column) not in known]
     if problems or model is None:
@@ -92,7 +94,7 @@ def validate(
 
 @cache
 def json_schema(model_class: type[BaseModel]) -> dict[str, Any]:
-    """The JSON schema of a model, made once: it takes 10 ms. Not to be changed."""
+    """The JSON schema of a model, cached because it takes 10 ms; read only."""
     return model_class.model_json_schema()
 
 

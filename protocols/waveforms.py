@@ -155,7 +155,7 @@ class Samples:
 
 
 def _rise(x: float) -> float:
-    """0 to 1 over 0..1 with no slope and no curvature at the ends."""
+    """From 0 to 1 over 0..1 with zero slope and curvature at both ends (quintic)."""
     return x * x * x * (10.0 + x * (6.0 * x - 15.0))
 
 

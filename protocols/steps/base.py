@@ -1,4 +1,4 @@
-"""What the steps of a protocol have in common: checked values, and the methods that turn a step into segments.
+"""Base classes of protocol steps: validated values, and the methods that turn a step into segments.
 
 Levels are gauge pressures in bar, times in seconds. A number that may differ between actuators is either one number
 for all of them or a list with one number for each, in the order of `actuators`.
@@ -60,13 +60,13 @@ class StepPart(BaseModel):
 
 
 class TrajectoryBuilder(Protocol):
-    """What a step sees of the expansion: the set-points so far [Pa], and the segments that it appends."""
+    """The interface of the expansion for a step: the present set-points [Pa], and methods that append segments."""
 
     def level_pa(self, actuators: Sequence[int]) -> list[float]:
         """The present set-points of some actuators, numbered from 1."""
 
     def data(self, step: LeafStep) -> Any:
-        """What the step's `read` has returned."""
+        """The result of `LeafStep.read`."""
 
     def move(
         self, kind: str, label: str, actuators: tuple[int, ...], duration_s: float, waves: Sequence[Waveform]
@@ -106,7 +106,7 @@ class LeafStep(StepPart, ABC):
 
     @property
     def most_segments(self) -> tuple[int, tuple[str, ...]]:
-        """How many segments the step makes at most, and the path of the value that decides it."""
+        """Upper bound of the number of segments, and the path of the value that determines it."""
         return 1, ()
 
     @property

@@ -30,7 +30,7 @@ class Csv(MotionStep):
         return self
 
     def play(self, builder: TrajectoryBuilder) -> None:
-        """The smooth way to the first row, if it takes time, and the rows."""
+        """A smooth transition to the first row, if it takes time, then the rows."""
         waves: tuple[Samples, ...] = builder.data(self)
         label = self.label or self.file
         if self.lead_in_s > 0:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from protocols.document import read_text
-from protocols.problems import BadInputError, Problem, closest
+from protocols.problems import BadInputError, Problem, closest, raise_all
 from protocols.source_positions import shortened
 from protocols.steps.base import HIGHEST_BAR, LONGEST_S, LOWEST_BAR
 
@@ -69,8 +69,7 @@ def read_columns(path: Path, columns: Bounds, *, timed: bool = True) -> tuple[Sa
             break
     if not problems and len(table) < 2:
         problems.append(Problem(str(path), 0, 0, "", "", "the file needs two rows of numbers at least"))
-    if problems:
-        raise BadInputError(problems)
+    raise_all(problems)
     read = tuple(zip(*table, strict=True))
     if not timed:
         return SampleColumns((), read), text
@@ -83,7 +82,7 @@ def _header_wish(wanted: Iterable[str]) -> str:
 
 
 def _header(path: Path, row: str, wanted: tuple[str, ...]) -> dict[str, int]:
-    """Where each wanted column is."""
+    """Index of each requested column."""
     names = _cells(row)
     other = next((separator for separator in ";\t" if separator in row and "," not in row), "")
     if other:
@@ -100,8 +99,7 @@ def _header(path: Path, row: str, wanted: tuple[str, ...]) -> dict[str, int]:
         column = row.rindex(name) + 1 if name in names else row.index(meant) + 1 if meant else 1
         found = f"two columns '{name}'" if name in names else f"the column '{meant}'" if meant else shortened(row)
         problems.append(Problem(str(path), 1, column, "", found, f"one column '{name}'"))
-    if problems:
-        raise BadInputError(problems)
+    raise_all(problems)
     return {name: names.index(name) for name in wanted}
 
 

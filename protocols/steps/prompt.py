@@ -24,6 +24,6 @@ class PromptStep(LeafStep):
     weight_g: Grams | SkipJsonSchema[None] = Field(default=None, description="hung on the end cap from now on")
 
     def play(self, builder: TrajectoryBuilder) -> None:
-        """A short segment in which nothing moves, and the prompt at its start."""
+        """A short segment of constant set-points, and the prompt at its start."""
         builder.prompt(self.message, self.weight_g)
         builder.hold("prompt", self.message, (), PROMPT_S)

@@ -57,7 +57,7 @@ class Sine(MotionStep):
         return self
 
     def play(self, builder: TrajectoryBuilder) -> None:
-        """The fade into the sinusoids, if it takes time, and the sinusoids."""
+        """The lead-in, if it takes time, then the sinusoids."""
         count = len(self.actuators)
         if self.omega_rad_s is not None:
             omegas = each(self.omega_rad_s, count)

@@ -36,7 +36,7 @@ class Staircase(MotionStep):
         return levels_bar(self.start_bar, self.stop_bar, self.step_bar)
 
     def play(self, builder: TrajectoryBuilder) -> None:
-        """For each level the way to it, if it takes time, and the dwell."""
+        """For each level a transition, if it takes time, then the dwell."""
         for bar in self.levels_bar():
             target, label = pa(bar), f"{bar:g} bar"
             label = f"{self.label}, {label}" if self.label else label

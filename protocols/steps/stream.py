@@ -25,7 +25,7 @@ class Stream(MotionStep):
         return self
 
     def play(self, builder: TrajectoryBuilder) -> None:
-        """One segment; where no set-point has come the pressures stay."""
+        """One segment, with constant pressures until a set-point arrives."""
         builder.stream(
             self.label or "set-points of another program",
             self.actuators,

@@ -37,7 +37,7 @@ class TipShape(StepPart, ABC):
 
     @abstractmethod
     def path(self, data: Any) -> TipPath:
-        """The path over time; `data` is what `read` has returned."""
+        """The path over time; data: the result of `read`."""
 
     def read(self, folder: Path) -> tuple[Any, dict[str, str]]:
         """Read the files that the shape names; as `LeafStep.read`."""
@@ -218,7 +218,7 @@ class PathFile(TipShape):
         return (times, points), {self.file: text}
 
     def _fault(self, points: Array) -> str:
-        """What the last of the points should be instead; empty if they can be followed."""
+        """Expectation for the last point; empty if the points can be followed."""
         if self.speed_mm_per_s is not None and (points == points[0]).all():
             return "another point than the others: with speed_mm_per_s the rows have to be a way"
         if self.periods is not None and np.abs(points[-1] - points[0]).max() > SAME_M:

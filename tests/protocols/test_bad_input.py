@@ -106,6 +106,20 @@ def test_only_text_that_is_written_as_a_number_is_read_as_one(written: str, said
     assert problem.suggestion == suggestion
 
 
+def test_a_link_to_nothing_is_not_suggested_for_itself(tmp_path: Path) -> None:
+    link = tmp_path / "steps.yaml"
+    link.symlink_to(tmp_path / "missing.yaml")
+    with pytest.raises(BadInputError, match="there is no such file") as caught:
+        protocols.load(str(link))
+    assert "did you mean" not in str(caught.value)
+
+
+def test_a_key_whose_value_cannot_be_read_is_not_reported_as_missing_too() -> None:
+    problem = only_problem(steps("ramp: {actuators: [1], to_bar: 0.1, duration_s: 1:30}"))
+    assert problem.where == "steps #1, ramp, duration_s"
+    assert "base 60" in problem.expected
+
+
 @pytest.mark.parametrize(
     ("text", "line", "column", "said"),
     [

@@ -67,6 +67,16 @@ def test_sine_protocols_have_no_jump_in_level_or_rate(name: str) -> None:
             assert np.allclose(played.rate_pa_s(before), played.rate_pa_s(after), rtol=0, atol=1e-2)
 
 
+@pytest.mark.parametrize("name", ["sine-2", "ramp-a"])
+def test_samples_are_the_set_points_at_their_times_in_any_order_and_beyond_both_ends(name: str) -> None:
+    played = protocols.load(name).expand(3)
+    times = np.random.default_rng(2).uniform(-1.0, played.duration_s + 1.0, 200)
+    edges = np.array([segment.start_s for segment in played.segments[:20]])
+    times = np.concatenate([times, edges, edges - 1e-9])
+    assert played.sample(times).tolist() == [played.setpoint_pa(t).tolist() for t in times.tolist()]
+    assert played.sample([]).shape == (0, 3)
+
+
 def test_extension_weights_asks_for_twelve_weights_without_pressure() -> None:
     played = protocols.load("extension-weights").expand(3)
     asked = [prompt.message for prompt in played.prompts[:-1]]
