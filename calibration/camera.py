@@ -104,7 +104,7 @@ class CameraCalibration:
 
 
 def calibrate(source: Path, board: Board, every: int = 1) -> CameraCalibration:
-    """Calibrate from a folder of pictures or a video (every so many frames).
+    """Calibrate from a folder of pictures or a video (every `every`-th frame).
 
     Raises:
         ViewsError: the source holds no picture.

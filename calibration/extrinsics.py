@@ -67,7 +67,7 @@ class ExtrinsicCalibration:
     def in_world(
         self, view: str, board_in_world: RigidTransform
     ) -> tuple[dict[str, RigidTransform], dict[str, RigidTransform]]:
-        """Cameras and boards in the world in which the board of `view` stands at a known place."""
+        """Cameras and boards in the world, from a known pose of the board of `view`."""
         to_world = board_in_world @ self.boards[view].inverse()
         return (
             {name: to_world @ camera for name, camera in self.cameras.items()},
@@ -84,8 +84,8 @@ class ExtrinsicCalibration:
         start = np.concatenate(([*_vector(self.cameras[camera].inverse())] if own else [], _vector(self.boards[view])))
 
         def place(values: Floats) -> RigidTransform:
-            stands = _rigid(values[:6]).inverse() if own else self.cameras[camera]
-            return board_in_world @ _rigid(values[-6:]).inverse() @ stands
+            from_camera = _rigid(values[:6]).inverse() if own else self.cameras[camera]
+            return board_in_world @ _rigid(values[-6:]).inverse() @ from_camera
 
         centre = place(start)
         slope = np.empty((6, len(start)))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from calibration.camera import CalibrationError
+from calibration.rotation_vectors import left_jacobian
 from calibration.views import View
 from calibration.vision.board import Board
 from calibration.vision.corners import Corners
@@ -103,8 +104,8 @@ def mount(
         if few or misses[worst] <= _OUTLYING * max(float(np.median(misses)), 2e-5):
             return Mounting(found.board_in_tip, found.covariance, found.views, tuple(left_out))
         why = f"{1e3 * misses[worst]:.2f} mm off where the median is {1e3 * float(np.median(misses)):.2f} mm"
-        gone = sights.pop(worst)
-        left_out.append((gone.view.name, why, gone.view.sha256))
+        dropped = sights.pop(worst)
+        left_out.append((dropped.view.name, why, dropped.view.sha256))
 
 
 def _solve(
@@ -145,10 +146,7 @@ def _solve(
     # Rotation vector -> turn in the tip's axes about the board's centre.
     slope = np.zeros((6, 6))
     slope[:3, 3:] = np.eye(3)
-    for k in range(3):
-        step = 1e-6 * (np.arange(3) == k)
-        off = RigidTransform.from_vectors(x[6:9] + step, (0, 0, 0)).rotation @ mounted.rotation.T
-        slope[3:, k] = np.array([off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]]) / 2e-6
+    slope[3:, :3] = left_jacobian(x[6:9])
     own = slope @ covariance[6:12, 6:12] @ slope.T
     stated_std = float(np.sqrt(np.trace(own[:3, :3]) / 3)), float(np.sqrt(np.trace(own[3:, 3:]) / 3))
     made = RigidTransform(mounted.rotation, mounted.translation_m, *stated_std)
