@@ -8,12 +8,14 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -26,6 +28,8 @@ Progress = Callable[[int, int], None]
 
 _MAX_RESTARTS = 20
 _CONNECT_TIMEOUT = "10s"
+_SCRIPT = b"\x8c\x08__main__"
+"""The name of the script's module in a pickle: a short text of eight bytes."""
 
 
 class WorkerDiedError(RuntimeError):
@@ -105,7 +109,8 @@ def _on_cores(
         # Spawn, not fork: threads of the parent (live page, BLAS) do not survive a fork.
         context = multiprocessing.get_context("spawn")
         with _safe_path(), ProcessPoolExecutor(workers, context, _follow_parent) as pool:
-            futures = {pool.submit(work, tasks[k]): k for k in missing}
+            with _without_script(work, tasks[missing[0]]):
+                futures = {pool.submit(work, tasks[k]): k for k in missing}
             try:
                 for future in as_completed(futures):
                     result = future.result()
@@ -142,6 +147,28 @@ def _follow_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=exit_with_parent, daemon=True).start()
+
+
+@contextmanager
+def _without_script(work: object, task: object) -> Iterator[None]:
+    """Prevent child Python processes from running the script of this one, unless the work or a task needs it.
+
+    A spawned process runs it again, to have its classes: a script without a main guard would repeat its experiments.
+    """
+    main = sys.modules["__main__"]
+    if not _needs_script(work, task):
+        sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+
+
+def _needs_script(*objects: object) -> bool:
+    try:
+        return _SCRIPT in pickle.dumps(objects)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return True  # the pool reports what cannot be sent
 
 
 @contextmanager

@@ -135,3 +135,34 @@ def test_a_worker_that_is_ended_while_it_sends_a_result_does_not_hold_the_progra
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
     done = subprocess.run([sys.executable, script, tmp_path / "go"], env=environment, timeout=120, check=False)
     assert done.returncode == 0
+
+
+SCRIPT = """
+import operator
+from calibration.parallel_map import parallel_map
+print("the script runs")
+print(parallel_map(operator.neg, [1, 2, 3], workers=2))
+"""
+OWN_WORK = """
+from calibration.parallel_map import parallel_map
+def twice(number): return 2 * number
+if __name__ == "__main__":
+    print(parallel_map(twice, [1, 2, 3], workers=2))
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [(SCRIPT, "the script runs\n[-1, -2, -3]\n"), (OWN_WORK, "[2, 4, 6]\n")],
+    ids=["plain", "own work"],
+)
+def test_workers_do_not_run_the_script_that_calls_them_unless_their_work_is_in_it(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(text)
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run(
+        [sys.executable, script], env=environment, timeout=300, check=False, capture_output=True, text=True
+    )
+    assert (done.stdout, done.returncode) == (said, 0), done.stderr[-2000:]
