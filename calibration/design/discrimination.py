@@ -157,7 +157,7 @@ class _Columns:
         (slopes,), prior_slopes = problem.whitened_slopes(z)
         (weights,), _ = problem.weights(z, 0.0)
         gap = Predictor(planned)(truth.unknowns.start) - problem.predicted(z)[0]
-        rows = np.concatenate([slopes, -np.einsum("kij,kj->ki", weights.whitener, gap)[:, :, None]], axis=2)
+        rows = np.concatenate([slopes, -weights.whitened(gap)[:, :, None]], axis=2)
         prior_rows = np.concatenate([prior_slopes, problem.prior_rows(z)[1][:, None]], axis=1)
         weak = np.diag([_RIDGE] * len(z) + [0.0])
         return cls(np.einsum("kin,kim->knm", rows, rows), prior_rows.T @ prior_rows + weak)

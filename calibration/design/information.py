@@ -17,6 +17,7 @@ from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.parameter import Parameter, Prior
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
+from calibration.identify.simulated_experiments import located, scaled_errors
 from calibration.identify.undetermined import UNDETERMINED_SPANS
 
 Array = NDArray[np.float64]
@@ -40,16 +41,14 @@ class Unknowns:
     priors: Mapping[str, Prior]
     arms: tuple[Setup, ...] = ()
 
-    def problem(self, planned: Sequence[Poses], substeps: int = SUBSTEPS) -> LeastSquaresProblem:
+    def problem(self, planned: Sequence[Poses]) -> LeastSquaresProblem:
         """The least-squares problem of planned experiments whose tips are exactly where the model predicts them."""
-        problem = LeastSquaresProblem(planned, self.start, (*self.free, *self.nuisance), self.priors, substeps=substeps)
+        problem = LeastSquaresProblem(planned, self.start, (*self.free, *self.nuisance), self.priors, substeps=SUBSTEPS)
         z = np.zeros(len(problem.unknowns))
         # The gradients bring the tips with them.
         problem.slopes(z, range(len(z)))
-        return problem.measured_as([
-            replace(poses, tip_m=tips, orientation=poses.orientation and replace(poses.orientation, rotation=turned))
-            for poses, tips, turned in zip(planned, problem.predicted(z), problem.rotations(z), strict=True)
-        ])  # fmt: skip
+        predicted = zip(planned, problem.predicted(z), problem.rotations(z), problem.sections(z), strict=True)
+        return problem.measured_as([located(poses, (tips, turned), along) for poses, tips, turned, along in predicted])
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ def block_information(problem: LeastSquaresProblem, frames: Sequence[slice]) -> 
     (rows,), prior = problem.whitened_slopes(z, masked=False)
     (weights,), _ = problem.weights(z, 0.0)
     (columns,), amplitude = columns_and_amplitude(problem)
-    every = np.concatenate([rows, np.einsum("kij,kjm->kim", weights.whitener, columns)], axis=2)
+    every = np.concatenate([rows, weights.whitened(columns)], axis=2)
     information = np.array([np.einsum("kin,kim->nm", every[one], every[one], optimize=True) for one in frames])
     return information, block_diag(prior.T @ prior, np.diag(amplitude**-2))
 
@@ -105,7 +104,7 @@ def error_bars(planned: Sequence[Poses], unknowns: Unknowns) -> ErrorBars:
 
 
 def error_bars_of_repeats(
-    planned: Sequence[Poses], unknowns: Unknowns, repeats: Sequence[float], substeps: int = SUBSTEPS
+    planned: Sequence[Poses], unknowns: Unknowns, repeats: Sequence[float]
 ) -> tuple[ErrorBars, ...]:
     """As `error_bars`, for each number of repeats of the planned experiments."""
     arms = unknowns.arms or (unknowns.start,)
@@ -113,7 +112,7 @@ def error_bars_of_repeats(
 
     def of_arm(arm: Setup, seed: int) -> list[tuple[Array, Array]]:
         rng = np.random.default_rng(seed)
-        problem = replace(unknowns, start=arm).problem(planned, substeps)
+        problem = replace(unknowns, start=arm).problem(planned)
         return [_bars(problem, count, draws, rng) for count in repeats]
 
     # The kernels of the rod model release the interpreter.
@@ -147,10 +146,5 @@ def _bars(problem: LeastSquaresProblem, repeats: float, draws: int, rng: np.rand
 
 def _repeated(planned: Poses, count: float) -> Poses:
     """An experiment that is the mean of so many repeats."""
-    turned = planned.orientation
-    return replace(
-        planned,
-        orientation=turned and replace(turned, covariance_rad2=turned.covariance_rad2 / count),
-        covariance_m2=planned.covariance_m2 / count,
-        pressure_std_pa=planned.pressure_std_pa / np.sqrt(count),
-    )
+    mean = scaled_errors(planned, np.full(len(planned), 1 / count))
+    return replace(mean, pressure_std_pa=planned.pressure_std_pa / np.sqrt(count))

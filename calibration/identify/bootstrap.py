@@ -63,6 +63,7 @@ class Refit:
     rotation: tuple[Array, ...]
     sections: tuple[tuple[tuple[Array, Array], ...], ...]
     covariance: tuple[Array, ...]
+    common: tuple[Array, ...]
     seed: int
 
 
@@ -98,6 +99,7 @@ def bootstrap(
         rotation=tuple(problem.rotations(fit.solution.z)),
         sections=tuple(problem.sections(fit.solution.z)),
         covariance=tuple(_covariance(weights.whitener) for weights in fit.solution.weights),
+        common=tuple(weights.common for weights in fit.solution.weights),
         seed=0,
     )
     tasks = [replace(task, seed=seed * 1_000_003 + k) for k in range(samples)]
@@ -116,9 +118,9 @@ def refit(task: Refit) -> Array:
     counts: list[Array] | None = None
     if task.kind == "drawn":
         data = [
-            _drawn(rng, tips, rotation, sections, covariance, poses)
-            for poses, tips, rotation, sections, covariance in zip(
-                task.data, task.predicted, task.rotation, task.sections, task.covariance, strict=True
+            _drawn(rng, tips, rotation, sections, covariance, common, poses)
+            for poses, tips, rotation, sections, covariance, common in zip(
+                task.data, task.predicted, task.rotation, task.sections, task.covariance, task.common, strict=True
             )
         ]
     else:
@@ -149,15 +151,17 @@ def _drawn(
     rotation: Array,
     sections: Sequence[tuple[Array, Array]],
     covariance: Array,
+    common: Array,
     poses: Poses,
 ) -> Poses:
-    """Poses that err as the covariance says; NaN without a measurement.
+    """Poses that err as the covariance and the errors that all share say; NaN without a measurement.
 
     Tips (K, 3) with orientations (K, 3, 3), and the same of each section, are the true ones.
     """
     values, vectors = np.linalg.eigh(covariance)
     unit = rng.standard_normal(values.shape)
     error: Array = np.asarray(np.einsum("kij,kj->ki", vectors, np.sqrt(np.maximum(values, 0.0)) * unit))
+    error = error + common @ rng.standard_normal(common.shape[2])
     drawn = replace(poses, tip_m=np.where(poses.has_tip[:, None], tips + error[:, :3], np.nan))
     if poses.orientation is not None:
         turned = turned_by(poses.orientation, rotation, error[:, 3:6], poses.has_orientation)

@@ -20,8 +20,10 @@ from calibration.identify.orientation import (
 from calibration.identify.poses import PA_PER_BAR, Poses
 from calibration.identify.pressure_course import PressureCourse, course_rows, mean_around
 from calibration.identify.pressure_history import pressure_history
+from calibration.identify.pressure_samples import on_even_frames
 from calibration.identify.pressure_smoothing import curve, noise_std, regression_calibrated, smoothed
 from calibration.identify.section_poses import mean_sections, section_poses
+from calibration.identify.unresolved_pressures import unresolved_courses
 from runs.interpolation import interpolated
 from runs.records import DetectionStatus
 from runs.run import Run
@@ -125,6 +127,8 @@ def in_motion(run: Run) -> Poses:
     length = int(index[usable][-1]) + 1
     # Cameras do not always deliver the requested rate.
     period_s = float(tip.time_s[-1] - tip.time_s[0]) / index[-1] if index[-1] else 1.0 / run.header.camera_hz
+    if period_s <= 0.0:
+        raise NoDataError(f"{run.header.run_id}: entry/tip/time does not increase from the first frame to the last")
     every = np.arange(length)
     samples = _pressure_samples(run)
     course, deviation = smoothed(samples.pa)
@@ -132,9 +136,12 @@ def in_motion(run: Run) -> Poses:
     # of the mean of its own samples.
     step_s = float(np.median(np.diff(samples.time_s))) if len(samples.time_s) > 1 else period_s
     deviation = np.maximum(deviation, noise_std(samples.pa) * min(1.0, np.sqrt(step_s / period_s)))
-    course, mixing = regression_calibrated(course, deviation)
+    # A sensor at its foot shows no noise; it resolves no more than the others.
+    deviation[:, samples.clipped.mean(axis=0) > _MOSTLY] = deviation.max(axis=1, keepdims=True)
+    course, mixing, unresolved = regression_calibrated(course, deviation)
     frame_s = np.interp(every, index, tip.time_s)
-    pressure, spread = curve(samples.time_s, course, frame_s)[0], interpolated(frame_s, samples.time_s, deviation)
+    pressure, rate = curve(samples.time_s, course, frame_s)
+    spread = interpolated(frame_s, samples.time_s, deviation)
     near_limit = maximum_filter1d(samples.clipped.astype(float), _CLIP_WINDOW, axis=0)
     clipped = interpolated(frame_s, samples.time_s, near_limit) > 0
     weight = tip.weight_g[np.clip(np.searchsorted(index, every, side="right") - 1, 0, None)] * KG_PER_G
@@ -162,6 +169,8 @@ def in_motion(run: Run) -> Poses:
         live_m=_live(live),
         orientation=orientations(run, at),
         sections=section_poses(run, at),
+        samples=on_even_frames(samples.time_s, course, frame_s, period_s),
+        unresolved_pa=unresolved_courses(pressure, rate, unresolved),
     )
 
 
@@ -174,7 +183,7 @@ def quasi_static_poses(run: Run) -> Poses:
     motion = in_motion(run)
     every = np.arange(len(motion))
     course = PressureCourse(motion.period_s, motion.pressure_pa, motion.weight_kg, motion.wrench, every)
-    return replace(motion, period_s=0.0, course=course).only(motion.has_tip)
+    return replace(motion, period_s=0.0, course=course, samples=None).only(motion.has_tip)
 
 
 def poses_of(run: Run) -> Poses:

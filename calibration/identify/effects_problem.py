@@ -25,7 +25,14 @@ class EffectsProblem(LeastSquaresProblem):
     """
 
     def __init__(self, problem: LeastSquaresProblem, amplitude: Array) -> None:
-        super().__init__(problem.data, problem.start, problem.free, problem.priors, substeps=problem.substeps)
+        super().__init__(
+            problem.data,
+            problem.start,
+            problem.free,
+            problem.priors,
+            substeps=problem.substeps,
+            extrapolated=problem.extrapolated,
+        )
         self._amplitude = amplitude
         terms, reference_pa = lacking(self.start.arm), reference_pressure_pa(self.data)
         self._inputs = [error_inputs(poses, reference_pa, terms) for poses in self.data]
@@ -44,7 +51,7 @@ class EffectsProblem(LeastSquaresProblem):
         coefficients = self._split(z)[1]
         if self._affected is None or not np.array_equal(coefficients, self._affected[0]):
             poses = (own.added_to(one, coefficients) for own, one in zip(self._inputs, self.data, strict=True))
-            self._affected = coefficients.copy(), [Predictor(one, self.substeps) for one in poses]
+            self._affected = coefficients.copy(), [self.predictor(one) for one in poses]
         return self._affected[1]
 
     def slopes(self, z: Array, only: Sequence[int]) -> list[Array]:

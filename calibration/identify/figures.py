@@ -61,7 +61,7 @@ def estimates(figure: Figure, fit: Fit, profiles: Sequence[LikelihoodProfile], t
         if e.name in truth and not e.run:
             axes.plot(shown_at(truth[e.name]), 0, "x", color=TRUTH, ms=7, mew=2)
         unit = f" [{scale.suffix.strip()}]" if scale.suffix else ""
-        axes.set_yticks([0], [f"{e.name} {e.run[-18:]}".strip() + unit])
+        axes.set_yticks([0], [f"{e.name}{unit}\n{e.run}".strip()], fontsize=7 if e.run else None)
         axes.set_ylim(-1, 1)
         axes.tick_params(axis="x", labelsize=7)
         axes.grid(visible=False)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.errors import NoDataError
-from calibration.identify.least_squares import LeastSquaresProblem, Solution
+from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.likelihood import drifting, outlying, whitened
 from calibration.identify.nuisance import nuisance_parameters
 from calibration.identify.parameter import Prior
@@ -20,6 +20,7 @@ from calibration.identify.scaled_parameter import ScaledParameter, with_own_valu
 from calibration.identify.search import Progress, initial_point, point_of, search
 from calibration.identify.section_mounts import mount_priors
 from calibration.identify.setup import Setup
+from calibration.identify.solution import Solution
 from calibration.identify.undetermined import (
     PRIOR_SPANS,
     UNDETERMINED_SPANS,
@@ -194,7 +195,7 @@ def _runs(problem: LeastSquaresProblem, solution: Solution) -> tuple[RunFit, ...
                 outliers=int(outlying(residual).sum()),
                 oriented=int(poses.frames[poses.has_orientation].sum()),
                 correlation=solution.correlation[run],
-                independent=poses.independent / max(solution.correlation[run], 1.0),
+                independent=poses.independent / solution.correlation[run],
                 setup=problem.setup(solution.z, run),
                 before_live=poses.live_m is not None,
                 drifting=poses.in_sequence and drifting(residual),

@@ -112,7 +112,12 @@ def predict(fit: Fit, poses: Poses) -> Prediction:
     seen = next((run for run, other in enumerate(fit.problem.data) if other.source == poses.source), None)
     setup = fit.setup if seen is None else fit.runs[seen].setup
     problem = LeastSquaresProblem(
-        [poses], fit.start, fit.problem.free, fit.problem.priors, substeps=fit.problem.substeps
+        [poses],
+        fit.start,
+        fit.problem.free,
+        fit.problem.priors,
+        substeps=fit.problem.substeps,
+        extrapolated=fit.problem.extrapolated,
     )
     z = np.array([u.of(u.parameter.read(setup)) for u in problem.unknowns])
     slope = problem.slopes(z, range(len(z)))[0][:, :3]
@@ -129,7 +134,7 @@ def predict(fit: Fit, poses: Poses) -> Prediction:
         of_effects = error_inputs(poses, found.reference_pa, terms).columns(response)[:, :3]
         by_fit = np.concatenate([by_fit, of_effects], axis=2)
         second, noise_m = found.second, found.noise_m
-    by_pressure = problem.pressure_covariances(z)[0][:, :3, :3]
+    by_pressure = problem.pressure_errors(z)[0].covariance[:, :3, :3]
     covariance = np.nan_to_num(poses.covariance_m2) + by_pressure + noise_m**2 * np.eye(3)
     covariance = covariance + np.einsum("kin,nm,kjm->kij", by_fit, second, by_fit, optimize=True)
     for k, unknown in enumerate(problem.unknowns):
@@ -144,7 +149,7 @@ def predict(fit: Fit, poses: Poses) -> Prediction:
         measured_m=poses.tip_m,
         predicted_m=problem.predicted(z)[0],
         covariance_m2=covariance,
-        before_m=np.linalg.norm(poses.tip_m - Predictor(poses, fit.problem.substeps)(fit.start), axis=1),
+        before_m=np.linalg.norm(poses.tip_m - problem.predictor(poses)(fit.start), axis=1),
         outside=outside(fit.problem.data, poses),
         sections=SectionFit.every(poses, problem.gaps(z)[0]),
     )

@@ -24,7 +24,8 @@ from calibration.identify.parameter import Parameter, Prior
 from calibration.identify.poses import Poses
 from calibration.identify.scaled_parameter import ScaledParameter
 from calibration.identify.setup import Setup
-from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
+from calibration.identify.solution import Solution
+from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor, PressureErrors
 
 Array = NDArray[np.float64]
 
@@ -37,35 +38,14 @@ _SAME_COVARIANCE = 0.05
 _SAME_SLOPE = 3e-3
 
 
-@dataclass(frozen=True)
-class Solution:
-    """The maximum of the likelihood. z (n,) in spans; information (n, n) of data and priors, without the ridge."""
-
-    z: Array
-    information: Array
-    prior_information: Array
-    loss: float
-    """Robust sum of squares, priors included, at the final weights."""
-    log_likelihood: float
-    discrepancy: Discrepancy
-    correlation: tuple[float, ...]
-    weights: tuple[Weights, ...]
-    solved: bool
-
-    @property
-    def discrepancy_m(self) -> float:
-        """Standard deviation [m] per axis of the tips that no stated error explains."""
-        return self.discrepancy.tip_m
-
-
 @dataclass
 class LeastSquaresProblem:
     """The least-squares problem: data, starting setup, free parameters and their priors.
 
-    substeps: time steps per frame of a motion; 0 chooses by the free parameters. For the bootstrap: entry_weights, per
-    run (K,), is the multiplicity of each entry (None: one), and prior_shift (m,) moves the means of the priors, in
-    standard deviations and in the order of the unknowns that have a prior. progress is called with the rms distance [m]
-    after each step of the search.
+    substeps, extrapolated: time steps of a motion, see `Predictor`; 0 substeps choose both by the free parameters. For
+    the bootstrap: entry_weights, per run (K,), is the multiplicity of each entry (None: one), and prior_shift (m,)
+    moves the means of the priors, in standard deviations and in the order of the unknowns that have a prior. progress
+    is called with the rms distance [m] after each step of the search.
     """
 
     data: Sequence[Poses]
@@ -75,6 +55,7 @@ class LeastSquaresProblem:
     entry_weights: Sequence[Array] | None = None
     prior_shift: Array | None = None
     substeps: int = 0
+    extrapolated: bool = False
     progress: Callable[[float], None] = field(default=lambda rms_m: None)
 
     def __post_init__(self) -> None:
@@ -87,12 +68,13 @@ class LeastSquaresProblem:
         ]
         self.unknowns = (*shared, *own)
         fast = any(p.name in ("density_kg_m3", "damping_s", "sensor_lag_s") for p in self.free)
-        self.substeps = self.substeps or (FINE_SUBSTEPS if fast else SUBSTEPS)
-        self._predictors = [Predictor(poses, self.substeps) for poses in self.data]
+        if not self.substeps:
+            self.substeps, self.extrapolated = (FINE_SUBSTEPS, True) if fast else (SUBSTEPS, False)
+        self._predictors = [self.predictor(poses) for poses in self.data]
         self._frequency_masks = [
             frequency_mask(poses) if poses.moving else np.ones(len(poses) // 2 + 1) for poses in self.data
         ]
-        self._pressure: tuple[Array, list[Array]] | None = None
+        self._pressure: tuple[Array, list[PressureErrors]] | None = None
         self._kept_slopes: tuple[Array, tuple[int, ...], list[Array]] | None = None
         self._columns = [
             [i for i, u in enumerate(self.unknowns) if u.run is None or u.run == run] for run in range(len(self.data))
@@ -106,6 +88,10 @@ class LeastSquaresProblem:
         other._predictors = [replace(own, poses=poses) for own, poses in zip(self._predictors, data, strict=True)]
         other._kept_slopes = self._kept_slopes
         return other
+
+    def predictor(self, poses: Poses) -> Predictor:
+        """A predictor of some poses with the time steps of the problem."""
+        return Predictor(poses, self.substeps, self.extrapolated)
 
     @property
     def measured(self) -> int:
@@ -184,10 +170,7 @@ class LeastSquaresProblem:
         """
         every = range(len(self.unknowns))
         weights, _ = self.weights(z, 0.0)
-        rows = [
-            np.einsum("kij,kjn->kin", own.whitener, slope)
-            for own, slope in zip(weights, self.slopes(z, every), strict=True)
-        ]
+        rows = [own.whitened(slope) for own, slope in zip(weights, self.slopes(z, every), strict=True)]
         if masked:
             rows = [self._filtered(run, own) for run, own in enumerate(rows)]
         return rows, self.prior_rows(z)[0]
@@ -203,19 +186,25 @@ class LeastSquaresProblem:
         return perturbed, steps
 
     def solve(self, z: Array, fixed: Sequence[int] = (), rounds: int = _ROUNDS, evaluations: int = 40) -> Solution:
-        """Maximise the likelihood from z (n,) by iteratively reweighted Gauss-Newton; `fixed` unknowns keep their z."""
+        """Maximise the likelihood from z (n,) by iteratively reweighted Gauss-Newton; `fixed` unknowns keep their z.
+
+        Correlated entries count as fewer ones, as in the error bars: a long motion that the model cannot follow would
+        otherwise push every unknown to its limit, whatever its prior says.
+        """
         only = [i for i in range(len(z)) if i not in set(fixed)]
         z = z.copy()
         weights, sigma = self.weights(z, self.without_prior(only))
-        solved, before = True, Discrepancy(np.inf, np.inf)
+        solution = self.solution(z, only, weights, sigma, solved=True)
         for _ in range(rounds):
+            before = solution
             if only:
-                z, solved = self.gauss_newton(z, only, weights, evaluations)
-            weights, sigma = self.weights(z, self._fitted(z, only, weights))
-            if sigma.close_to(before):
+                z, solved = self.gauss_newton(z, only, before.weights, before.correlation, evaluations)
+                before = replace(before, solved=solved)
+            weights, sigma = self.weights(z, self._fitted(z, only, before.weights, before.correlation))
+            solution = self.solution(z, only, weights, sigma, before.solved)
+            if solution.close_to(before):
                 break
-            before = sigma
-        return self.solution(z, only, weights, sigma, solved)
+        return solution
 
     def without_prior(self, only: Sequence[int]) -> int:
         """Number of the unknowns `only` that have no prior."""
@@ -226,22 +215,24 @@ class LeastSquaresProblem:
         chosen = [self.unknowns[i] for i in only]
         return np.array([one.lower for one in chosen]), np.array([one.upper for one in chosen])
 
-    def _fitted(self, z: Array, only: list[int], weights: tuple[Weights, ...]) -> float:
+    def _fitted(self, z: Array, only: list[int], weights: tuple[Weights, ...], correlation: Sequence[float]) -> float:
         """Effective number of unknowns that the data determine: a narrow prior leaves them nothing to determine."""
         if not only:
             return 0.0
-        slope = self._slope_rows(z, only, weights)
+        slope = self._slope_rows(z, only, weights, correlation)
         data = slope[: sum(len(poses) * poses.numbers for poses in self.data)]
         return float(np.trace(determined_covariance(slope.T @ slope) @ (data.T @ data)))
 
     def weights(self, z: Array, fitted: float) -> tuple[tuple[Weights, ...], Discrepancy]:
         """The weights of the residuals near z, and the model discrepancy."""
-        pressure, gaps = self.pressure_covariances(z), self.gaps(z)
-        covariances = [poses.pose_covariance + pressure[run] for run, poses in enumerate(self.data)]
+        pressure, gaps = self.pressure_errors(z), self.gaps(z)
+        covariances = [poses.pose_covariance + own.covariance for own, poses in zip(pressure, self.data, strict=True)]
         sigma = Discrepancy.estimated(self.data, gaps, covariances, fitted)
         weights = (
-            Weights.of(covariance + sigma.covariance(poses.kinds), poses.measured)
-            for covariance, poses in zip(covariances, self.data, strict=True)
+            Weights.of(
+                poses.pose_covariance + own.independent + sigma.covariance(poses.kinds), poses.measured, own.common
+            )
+            for own, poses in zip(pressure, self.data, strict=True)
         )
         return tuple(weights), sigma
 
@@ -263,7 +254,7 @@ class LeastSquaresProblem:
         slopes = self.slopes(z, only)
         rows = []
         for run, poses in enumerate(self.data):
-            slope = -np.einsum("kij,kjn->kin", weights[run].whitener, slopes[run])
+            slope = -weights[run].whitened(slopes[run])
             loss_rows, slope_rows = huber(whitened(poses, at[run], weights[run]), slope)
             assert slope_rows is not None
             root = np.sqrt(self._count(run))
@@ -276,29 +267,34 @@ class LeastSquaresProblem:
         prior_rows, prior_gap = self.prior_rows(z)
         loss += float(prior_gap @ prior_gap)
         prior = prior_rows.T @ prior_rows
-        information, correlation = self._information(rows, prior, only)
+        information, correlation = self._information(rows, prior, only, [own.shared for own in weights])
         return Solution(z, information, prior, loss, log_likelihood, sigma, correlation, weights, solved)
 
     def _information(
-        self, rows: Sequence[tuple[Array, Array]], prior: Array, only: Sequence[int]
+        self, rows: Sequence[tuple[Array, Array]], prior: Array, only: Sequence[int], shared: Sequence[bool]
     ) -> tuple[Array, tuple[float, ...]]:
-        """Sandwich (HAC) information (n, n), and the factor by which correlation reduces each run's entries."""
+        """Sandwich (HAC) information (n, n), and the factor by which correlation reduces each run's entries.
+
+        shared: of each run, whether its entries share errors.
+        """
         part = np.ix_(only, only)
         curvatures = [np.einsum("kin,kim->nm", slope, slope) for _, slope in rows]
-        curvature = np.sum(curvatures, axis=0) + prior[part]
-        covariance = determined_covariance(curvature)
-        scores, correlation = [], []
+        covariance = determined_covariance(np.sum(curvatures, axis=0) + prior[part])
+        correlation = []
+        curvature, scores = prior[part].copy(), prior[part].copy()
         for run, (residual, slope) in enumerate(rows):
-            poses, score = self.data[run], curvatures[run]
+            poses, own = self.data[run], curvatures[run]
+            score = own
             if poses.in_sequence:
-                score = score_covariance(
-                    residual, slope, self._frequency_masks[run], float(poses.has_tip.mean()), covariance
-                )
-            expected = float(np.trace(covariance @ curvatures[run]))
-            scores.append(score)
-            correlation.append(float(np.trace(covariance @ score)) / expected if expected > 0 else 1.0)
+                gain, seen = self._frequency_masks[run], float(poses.has_tip.mean())
+                score = score_covariance(residual, slope, gain, seen, covariance, at_least_stated=shared[run])
+            expected = float(np.trace(covariance @ own))
+            factor = max(1.0, float(np.trace(covariance @ score)) / expected) if expected > 0 else 1.0
+            correlation.append(factor)
+            curvature += own / factor
+            scores += score / factor**2
         information = prior.copy()
-        information[part] = sandwich(curvature, np.sum(scores, axis=0) + prior[part])
+        information[part] = sandwich(curvature, scores)
         return information, tuple(correlation)
 
     def loss(self, z: Array, weights: tuple[Weights, ...], correlation: Sequence[float]) -> float:
@@ -315,17 +311,17 @@ class LeastSquaresProblem:
         scale = sum(one.log_det / factor for one, factor in zip(solution.weights, correlation, strict=True))
         return self.loss(solution.z, solution.weights, correlation) + scale
 
-    def pressure_covariances(self, z: Array) -> list[Array]:
-        """Covariances (K, D, D) by pressure errors, per run; recomputed only after a noticeable change of z."""
+    def pressure_errors(self, z: Array) -> list[PressureErrors]:
+        """Errors of the predictions by pressure errors, per run; recomputed only after a noticeable change of z."""
         if self._pressure is None or np.abs(z - self._pressure[0]).max(initial=0.0) > _SAME_COVARIANCE:
-            found = [p.pressure_covariance(self.setup(z, run)) for run, p in enumerate(self.predictors(z))]
+            found = [p.pressure_errors(self.setup(z, run)) for run, p in enumerate(self.predictors(z))]
             self._pressure = (z.copy(), found)
         return self._pressure[1]
 
     def gauss_newton(
-        self, z: Array, only: list[int], weights: tuple[Weights, ...], evaluations: int
+        self, z: Array, only: list[int], weights: tuple[Weights, ...], correlation: Sequence[float], evaluations: int
     ) -> tuple[Array, bool]:
-        """The minimum over the unknowns `only` at given weights, from z (n,), and whether the search converged."""
+        """The minimum of `loss` over the unknowns `only`, from z (n,), and whether the search converged."""
 
         def whole(x: Array) -> Array:
             out = z.copy()
@@ -333,8 +329,8 @@ class LeastSquaresProblem:
             return out
 
         x, converged = gauss_newton(
-            lambda x: self._rows(whole(x), only, weights),
-            lambda x: self._slope_rows(whole(x), only, weights),
+            lambda x: self._rows(whole(x), only, weights, correlation),
+            lambda x: self._slope_rows(whole(x), only, weights, correlation),
             z[only],
             bounds=self.bounds(only),
             evaluations=evaluations,
@@ -342,23 +338,26 @@ class LeastSquaresProblem:
         )
         return whole(x), converged
 
-    def _rows(self, z: Array, only: list[int], weights: tuple[Weights, ...]) -> Array:
+    def _rows(self, z: Array, only: list[int], weights: tuple[Weights, ...], correlation: Sequence[float]) -> Array:
         """The residual vector: tips, priors, ridge."""
         rows = []
         for run, gap in enumerate(self.gaps(z)):
             robust, _ = huber(whitened(self.data[run], gap, weights[run]))
-            rows.append((self._filtered(run, robust) * np.sqrt(self._count(run))[:, None]).ravel())
+            rows.append((self._filtered(run, robust) * np.sqrt(self._count(run) / correlation[run])[:, None]).ravel())
         return np.concatenate([*rows, self.prior_rows(z)[1], z[only] / _RIDGE_SPANS])
 
-    def _slope_rows(self, z: Array, only: list[int], weights: tuple[Weights, ...]) -> Array:
+    def _slope_rows(
+        self, z: Array, only: list[int], weights: tuple[Weights, ...], correlation: Sequence[float]
+    ) -> Array:
         """Jacobian of `_rows` by the unknowns `only`."""
         at = self.gaps(z)
         rows = []
         for run, tips_slope in enumerate(self.slopes(z, only)):
-            turned = -np.einsum("kij,kjn->kin", weights[run].whitener, tips_slope)
+            turned = -weights[run].whitened(tips_slope)
             _, out = huber(whitened(self.data[run], at[run], weights[run]), turned)
             assert out is not None
-            rows.append((self._filtered(run, out) * np.sqrt(self._count(run))[:, None, None]).reshape(-1, len(only)))
+            root = np.sqrt(self._count(run) / correlation[run])
+            rows.append((self._filtered(run, out) * root[:, None, None]).reshape(-1, len(only)))
         return np.concatenate([*rows, self.prior_rows(z)[0][:, only], np.eye(len(only)) / _RIDGE_SPANS])
 
     def prior_rows(self, z: Array) -> tuple[Array, Array]:

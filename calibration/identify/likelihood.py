@@ -102,22 +102,50 @@ class Weights:
     """Weights of one `Poses` with D numbers per entry: `whitener` (K, D, D) makes residuals [m, rad] unit normal.
 
     Its rows are zero where nothing was measured. It is lower triangular: the tips are whitened as without rotations.
-    log_det: sum of ln det(2 pi C) over what was measured.
+    common (K, D, m): errors that all entries share, per unit of m independent unit normal coefficients. Whitened, they
+    are basis (K D, m) times orthogonal coefficients, and `shrink` (m,) makes these unit normal, too. log_det:
+    ln det(2 pi C) of what was measured.
     """
 
     whitener: Array
+    common: Array
+    basis: Array
+    shrink: Array
     log_det: float
 
     @classmethod
-    def of(cls, covariance: Array, measured: NDArray[np.bool_]) -> Weights:
-        """From covariances (K, D, D) of measured minus predicted, and which numbers (K, D) were measured."""
+    def of(cls, covariance: Array, measured: NDArray[np.bool_], common: Array | None = None) -> Weights:
+        """From covariances (K, D, D) of measured minus predicted, and which numbers (K, D) were measured.
+
+        common (K, D, m): errors that all entries share, beside these.
+        """
         whitener = np.zeros_like(covariance)
         seen = measured[:, 0]
         lower = np.linalg.cholesky(covariance[seen])
         whitener[seen] = np.linalg.inv(lower)
         whitener[~measured] = 0.0
         logs = np.log(np.diagonal(lower, axis1=1, axis2=2))[measured[seen]]
-        return cls(whitener, float(2 * logs.sum() + logs.size * math.log(2 * math.pi)))
+        log_det = float(2 * logs.sum() + logs.size * math.log(2 * math.pi))
+        if common is None:
+            common = np.zeros((*measured.shape, 0))
+        # By the covariance I + U U' of whitened residuals, of which U has few columns.
+        basis, sizes, _ = np.linalg.svd((whitener @ common).reshape(measured.size, -1), full_matrices=False)
+        shrink = 1 / np.hypot(1.0, sizes) - 1
+        return cls(whitener, common, basis, shrink, log_det + float(np.log1p(sizes**2).sum()))
+
+    @property
+    def shared(self) -> bool:
+        """Whether the entries share errors."""
+        return bool(self.shrink.any())
+
+    def whitened(self, rows: Array) -> Array:
+        """Residuals (K, D), or derivatives of them (K, D, n), in uncorrelated standard deviations."""
+        flat = np.einsum("kij,kjn->kin", self.whitener, rows.reshape(*self.whitener.shape[:2], -1))
+        flat = flat.reshape(len(self.basis), -1)
+        if self.shared:
+            flat = flat + self.basis @ (self.shrink[:, None] * (self.basis.T @ flat))
+        out: Array = flat.reshape(rows.shape)
+        return out
 
 
 def whitened(poses: Poses, gap: Array, weights: Weights) -> Array:
@@ -125,7 +153,7 @@ def whitened(poses: Poses, gap: Array, weights: Weights) -> Array:
     difference = np.where(poses.measured, gap, 0.0)
     # An unsolved prediction is a bad one, not a missing one.
     unsolved = ~np.isfinite(difference)
-    out: Array = np.einsum("kij,kj->ki", weights.whitener, np.where(unsolved, 0.0, difference))
+    out = weights.whitened(np.where(unsolved, 0.0, difference))
     out[unsolved] = _UNSOLVED_RESIDUAL
     return out
 
@@ -224,14 +252,17 @@ def drifting(residual: Array) -> bool:
     return bool(power[: _FIRST_BAND - 1].mean() > _DRIFT_RATIO * power[_FIRST_BAND - 1 :].mean())
 
 
-def score_covariance(residual: Array, slope: Array, gain: Array, seen: float, covariance: Array) -> Array:
+def score_covariance(
+    residual: Array, slope: Array, gain: Array, seen: float, covariance: Array, at_least_stated: bool = False
+) -> Array:
     """Score covariance (n, n) of correlated residuals, by a HAC estimator; slope' slope if they are independent.
 
     residual (K, D), slope (K, D, n): in standard deviations, after `apply_frequency_mask`. seen: fraction of entries
     with a tip. covariance (n, n): of the unknowns under independence. The noise spectrum is estimated per octave and
     axis, corrected for the fitted degrees of freedom. Bands with few bins are shrunk towards the next higher band,
     extrapolated by its significant growth. The mean level is at least the stated one: an error common to a whole run
-    does not show in its residuals.
+    does not show in its residuals. at_least_stated: in every band; where the stated errors are shared by all entries,
+    the residuals of a band tell little of those that the unknowns absorb.
     """
     count = len(residual)
     twice = np.where((np.arange(len(gain)) == 0) | (2 * np.arange(len(gain)) == count), 1.0, 2.0)
@@ -253,6 +284,8 @@ def score_covariance(residual: Array, slope: Array, gain: Array, seen: float, co
         level[band] = before * numbers / (numbers - 2)
     if free.any():
         level /= min(1.0, float((level * free).sum() / free.sum()))
+    if at_least_stated:
+        level = np.maximum(level, 1.0)
     weight = level * (twice * gain**2)[:, None]
     out: Array = np.einsum("fin,fi,fim->nm", turned.conj(), weight, turned).real
     return out

@@ -198,6 +198,7 @@ class ErrorInputs:
             weight_kg=poses.weight_kg * factor,
             wrench=poses.wrench * factor,
             course=None if poses.course is None else poses.course.changed(shift_pa, factor),
+            samples=None if poses.samples is None else poses.samples.shifted(poses.frame_s, shift_pa),
         )
 
 

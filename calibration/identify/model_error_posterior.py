@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from calibration.identify.effects_problem import EffectsProblem
-from calibration.identify.least_squares import LeastSquaresProblem, Solution
+from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.likelihood import Discrepancy, Weights, outlying, whitened
 from calibration.identify.model_error import (
     CoefficientPrior,
@@ -30,6 +30,7 @@ from calibration.identify.model_error import (
     reference_pressure_pa,
 )
 from calibration.identify.model_error_sampler import LEVELS, AmplitudeSampler, NormalEquations
+from calibration.identify.solution import Solution
 
 Array = NDArray[np.float64]
 
@@ -66,11 +67,12 @@ class Effect:
 class ModelErrorPosterior:
     """Posterior of the errors of the fitted unknowns and of the coefficients of the model error, together.
 
-    second (n + m, n + m): mean squares and products of both, about the fit and zero; unknowns in spans. amplitude
-    (m,): root mean square of the coefficients, the same for all of a term. noise_m: independent error of the tips.
-    effects: one for each term. absent: probability that no term is present.
+    mean (n + m,): of both, from the fit and zero. second (n + m, n + m): their mean squares and products; unknowns in
+    spans. amplitude (m,): root mean square of the coefficients, the same for all of a term. noise_m: independent error
+    of the tips. effects: one for each term. absent: probability that no term is present.
     """
 
+    mean: Array
     second: Array
     amplitude: Array
     noise_m: float
@@ -110,6 +112,7 @@ def model_error_posterior(problem: LeastSquaresProblem, solution: Solution, assu
     )
     mean_square = np.array([(drawn.coefficients[:, term == k] ** 2).mean() for k in range(len(terms))])
     return ModelErrorPosterior(
+        mean=drawn.mean,
         second=drawn.second,
         amplitude=np.sqrt(np.maximum(mean_square, (_LEAST_SHARE * scale) ** 2))[term],
         noise_m=off.tip_m * float(np.sqrt(np.mean(np.square(shares)[drawn.noise]))),
@@ -144,12 +147,12 @@ def linearisation_error(
     n, z = len(solution.z), solution.z
     lower, upper = problem.bounds(range(n))
     at = np.clip(z + change[:n], lower, upper)
-    gaps, slopes, pressure = problem.gaps(z), problem.slopes(z, range(n)), problem.pressure_covariances(z)
+    gaps, slopes, pressure = problem.gaps(z), problem.slopes(z, range(n)), problem.pressure_errors(z)
     exact = EffectsProblem(problem, np.ones(len(change) - n)).gaps(np.concatenate([at, change[n:]]))
     errors = []
     for run, poses in enumerate(problem.data):
         linear = gaps[run] - slopes[run] @ (at - z) - columns[run] @ change[n:]
-        covariance = poses.pose_covariance + pressure[run] + noise.covariance(poses.kinds)
+        covariance = poses.pose_covariance + pressure[run].independent + noise.covariance(poses.kinds)
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         errors.append(((exact[run] - linear) / std)[poses.measured & np.isfinite(gaps[run])])
     rms = float(np.sqrt(np.mean(np.square(np.concatenate(errors)))))
@@ -179,21 +182,21 @@ def normal_equations(
     on_coefficients = [np.zeros((len(prior) + n, m))]
     residual = [-gap, np.zeros(n)]
     constant = 0.0
-    gaps, pressure = problem.gaps(z), problem.pressure_covariances(z)
+    gaps, pressure = problem.gaps(z), problem.pressure_errors(z)
     slopes = problem.slopes(z, range(n))
     for run, poses in enumerate(problem.data):
         good = poses.has_tip & ~outlying(whitened(poses, gaps[run], solution.weights[run]))
         if not good.any():
             continue
-        covariance = poses.pose_covariance + pressure[run] + noise.covariance(poses.kinds)
-        weights = Weights.of(covariance, poses.measured & good[:, None])
+        covariance = poses.pose_covariance + pressure[run].independent + noise.covariance(poses.kinds)
+        weights = Weights.of(covariance, poses.measured & good[:, None], pressure[run].common)
         # Correlated entries count as fewer independent ones.
-        whitener = weights.whitener[good] / math.sqrt(max(solution.correlation[run], 1.0))
-        own = np.einsum("kij,kj->ki", whitener, np.nan_to_num(gaps[run][good])).ravel()
-        on_unknowns.append(np.einsum("kij,kjn->kin", whitener, slopes[run][good]).reshape(-1, n))
-        on_coefficients.append(np.einsum("kij,kjn->kin", whitener, columns[run][good]).reshape(-1, m))
+        share = 1 / math.sqrt(solution.correlation[run])
+        own = share * weights.whitened(np.nan_to_num(gaps[run]))[good].ravel()
+        on_unknowns.append(share * weights.whitened(slopes[run])[good].reshape(-1, n))
+        on_coefficients.append(share * weights.whitened(columns[run])[good].reshape(-1, m))
         residual.append(own)
-        constant -= 0.5 * float(own @ own) + 0.5 * weights.log_det / max(solution.correlation[run], 1.0)
+        constant -= 0.5 * float(own @ own) + 0.5 * weights.log_det / solution.correlation[run]
     effect, rows = np.concatenate(on_coefficients), np.concatenate(residual)
     # Orthogonal projection, not products of the columns: where the data leave unknowns open, these lose the digits that
     # decide what is left for the coefficients.

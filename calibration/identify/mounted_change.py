@@ -1,4 +1,4 @@
-"""How measured poses answer to changes of an arm and of its mounting, from the answers of the arm itself."""
+"""Derivatives of measured poses by changes of an arm and of its mounting, from those of the arm alone."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def rotation_between(one: Array, other: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class ArmAnswers:
-    """Tips or sections of the arm in the rod-base frame, and how they answer to the changes of the arm.
+class PoseDerivatives:
+    """Poses of the tip or of a section in the rod-base frame, and their derivatives by the changes of the arm.
 
     point_m (K, 3), rotation (K, 3, 3); point_by and turn_by (K, 3, changes).
     """
@@ -48,7 +48,9 @@ class MountedChange:
     steps: Sequence[float]
     new: Sequence[int]
 
-    def slopes(self, arm: ArmAnswers, measured: Orientations | None, mount: Callable[[Setup], SectionMount]) -> Array:
+    def slopes(
+        self, arm: PoseDerivatives, measured: Orientations | None, mount: Callable[[Setup], SectionMount]
+    ) -> Array:
         """Derivatives of measured points, and of rotations if some were `measured`, (K, 3 or 6, P).
 
         mount: of a setup, how the measured frame is mounted.

@@ -11,6 +11,7 @@ from calibration.identify.errors import NoDataError
 from calibration.identify.orientation import Orientations
 from calibration.identify.pressure_course import PressureCourse
 from calibration.identify.pressure_history import PressureHistory
+from calibration.identify.pressure_samples import PressureSamples
 from calibration.identify.section_poses import SectionPoses
 
 Array = NDArray[np.float64]
@@ -46,6 +47,9 @@ class Poses:
     course: of static poses, for models that remember; None where it is unknown, and each pose has long been held.
     orientation: of the tips; None if no entry has one. sections: measured sections of the arm; they count in entries
     with a tip. averaged (K,): the number of independent frames whose mean has the error of an entry; None if it is one.
+    samples: the pressures of a motion between its frames; None if they follow a smooth curve through those of the
+    frames. unresolved_pa (K, N, m): errors of the pressures per unit of m independent unit normal coefficients, which
+    all entries share; None if there are none.
     """
 
     run_id: str
@@ -66,6 +70,8 @@ class Poses:
     pressure_mixing: Array | None = None
     sections: tuple[SectionPoses, ...] = ()
     averaged: Array | None = None
+    samples: PressureSamples | None = None
+    unresolved_pa: Array | None = None
 
     def __len__(self) -> int:
         return len(self.weight_kg)
@@ -74,6 +80,12 @@ class Poses:
     def moving(self) -> bool:
         """True for a motion: the entries are a time series."""
         return self.period_s > 0
+
+    @property
+    def frame_s(self) -> Array:
+        """Times (K,) [s] of the frames of a motion since its first one."""
+        out: Array = np.arange(len(self), dtype=np.float64) * self.period_s
+        return out
 
     @property
     def in_sequence(self) -> bool:
@@ -154,6 +166,7 @@ class Poses:
 
     def only(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Poses:
         """A subset of the entries; of a motion it must be contiguous."""
+        first_s = float(np.arange(len(self))[chosen][0]) * self.period_s if self.samples is not None else 0.0
         return replace(
             self,
             pressure_pa=self.pressure_pa[chosen],
@@ -170,6 +183,8 @@ class Poses:
             orientation=None if self.orientation is None else self.orientation.only(chosen),
             sections=tuple(one.only(chosen) for one in self.sections),
             averaged=None if self.averaged is None else self.averaged[chosen],
+            samples=None if self.samples is None else self.samples.since(first_s),
+            unresolved_pa=None if self.unresolved_pa is None else self.unresolved_pa[chosen],
         )
 
 

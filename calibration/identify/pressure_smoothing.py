@@ -7,6 +7,8 @@ nothing else, the arm comes out too wide. So the noise is removed first.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
@@ -20,6 +22,8 @@ _WIDTHS = (9, 15, 23, 37, 59)
 _SELECT_DEGREE, _VALUE_DEGREE = 4, 6
 # Confidence interval of an estimate, in standard deviations.
 _AGREEMENT_STD = 2.5
+# A combination of the pressures of which noise is a smaller share of the variance is resolved.
+_UNRESOLVED_SHARE = 0.1
 # A smaller standard deviation counts as this: some samples, as those of a constant, show no noise.
 _LEAST_NOISE_PA = 1e-3
 
@@ -56,15 +60,28 @@ def smoothed(samples: Array) -> tuple[Array, Array]:
     return best, deviation
 
 
-def regression_calibrated(samples: Array, deviation: Array) -> tuple[Array, Array]:
-    """Expected pressures (K, N) given samples (K, N) with errors of standard deviations (K, N), and a matrix (N, N).
+class CalibratedPressures(NamedTuple):
+    """Expected pressures (K, N) of samples with errors; see `regression_calibrated`.
 
-    The errors that remain are the matrix times independent ones of the same standard deviations. A combination of the
-    pressures that varies by no more than its errors, as the difference of two chambers on one valve, becomes constant;
-    one that varies much more stays as it is (regression calibration; Carroll et al. 2006, section 4.4).
+    mixing (N, N): the errors that remain are this matrix times independent ones of the same standard deviations.
+    unresolved (N, c): combinations of the pressures that vary by little more than their errors, as large as the error
+    of a sample, times the root of the share of their variance that is noise.
+    """
+
+    pressure_pa: Array
+    mixing: Array
+    unresolved: Array
+
+
+def regression_calibrated(samples: Array, deviation: Array) -> CalibratedPressures:
+    """Expected pressures (K, N) given samples (K, N) with errors of standard deviations (K, N).
+
+    A combination of the pressures that varies by no more than its errors, as the difference of two chambers on one
+    valve, becomes constant; one that varies much more stays as it is (regression calibration; Carroll et al. 2006,
+    section 4.4).
     """
     if len(samples) < 2:
-        return samples.copy(), np.eye(samples.shape[1])
+        return CalibratedPressures(samples.copy(), np.eye(samples.shape[1]), np.zeros((samples.shape[1], 0)))
     scale = np.maximum(np.sqrt((deviation**2).mean(axis=0)), _LEAST_NOISE_PA)
     centre = samples.mean(axis=0)
     values, vectors = np.linalg.eigh(np.atleast_2d(np.cov((samples - centre) / scale, rowvar=False)))
@@ -74,7 +91,11 @@ def regression_calibrated(samples: Array, deviation: Array) -> tuple[Array, Arra
         out: Array = scale[:, None] * ((vectors * share) @ vectors.T) / scale
         return out
 
-    return centre + (samples - centre) @ turned(reliability).T, turned(np.sqrt(reliability))
+    return CalibratedPressures(
+        centre + (samples - centre) @ turned(reliability).T,
+        turned(np.sqrt(reliability)),
+        (scale[:, None] * vectors * np.sqrt(1.0 - reliability))[:, 1.0 - reliability > _UNRESOLVED_SHARE],
+    )
 
 
 def _windowed(samples: Array, width: int, degree: int) -> tuple[Array, Array]:

@@ -77,7 +77,7 @@ def _profile(fit: Fit, i: int) -> LikelihoodProfile:
             z[others] += slope * (to - z[i]) * rates[i] / rates[others]
             z[i] = to
             if others:
-                z, _ = problem.gauss_newton(z.copy(), others, solution.weights, _EVALUATIONS)
+                z, _ = problem.gauss_newton(z.copy(), others, solution.weights, solution.correlation, _EVALUATIONS)
             rise = problem.loss(z, solution.weights, solution.correlation) - lowest
             points[float(z[i])] = max(rise, 0.0)
             if rise > RISE_95 * 1.3 or z[i] == limit:

@@ -10,13 +10,14 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.least_squares import LeastSquaresProblem, Solution
+from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.likelihood import Discrepancy
 from calibration.identify.model_error_posterior import ModelErrorPosterior
 from calibration.identify.parameter import Prior
 from calibration.identify.parameters import known
 from calibration.identify.poses import Poses, section_kind
 from calibration.identify.setup import Setup
+from calibration.identify.solution import Solution
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.least_squares import LeastSquaresProblem, Solution
+from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.nuisance import MOTION_ONLY
 from calibration.identify.poses import Poses
+from calibration.identify.solution import Solution
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -129,6 +130,7 @@ def _from_part(
         problem.free,
         problem.priors,
         substeps=problem.substeps,
+        extrapolated=problem.extrapolated,
         progress=lambda rms_m: progress(f"part of the data: rms {1e3 * rms_m:.3f} mm"),
     )
     place = {(u.parameter.name, u.run): i for i, u in enumerate(problem.unknowns)}

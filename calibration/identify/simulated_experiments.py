@@ -18,11 +18,12 @@ from calibration.identify.parameters import known, named
 from calibration.identify.poses import Poses
 from calibration.identify.pressure_course import PressureCourse
 from calibration.identify.pressure_history import pressure_history
+from calibration.identify.pressure_samples import PressureSamples
 from calibration.identify.pressure_smoothing import smoothed
 from calibration.identify.section_mounts import mount_parameters
 from calibration.identify.section_poses import SectionPoses
 from calibration.identify.setup import Setup
-from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
+from calibration.identify.tip_predictor import Predictor
 from calibration.parallel_map import Progress, parallel_map
 
 Array = NDArray[np.float64]
@@ -30,6 +31,8 @@ Array = NDArray[np.float64]
 LAG_PRIOR = Prior(0.0, 0.005)
 # Of the pressures in each frame of a motion.
 _SAMPLES = 7
+# Time steps per frame of a true motion, extrapolated: finer ones than those of a fit, whose error would not show else.
+_TRUE_SUBSTEPS = 8
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,24 @@ def plan(
     )
 
 
+def scaled_errors(planned: Poses, share: Array) -> Poses:
+    """A planned experiment whose covariances of tips, orientations and sections are multiplied by share (K,)."""
+    factor = share[:, None, None]
+
+    def scaled(turned: Orientations | None) -> Orientations | None:
+        return turned and replace(turned, covariance_rad2=turned.covariance_rad2 * factor)
+
+    return replace(
+        planned,
+        covariance_m2=planned.covariance_m2 * factor,
+        orientation=scaled(planned.orientation),
+        sections=tuple(
+            replace(one, covariance_m2=one.covariance_m2 * factor, orientation=scaled(one.orientation))
+            for one in planned.sections
+        ),
+    )
+
+
 def plan_slow(run_id: str, pressure_pa: Array, period_s: float, errors: MeasurementErrors | None = None) -> Poses:
     """A slow experiment whose pressures (K, N), period_s apart, are all measured: each pose with the course to it."""
     still = plan(run_id, pressure_pa, None, 0.0, errors)
@@ -132,41 +153,38 @@ def perform(
         out: Array = pressure_pa * np.array(truth.sensor_gain) + offset + noise
         return out
 
+    samples = None
     if planned.moving:
-        curve, end_s = CubicSpline(planned.time_s, planned.pressure_pa), planned.time_s[-1]
-        parts = FINE_SUBSTEPS // SUBSTEPS
-        steps_s = np.linspace(0.0, end_s, parts * (len(planned) - 1) + 1)
-        weight = np.concatenate([planned.weight_kg[:1], np.repeat(planned.weight_kg[1:], parts)])
-        fine = replace(
-            plan(planned.run_id, curve(steps_s), weight, steps_s[1]),
-            sections=tuple(one.spread(np.arange(0, len(steps_s), parts), len(steps_s)) for one in planned.sections),
-        )
-        predictor, rows = Predictor(fine), slice(None, None, parts)
+        curve, end_s = CubicSpline(planned.frame_s, planned.pressure_pa), planned.frame_s[-1]
+        steps_s = np.linspace(0.0, end_s, 2 * _TRUE_SUBSTEPS * (len(planned) - 1) + 1)
+        true = replace(planned, samples=PressureSamples(steps_s, curve(steps_s)))
+        predictor = Predictor(true, _TRUE_SUBSTEPS, extrapolated=True)
         sampled_s = np.linspace(0.0, end_s, _SAMPLES * (len(planned) - 1) + 1)
-        samples = read(curve(sampled_s - truth.sensor_lag_s), errors.pressure_pa * _SAMPLES**0.5)
-        measured_pa = smoothed(samples)[0][::_SAMPLES]
+        noisy = read(curve(sampled_s - truth.sensor_lag_s), errors.pressure_pa * _SAMPLES**0.5)
+        samples = PressureSamples(sampled_s, smoothed(noisy)[0])
+        measured_pa = samples.pressure_pa[::_SAMPLES]
     else:
         predictor = Predictor(planned if felt_pa is None else replace(planned, pressure_pa=felt_pa))
-        rows = slice(None)
         measured_pa = read(planned.pressure_pa, errors.plateau_pa)
     course = planned.course
     if course is not None:
         through_pa = read(course.pressure_pa, errors.plateau_pa)
         through_pa[course.at] = measured_pa
         course = replace(course, pressure_pa=through_pa)
-    tips = predictor(plant)[rows]
+    tips = predictor(plant)
     done = replace(
         planned,
         pressure_pa=measured_pa,
         course=course,
+        samples=samples,
         tip_m=tips + rng.standard_normal((len(planned), 3)) * np.array(errors.tip_m),
     )
-    orientation = _turned(planned.orientation, predictor.rotations(plant)[rows], rng, errors)
+    orientation = _turned(planned.orientation, predictor.rotations(plant), rng, errors)
     sections = tuple(
         replace(
             one,
-            point_m=point[rows] + rng.standard_normal((len(planned), 3)) * np.array(errors.section_m),
-            orientation=_turned(one.orientation, rotation[rows], rng, errors),
+            point_m=point + rng.standard_normal((len(planned), 3)) * np.array(errors.section_m),
+            orientation=_turned(one.orientation, rotation, rng, errors),
         )
         for one, (point, rotation) in zip(planned.sections, predictor.sections(plant), strict=True)
     )
@@ -213,18 +231,24 @@ def _turned_as_planned(exact: Orientations, rng: np.random.Generator) -> Orienta
 def exact(planned: Poses, truth: Setup) -> Poses:
     """A planned experiment whose tips and orientations are exactly where the model predicts them."""
     predictor = Predictor(planned)
-    done = replace(planned, tip_m=predictor(truth))
-    if planned.orientation is not None:
-        done = replace(done, orientation=replace(planned.orientation, rotation=predictor.rotations(truth)))
-    sections = tuple(
-        replace(
-            one,
-            point_m=point,
-            orientation=None if one.orientation is None else replace(one.orientation, rotation=rotation),
-        )
-        for one, (point, rotation) in zip(planned.sections, predictor.sections(truth), strict=True)
+    return located(planned, (predictor(truth), predictor.rotations(truth)), predictor.sections(truth))
+
+
+def located(planned: Poses, tip: tuple[Array, Array], sections: Sequence[tuple[Array, Array]]) -> Poses:
+    """A planned experiment with these points (K, 3) and rotations (K, 3, 3) of the tip and of each section."""
+
+    def turned(orientation: Orientations | None, rotation: Array) -> Orientations | None:
+        return orientation and replace(orientation, rotation=rotation)
+
+    return replace(
+        planned,
+        tip_m=tip[0],
+        orientation=turned(planned.orientation, tip[1]),
+        sections=tuple(
+            replace(one, point_m=point, orientation=turned(one.orientation, rotation))
+            for one, (point, rotation) in zip(planned.sections, sections, strict=True)
+        ),
     )
-    return replace(done, sections=sections)
 
 
 def _drawn(covariance: Array, rng: np.random.Generator) -> Array:

@@ -6,16 +6,17 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import model
-from calibration.identify.mounted_change import ArmAnswers, MountedChange, rotation_between
+from calibration.identify.mounted_change import MountedChange, PoseDerivatives, rotation_between
 from calibration.identify.poses import Poses
 from calibration.identify.pressure_course import PressureCourse
-from calibration.identify.pressure_smoothing import curve
+from calibration.identify.pressure_samples import PressureSamples
 from calibration.identify.setup import Setup
 from model import sensitivities
 from model.dynamics import Dynamics
@@ -29,8 +30,9 @@ Key = tuple[object, ...]
 
 # Time steps per camera period: at one step the time scheme's own damping would pass for the material's.
 SUBSTEPS = 2
-# Where inertia is asked for: two steps slow the arm's own oscillation, and a density came out 16 % too low.
-FINE_SUBSTEPS = 8
+# Where inertia is asked for: two steps slow the arm's own oscillation, and a density came out 16 % too low. These are
+# extrapolated: eight steps alone move a damping by half a percent where the arm is driven near its first mode.
+FINE_SUBSTEPS = 4
 _MAX_SOLVED = 64
 _MAX_SENSITIVITIES = 40
 _LOAD_STEP = 1e-3
@@ -47,13 +49,37 @@ class PushResponse:
     by_load: Array
 
 
+class PressureErrors(NamedTuple):
+    """Errors of K predictions, D numbers each, by errors of the measured pressures.
+
+    independent (K, D, D): covariances of those that are independent from entry to entry. common (K, D, m): those that
+    all entries share, per unit of m independent unit normal coefficients.
+    """
+
+    independent: Array
+    common: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Covariances (K, D, D) of both together."""
+        out: Array = self.independent + self.common @ np.swapaxes(self.common, 1, 2)
+        return out
+
+
 @dataclass
 class Predictor:
-    """Predicts the tips of one `Poses`; keeps the last solved shapes, because mounting and tool need no new ones."""
+    """Predicts the tips of one `Poses`; keeps the last solved shapes, because mounting and tool need no new ones.
+
+    substeps: time steps per frame of a motion. extrapolated: its tips with this many steps and with twice as many are
+    extrapolated to infinitely many (Richardson; the time scheme is of second order). Its slopes are those of the
+    coarse steps: the search needs no better ones, and they are most of its cost.
+    """
 
     poses: Poses
     substeps: int = SUBSTEPS
+    extrapolated: bool = False
     _solved: dict[Key, Solved] = field(default_factory=dict)
+    _finer: Predictor | None = None
     _through: Predictor | None = None
 
     def __call__(self, setup: Setup) -> Array:
@@ -93,6 +119,15 @@ class Predictor:
         if (course := self._course(setup)) is not None:
             tips, rotations = self._along(course)._shapes(_without_inertia(setup))
             return tips[course.at], rotations[course.at]
+        coarse = self._solved_with_substeps(setup)
+        if not (self.extrapolated and self.poses.moving):
+            return coarse
+        if self._finer is None:
+            self._finer = Predictor(self.poses, 2 * self.substeps)
+        return _extrapolated(coarse, self._finer._solved_with_substeps(setup))
+
+    def _solved_with_substeps(self, setup: Setup) -> Solved:
+        """The shapes with the time steps of this predictor; kept."""
         key = self._key(setup)
         found = self._solved.get(key)
         if found is None:
@@ -123,16 +158,16 @@ class Predictor:
         poses = self.poses
         if not poses.moving:
             return setup.pressure_pa(poses.pressure_pa)
-        rows_s = np.arange(len(poses), dtype=np.float64) * poses.period_s
         count = 1 + (len(poses) - 1) * self.substeps
         steps_s = np.arange(count, dtype=np.float64) * (poses.period_s / self.substeps)
-        course, rate = curve(rows_s, poses.pressure_pa, steps_s + setup.sensor_lag_s)
+        samples = poses.samples or PressureSamples(poses.frame_s, poses.pressure_pa)
+        course, rate = samples.at(steps_s + setup.sensor_lag_s)
         return setup.pressure_pa(course + setup.sensor_filter_s * rate)
 
     def slopes(self, setup: Setup, perturbed: Sequence[Setup], steps: Sequence[float]) -> Array:
-        """How predictions answer (K, D, P) to each change of the setup, per unit of its step, by the model's gradients.
+        """Derivatives (K, D, P) of predictions by each change of the setup, per unit of its step.
 
-        perturbed: the setup with one change each, so small that the answer is linear in it.
+        perturbed: the setup with one change each, so small that predictions are linear in it.
         """
         if (course := self._course(setup)) is not None:
             along = self._along(course).slopes(_without_inertia(setup), [_without_inertia(p) for p in perturbed], steps)
@@ -158,10 +193,10 @@ class Predictor:
             )
         self._keep(key, _with_tip(found))
         changed = MountedChange(setup, perturbed, steps, new)
-        tip = ArmAnswers(found.tip_m, found.tip_rotation, found.tip_by, found.turn_by)
+        tip = PoseDerivatives(found.tip_m, found.tip_rotation, found.tip_by, found.turn_by)
         parts = [changed.slopes(tip, poses.orientation, Setup.tool)]
         for k, one in enumerate(poses.sections):
-            section = ArmAnswers(
+            section = PoseDerivatives(
                 found.section_m[:, k], found.section_rotation[:, k], found.section_by[:, k], found.section_turn_by[:, k]
             )
             parts.append(changed.slopes(section, one.orientation, partial(Setup.mount, section=one.name)))
@@ -177,18 +212,19 @@ class Predictor:
             self._through = Predictor(_as_motion(self.poses, course), 1)
         return self._through
 
-    def pressure_covariance(self, setup: Setup) -> Array:
-        """Covariance (K, D, D) that random pressure errors lend the predictions, by the arm's statics."""
+    def pressure_errors(self, setup: Setup) -> PressureErrors:
+        """What errors of the measured pressures do to the predictions, by the arm's statics."""
         poses = self.poses
-        if not poses.pressure_std_pa.any():
-            return np.zeros((len(poses), poses.numbers, poses.numbers))
+        size, numbers = len(poses), poses.numbers
+        found = PressureErrors(np.zeros((size, numbers, numbers)), np.zeros((size, numbers, 0)))
+        if not poses.pressure_std_pa.any() and poses.unresolved_pa is None:
+            return found
         still, nearest = self._at_rest()
         slope = _by_pressure(still, setup)
-        if poses.pressure_mixing is not None:
-            slope = slope @ poses.pressure_mixing
-        spread = slope[nearest] * poses.pressure_std_pa[:, None, :]
-        out: Array = spread @ np.swapaxes(spread, 1, 2)
-        return out
+        mixed = slope if poses.pressure_mixing is None else slope @ poses.pressure_mixing
+        spread = mixed[nearest] * poses.pressure_std_pa[:, None, :]
+        found = found._replace(independent=spread @ np.swapaxes(spread, 1, 2))
+        return found if poses.unresolved_pa is None else found._replace(common=slope[nearest] @ poses.unresolved_pa)
 
     def push_response(self, setup: Setup) -> PushResponse:
         """How predictions at rest respond to the pressures that push the arm, and to the load."""
@@ -219,7 +255,16 @@ class Predictor:
         count = len(self.poses)
         some = np.unique(np.linspace(0, count - 1, min(count, _MAX_SENSITIVITIES)).round().astype(int))
         nearest = np.abs(np.arange(count)[:, None] - some).argmin(axis=1)
-        return Predictor(replace(self.poses.only(some), period_s=0.0, course=None)), nearest
+        return Predictor(replace(self.poses.only(some), period_s=0.0, course=None, samples=None)), nearest
+
+
+def _extrapolated(coarse: Solved, fine: Solved) -> Solved:
+    """Shapes without the error of second order of two solutions, the second one with half the time steps."""
+    (points, rotations), (coarse_points, coarse_rotations) = fine, coarse
+    turned = rotations + (rotations - coarse_rotations) / 3
+    # One step of Newton and Schulz leaves a rotation: the two solutions differ by milliradians.
+    turned = turned @ (3 * np.eye(3) - np.swapaxes(turned, -1, -2) @ turned) / 2
+    return points + (points - coarse_points) / 3, turned
 
 
 def _without_inertia(setup: Setup) -> Setup:
@@ -243,6 +288,8 @@ def _as_motion(poses: Poses, course: PressureCourse) -> Poses:
         time_s=np.asarray(np.arange(count) * course.period_s, np.float64),
         live_m=None,
         course=None,
+        samples=None,
+        unresolved_pa=None,
         orientation=None if poses.orientation is None else poses.orientation.spread(course.at, count),
         sections=tuple(one.spread(course.at, count) for one in poses.sections),
     )
@@ -316,7 +363,7 @@ def _dynamic_sensitivities(
 ) -> Gradients:
     weight, dt_s = _repeat_rows(poses.weight_kg, substeps), poses.period_s / substeps
     return sensitivities.motion(
-        setup.turned_arm, pressure_pa, dt_s, changes, weight, substeps, pull=wrench, sections_m=_at_m(poses)
+        setup.turned_arm, pressure_pa, dt_s, changes, weight, substeps, tip_wrench=wrench, sections_m=_at_m(poses)
     )
 
 

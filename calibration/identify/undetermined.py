@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from calibration.identify.effects_problem import EffectsProblem
 from calibration.identify.information import covariance as covariance_of
-from calibration.identify.least_squares import LeastSquaresProblem, Solution
+from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.model_error_posterior import ModelErrorPosterior, model_error_posterior
 from calibration.identify.results import Verdict
 from calibration.identify.search import Progress
+from calibration.identify.solution import Solution
 
 Array = NDArray[np.float64]
 
@@ -118,7 +119,7 @@ def _obscured(
     if not far:
         return {}
     effects = EffectsProblem(problem, error.amplitude)
-    found = effects.solve(effects.extended(solution.z), sorted(held))
+    found = effects.solve(effects.extended(solution.z) + error.mean, sorted(held))
     n = len(problem.unknowns)
     z, information = found.z[:n], covariance_of(covariance_of(found.information)[:n, :n])
     others = [i for i in range(n) if i not in far and i not in held]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calibration.design.information import Unknowns, error_bars, error_bars_of_repeats
 from calibration.identify import Prior, Setup, identify, named
-from calibration.identify.nuisance import nuisance_parameters
-from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
+from calibration.identify.nuisance import nuisance_parameters, stated_values
+from calibration.identify.section_mounts import mount_priors
+from calibration.identify.simulated_experiments import MeasurementErrors, exact, perform, plan
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
 from rig.identify.estimation import rig_uncertainties
@@ -42,6 +45,22 @@ def test_expected_error_bars_are_those_that_the_identification_states(unknowns: 
     stated = [fit[name].std for name in expected.names]
     assert expected.names == FREE[:3]
     np.testing.assert_allclose(expected.alone, stated, rtol=0.15)
+
+
+def test_measured_sections_narrow_the_expected_error_bars_as_those_of_the_identification() -> None:
+    free, errors = ("a1_per_n", "base_x_m", "base_z_m"), replace(ERRORS, section_m=(5e-5, 5e-5, 5e-5))
+    start = Setup(model_arm(load("mock")))
+    tip = plan("one", PRESSURES, errors=errors)
+    both = plan("one", PRESSURES, errors=errors, sections_m={"middle": 0.5 * start.arm.geometry.length_m})
+    bars = []
+    for planned in (tip, both):
+        chosen = named(free, 3)
+        beside = nuisance_parameters(start, [exact(planned, start)], chosen)
+        stated = stated_values(start, {}) | mount_priors([planned])
+        bars.append(error_bars([planned], Unknowns(start, chosen, beside, {p.name: stated[p.name] for p in beside})))
+    assert (bars[1].std[1:] < 0.8 * bars[0].std[1:]).all()
+    fit = identify([exact(both, start)], start, free, stated=stated)
+    np.testing.assert_allclose([fit[name].std for name in free], bars[1].alone, rtol=0.15)
 
 
 def test_planned_tips_are_exact_at_the_time_steps_of_the_fit() -> None:

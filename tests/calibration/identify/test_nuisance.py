@@ -95,9 +95,7 @@ def test_a_result_that_is_worse_than_its_start_is_a_failure(monkeypatch: pytest.
     good = search(problem, np.zeros(2), 1, 0, lambda text: None)
     assert not good.worse_than_start
     whole = LeastSquaresProblem.solve
-    monkeypatch.setattr(
-        LeastSquaresProblem, "gauss_newton", lambda self, z, only, weights, evaluations: (np.full(2, 0.2), False)
-    )
+    monkeypatch.setattr(LeastSquaresProblem, "gauss_newton", lambda *_: (np.full(2, 0.2), False))
     assert search(problem, np.zeros(2), 1, 0, lambda text: None).worse_than_start
     assert LeastSquaresProblem.solve is whole
 
@@ -110,9 +108,9 @@ def test_a_doubtful_search_starts_again_until_two_results_agree(monkeypatch: pyt
     assert len(search(problem, np.zeros(2), None, 0, lambda text: None).losses) == 1
     proper, calls = LeastSquaresProblem.gauss_newton, []
 
-    def first_fails(self, z, only, weights, evaluations):  # type: ignore[no-untyped-def]
+    def first_fails(self, z, only, *how):  # type: ignore[no-untyped-def]
         calls.append(1)
-        return (z, False) if len(calls) == 1 else proper(self, z, only, weights, evaluations)
+        return (z, False) if len(calls) == 1 else proper(self, z, only, *how)
 
     monkeypatch.setattr(LeastSquaresProblem, "gauss_newton", first_fails)
     monkeypatch.setattr("calibration.identify.least_squares._ROUNDS", 1)

@@ -82,7 +82,11 @@ def test_error_bars_with_orientations_hold_in_repeated_experiments() -> None:
 
 
 @pytest.mark.parametrize("period_s", [0.0, 0.05])
-def test_slopes_of_orientations_are_the_finite_differences_of_the_gaps(period_s: float) -> None:
+def test_slopes_of_orientations_are_the_finite_differences_of_the_gaps(
+    monkeypatch: pytest.MonkeyPatch, period_s: float
+) -> None:
+    # What Newton's method leaves of a step differs from one parameter to the next: here it leaves nothing.
+    monkeypatch.setattr("model.dynamics.TOLERANCE_IN_MOTION", 1e-7)
     truth = replace(LEANING, tool_rotation_rad=(0.3, -0.2, 0.4))
     planned = plan("one", RAMP * [1, 0.3, 0], period_s=period_s, errors=WITH)
     poses = perform(planned, truth, np.random.default_rng(2), WITH)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import model
-from calibration.identify import Poses, Setup, identify
+from calibration.identify import Poses, Prior, Setup, identify
 from calibration.identify.likelihood import apply_frequency_mask, drifting, frequency_mask, score_covariance
 from calibration.identify.results import NORMAL_95
 from calibration.identify.simulated_experiments import MeasurementErrors, plan
@@ -135,3 +135,20 @@ def test_frequencies_without_pressure_signal_are_masked() -> None:
     left = apply_frequency_mask(rows, sine)
     assert left[:, 0] == pytest.approx(rows[:, 0], abs=1e-9)
     assert np.abs(left[:, 1]).max() < 1e-9
+
+
+def test_correlated_frames_do_not_outweigh_a_prior_by_their_number() -> None:
+    planned = slow_motion()
+    true = Predictor(planned)(START)
+    rng, prior = np.random.default_rng(12), Prior(START.arm.geometry.length_m, 5e-4)
+    errors_m, bars_m = [], []
+    for _ in range(8):
+        data = replace(planned, tip_m=true + 1e-3 * shared_errors(rng, 0.9))
+        found = identify([data], START, ["rpe_per_bar", "length_m"], {"length_m": prior})["length_m"]
+        assert found.std is not None
+        errors_m.append(found.used - prior.mean)
+        bars_m.append(found.std)
+    rms_m = np.sqrt(np.mean(np.square(errors_m)))
+    assert rms_m < 1.1 * np.mean(bars_m)
+    # Weighted by the number of frames they err by 0.75 of the prior's deviation.
+    assert rms_m < 0.6 * prior.std

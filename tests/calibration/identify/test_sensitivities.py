@@ -44,7 +44,7 @@ def differences(problem: LeastSquaresProblem, z: NDArray[np.float64], i: int, ru
 def test_slopes_equal_finite_differences_static_and_dynamic(monkeypatch: pytest.MonkeyPatch) -> None:
     # What Newton's method leaves of a step differs from one parameter to the next: here it leaves nothing.
     monkeypatch.setattr("model.dynamics.TOLERANCE_IN_MOTION", 1e-7)
-    problem = LeastSquaresProblem([RESTING, MOVING], start(), named(FREE, 3))
+    problem = LeastSquaresProblem([RESTING, MOVING], start(), named(FREE, 3), substeps=8)
     z = np.random.default_rng(4).uniform(-0.05, 0.05, len(problem.unknowns))
     found = problem.slopes(z, range(len(z)))
     for i, unknown in enumerate(problem.unknowns):
@@ -106,5 +106,5 @@ def test_pressure_noise_is_propagated_to_the_measured_point_under_a_wrench() -> 
     often = poses.only(np.repeat(np.arange(7), 1000))
     noise = 30.0 * np.random.default_rng(2).standard_normal((7000, 3))
     tips = Predictor(replace(often, pressure_pa=often.pressure_pa + noise))(turned).reshape(7, 1000, 3)
-    for found, seen in zip(Predictor(poses).pressure_covariance(turned), tips, strict=True):
+    for found, seen in zip(Predictor(poses).pressure_errors(turned).independent, tips, strict=True):
         assert np.linalg.norm(np.cov(seen.T) - found) < 0.15 * np.linalg.norm(found)
