@@ -24,10 +24,11 @@ from calibration.identify.nuisance import nuisance_parameters
 from calibration.identify.parameter import Prior
 from calibration.identify.parameters import DAMPING_S, named
 from calibration.identify.poses import Poses
+from calibration.identify.section_mounts import mount_priors
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, exact
 from protocols import BadInputError, Problem, Protocol
-from protocols.problems import closest
+from protocols.problems import bad_input, closest
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
 from rig.design.blocks import BLOCK_S, Block, blocks, rest_bar
@@ -54,7 +55,7 @@ class Design:
 
     repeated: those of `REPEATS` runs of the protocol. More than a tenth of those of one run remains where what the rig
     file states of the other parameters decides, or an error of the model acts as a parameter does. errors: of
-    measurement.
+    measurement. sections: names of the measured sections, whose poses the error bars include.
     """
 
     protocol: Protocol
@@ -63,6 +64,7 @@ class Design:
     library: ErrorBars
     repeated: ErrorBars
     errors: MeasurementErrors
+    sections: tuple[str, ...] = ()
 
 
 def design(
@@ -112,17 +114,17 @@ def design(
     few = unknowns_of(config, chosen, known)
     library = error_bars(known, replace(few, arms=few.arms[:_LIBRARY_ARMS]))
     text = _text(protocol, config, (bars, errors), criterion, seed)
-    return Design(protocol, text, bars, library, repeated, errors)
+    return Design(protocol, text, bars, library, repeated, errors, tuple(config.sections))
 
 
 def _check_inputs(config: RigConfig, duration_s: float, criterion: str) -> None:
     if criterion not in CRITERIA:
         expected = f"one of {', '.join(CRITERIA)}"
-        raise BadInputError([Problem("--criterion", 0, 0, "", criterion, expected, closest(criterion, CRITERIA))])
+        raise bad_input("--criterion", criterion, expected, closest(criterion, CRITERIA))
     least, most = 2 * ENDS_S + BLOCK_S, config.limits.duration_s
     if not least <= duration_s <= most:
         expected = f"{least:g} to {most:g} s (limits, duration_s of the rig)"
-        raise BadInputError([Problem("--duration-s", 0, 0, "", f"{duration_s:g} s", expected)])
+        raise bad_input("--duration-s", f"{duration_s:g} s", expected)
 
 
 def free_parameters(config: RigConfig) -> tuple[str, ...]:
@@ -135,7 +137,7 @@ def unknowns_of(config: RigConfig, free: Sequence[str], planned: Sequence[Poses]
     start = _damped(Setup(model_arm(config)))
     parameters = named(free, config.actuators)
     beside = nuisance_parameters(start, [exact(one, start) for one in planned], parameters)
-    stated = rig_uncertainties(config, start)
+    stated = mount_priors(planned) | rig_uncertainties(config, start)
     priors = sensor_priors(stated) | {p.name: stated[p.name] for p in beside}
     return Unknowns(start, parameters, beside, priors, _drawn_arms(start, stated))
 
@@ -184,7 +186,7 @@ def _text(
     bars, errors = expected
     comment = (
         f"# Written by rig design for the rig {config.name}: criterion {criterion}, seed {seed}.",
-        f"# Standard deviations: {errors_text(errors)}.",
+        f"# Standard deviations: {errors_text(errors, tuple(config.sections))}.",
         "# Expected standard errors of `rig identify`, if the rig's stated values and uncertainties hold:",
         *(f"#   {name}: {std:.3g} {unit}" for name, std, unit in zip(bars.names, bars.std, bars.units, strict=True)),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +12,10 @@ from scipy.signal import lfilter
 from calibration.identify.data import SETTLE_S, at_rest, in_motion
 from calibration.identify.errors import NoDataError
 from calibration.identify.poses import Poses
-from calibration.identify.simulated_experiments import MeasurementErrors, plan
+from calibration.identify.simulated_experiments import MeasurementErrors, plan, scaled_errors
 from protocols import BadInputError, Problem, SetPointTrajectory
 from rig.config.schema import RigConfig
+from rig.observation.online_estimation import section_lengths_m
 from runs.interpolation import interpolated
 from runs.run import Run
 
@@ -42,19 +44,19 @@ def expected_poses(name: str, trajectory: SetPointTrajectory, config: RigConfig,
     if counts.sum() > _STATIC_SHARE * frames:
         pressure = np.array([s.level_pa for s in plateaus])
         weight = np.array([trajectory.weight_kg(s.stop_s) for s in plateaus])
-        still = plan(name, pressure, weight, errors=errors)
-        share = (_COMMON + (1 - _COMMON) / np.maximum(counts, 1))[:, None, None]
-        if (turned := still.orientation) is not None:
-            still = replace(still, orientation=replace(turned, covariance_rad2=turned.covariance_rad2 * share))
-        averaged = 1 / share[:, 0, 0]
-        return replace(still, covariance_m2=still.covariance_m2 * share, frames=counts, averaged=averaged)
+        still = plan(name, pressure, weight, errors=errors, sections_m=section_lengths_m(config))
+        share = _COMMON + (1 - _COMMON) / np.maximum(counts, 1)
+        return replace(scaled_errors(still, share), frames=counts, averaged=1 / share)
     times = np.arange(frames) / rate_hz
     weight = np.array([trajectory.weight_kg(t) for t in times.tolist()])
-    return plan(name, _followed(trajectory, times, config.control.bandwidth_hz), weight, 1 / rate_hz, errors)
+    pressure = _followed(trajectory, times, config.control.bandwidth_hz)
+    return plan(name, pressure, weight, 1 / rate_hz, errors, section_lengths_m(config))
 
 
 def errors_of_run(run: Run) -> MeasurementErrors:
-    """The errors of tips, orientations and pressures in a run, as an identification reads them; medians over it.
+    """The errors of tips, orientations, sections and pressures in a run, as an identification reads them.
+
+    Medians over the run; those of the sections over all of them. Without sections: the default of `MeasurementErrors`.
 
     Raises:
         NoDataError: the run has no tips with uncertainties, or no pressures.
@@ -66,19 +68,27 @@ def errors_of_run(run: Run) -> MeasurementErrors:
     rotation_rad = None
     if motion.orientation is not None and tilted.any():
         rotation_rad = float(_median_std(motion.orientation.covariance_rad2[tilted]).mean())
-    return MeasurementErrors(
+    found = MeasurementErrors(
         (x, y, z), frame_pa, rotation_rad=rotation_rad, rest_pressure_pa=_plateau_pa(run, frame_pa)
     )
+    if not motion.sections:
+        return found
+    every = _median_std(np.concatenate([one.covariance_m2[one.seen & seen] for one in motion.sections]))
+    x, y, z = every.tolist()
+    return replace(found, section_m=(x, y, z))
 
 
-def errors_text(errors: MeasurementErrors) -> str:
-    """The assumed standard deviations as a text."""
+def errors_text(errors: MeasurementErrors, sections: Sequence[str] = ()) -> str:
+    """The assumed standard deviations as a text; sections are the names of the measured sections."""
     x, y, z = (1e3 * one for one in errors.tip_m)
     turned = "no orientations"
     if errors.rotation_rad is not None:
         turned = f"orientations {np.rad2deg(errors.rotation_rad):.2g} deg"
+    along = "no sections along the arm"
+    if sections:
+        along = f"sections {', '.join(sections)} {', '.join(f'{1e3 * one:.2g}' for one in errors.section_m)} mm"
     return (
-        f"tips {x:.2g}, {y:.2g}, {z:.2g} mm (x, y, z of the rod base), {turned}, no sections along the arm, "
+        f"tips {x:.2g}, {y:.2g}, {z:.2g} mm (x, y, z of the rod base), {turned}, {along}, "
         f"pressures {errors.pressure_pa:.2g} Pa in a frame and {errors.plateau_pa:.2g} Pa on a plateau"
     )
 

@@ -15,7 +15,8 @@ from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors
 from calibration.identify.tip_predictor import Predictor
-from protocols import BadInputError, Problem, Protocol
+from protocols import BadInputError, Protocol
+from protocols.problems import bad_input
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
 from rig.design.expected_poses import errors_text, expected_poses
@@ -76,8 +77,9 @@ def design_comparison(
     shortest, longest = ends_s(config) + _FEWEST * level_s(config), config.limits.duration_s
     if count < _FEWEST or duration_s > longest:
         expected = f"{shortest:.4g} to {longest:g} s (limits, duration_s of the rig)"
-        raise BadInputError([Problem("--duration-s", 0, 0, "", f"{duration_s:g} s", expected)])
+        raise bad_input("--duration-s", f"{duration_s:g} s", expected)
     # A comparison of laws is by the tips alone, as their distance here.
+    config = config.model_copy(update={"sections": {}})
     errors = replace(errors or MeasurementErrors(), rotation_rad=None)
     grid = levels(config)
     every = protocols.from_steps("every level", steps(config, grid)).expand(config.actuators)
@@ -88,7 +90,7 @@ def design_comparison(
         chosen = t_optimal((first, second), planned, count, seed)
     except ValueError as fault:
         expected = f"laws whose tips differ: {fault}"
-        raise BadInputError([Problem("--compare", 0, 0, "", " ".join(laws), expected)]) from fault
+        raise bad_input("--compare", " ".join(laws), expected) from fault
     course = in_order([grid[k] for k in chosen], seed)
     listed = steps(config, course)
     title = f"Separate {first.name} from {second.name}"

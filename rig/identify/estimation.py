@@ -15,7 +15,6 @@ from calibration.identify.parameters import UnknownParameter, named
 from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
 from calibration.identify.search import Progress as SearchProgress
-from calibration.identify.section_mounts import offset_names, rotation_names
 from calibration.identify.setup import Setup
 from protocols import BadInputError, Problem
 from rig.config.arm_model import model_arm
@@ -24,7 +23,7 @@ from rig.config.parameters_overlay import read as read_parameters
 from rig.config.schema import RigConfig
 from rig.config.sections import Placement
 from rig.identify.initial_setup import rig_of
-from rig.observation.online_estimation import default_parameters
+from rig.observation.online_estimation import default_parameters, section_priors
 from rig.sections.quantities import PA_PER_BAR
 from runs.run import Run
 
@@ -127,19 +126,7 @@ def rig_uncertainties(config: RigConfig, start: Setup) -> dict[str, Prior]:
     tool = {name: std for name, std in mounted.items() if std}
     found = stated_values(start, {**offsets, **tool, **config.uncertainties.stated()})
     found["sensor_filter_s"] = Prior(SENSOR_FILTER_S, found["sensor_filter_s"].std)
-    return found | _section_priors(config)
-
-
-def _section_priors(config: RigConfig) -> dict[str, Prior]:
-    """Priors of the boards of the measured sections, where the rig states how well they are placed."""
-    found: dict[str, Prior] = {}
-    for name, section in config.sections.items():
-        placed = section.board.placement
-        if placed.translation_std_mm:
-            found |= dict.fromkeys(offset_names(name), Prior(0.0, placed.translation_std_mm * 1e-3))
-        if placed.rotation_std_deg:
-            found |= dict.fromkeys(rotation_names(name), Prior(0.0, math.radians(placed.rotation_std_deg)))
-    return found
+    return found | section_priors(config)
 
 
 def sensor_priors(stated: Mapping[str, Prior]) -> dict[str, Prior]:

@@ -16,7 +16,8 @@ from calibration.identify.parameters_document import Baseline
 from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
 from calibration.identify.search import Progress as SearchProgress
-from protocols import BadInputError, Problem
+from protocols import Problem
+from protocols.problems import bad_input, raise_all
 from rig.config.loader import RigFile
 from rig.identify import estimation, initial_setup
 from runs.run import Run
@@ -65,7 +66,7 @@ def open_runs(archives: Sequence[Path], leave_out: Sequence[Path] = (), *, one_a
     seen = [run for run in every if run.sha256 not in left_out]
     if not seen:
         reason = "every run is left out: nothing is left to identify from" if every else "needs at least one run"
-        raise BadInputError([Problem("--leave-out" if every else "RUN", 0, 0, "", "", reason)])
+        raise bad_input("--leave-out" if every else "RUN", "", reason)
     alike = initial_setup.check_alike([*seen, *unseen], one_arm)
     return OpenedRuns(tuple(seen), tuple(unseen), (*doubled_out, *doubled, *alike))
 
@@ -123,7 +124,7 @@ def from_data(
         BadInputError: a prior or the number of starts is invalid.
     """
     if starts is not None and starts < 1:
-        raise BadInputError([Problem("--starts", 0, 0, "", str(starts), "an integer of at least 1")])
+        raise bad_input("--starts", str(starts), "an integer of at least 1")
     fit = estimation.from_poses(data.rig.config, data.seen, free, priors, starts, progress, per_run)
     baseline = None
     if not fit.worse_than_start:
@@ -140,19 +141,18 @@ def _check_numbers(quasi_static: bool, every: int, split_s: float | None) -> Non
         problems.append(Problem("--every", 0, 0, "", str(every), "needs --quasi-static"))
     if split_s is not None and not split_s >= 0:
         problems.append(Problem("--split-s", 0, 0, "", str(split_s), "a time of at least 0 s"))
-    if problems:
-        raise BadInputError(problems)
+    raise_all(problems)
 
 
 def _check_actuators(actuators: int, rig: RigFile, held_out: Sequence[Poses]) -> None:
     """Refuse an initial rig and held-out runs with another number of actuators than the runs."""
     if rig.config.actuators != actuators:
         reason = f"{rig.file} has {rig.config.actuators} actuators, the runs have {actuators}"
-        raise BadInputError([Problem("--start", 0, 0, "", "", reason)])
+        raise bad_input("--start", "", reason)
     for poses in held_out:
         if poses.actuators != actuators:
             reason = f"{poses.run_id} is of {poses.actuators} actuators, the others are of {actuators}"
-            raise BadInputError([Problem("--leave-out", 0, 0, "", "", reason)])
+            raise bad_input("--leave-out", "", reason)
 
 
 def _split(

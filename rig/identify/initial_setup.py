@@ -201,7 +201,8 @@ def truth_of(run: Run) -> dict[str, float]:
         ),
         sensor_filter_s=simulator.sensor.lag_ms * 1e-3,
     )
-    shown = {name: one.read(setup) for name, one in known(config.actuators).items() if not one.per_run}
+    # Placements are products of matrices: 1e-18 m stands for zero.
+    shown = {name: round(one.read(setup), 12) for name, one in known(config.actuators).items() if not one.per_run}
     if any(any((*error.translation_mm, *error.rotation_deg)) for error in map(simulator.error_of, config.cameras)):
         # Camera placement errors also change the frame of the measurements.
         shown = {name: value for name, value in shown.items() if not name.startswith(("base_", "tool_"))}

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from calibration.identify.candidates import Candidate, candidates
 from calibration.identify.setup import Setup
 from model.variants import POINTWISE
-from protocols import BadInputError, Problem
-from protocols.problems import closest
+from protocols.problems import bad_input, closest
 
 BASE = ("base",)
 """What is free in every law, beside its own parameters."""
@@ -30,8 +29,8 @@ def laws_named(names: Sequence[str], start: Setup, option: str, free: Sequence[s
         full = name if name in every else short.get(name)
         if full is None:
             expected = "one of " + "; ".join(every)
-            raise BadInputError([Problem(option, 0, 0, "", name, expected, closest(name, {**every, **short}))])
+            raise bad_input(option, name, expected, closest(name, {**every, **short}))
         found.append(every[full])
     if len({law.name for law in found}) < len(found):
-        raise BadInputError([Problem(option, 0, 0, "", " ".join(names), "two different laws")])
+        raise bad_input(option, " ".join(names), "two different laws")
     return tuple(found)

@@ -31,9 +31,9 @@ _SIMULTANEOUS_NS = 100_000
 _RECENT_PERIODS = 4.5
 _SPEED_SHARE = 0.3
 _CHANGE_SHARE = 1.0
-# Residuals of all cameras together beyond this, and beyond what their places are uncertain by, contradict each other.
+# Residuals of all cameras together beyond this, and beyond the uncertainty of their placements, contradict each other.
 _WORST_PX = 0.6
-_PLACE_STDS = 3.0
+_PLACEMENT_STDS = 3.0
 # Corners of a partly hidden board that must have been seen before, to be moved to the time of another camera.
 _LEAST_CORNERS = 4
 
@@ -65,9 +65,9 @@ class MultiCameraTipEstimator:
         self._board_in_tip = board_in_tip(config)
         # The world origin is the straight arm's tip, which is in front of every camera that sees the board.
         self._world_in_base = RigidTransform(np.eye(3), np.array([0.0, 0.0, config.arm.geometry.length_mm * 1e-3]))
-        self._places = [self._in_world(camera_in_base(camera)) for camera in config.cameras.values()]
+        self._cameras_in_world = [self._in_world(camera_in_base(camera)) for camera in config.cameras.values()]
         self._dlts = (
-            [DLT.of_camera(lens_of(c), p) for c, p in zip(config.cameras.values(), self._places, strict=True)]
+            [DLT.of_camera(lens_of(c), p) for c, p in zip(config.cameras.values(), self._cameras_in_world, strict=True)]
             if len(self._estimators) > 1
             else []
         )
@@ -100,7 +100,7 @@ class MultiCameraTipEstimator:
         corners = {
             k: moved
             for k, (frame, detection) in enumerate(zip(frame_set.frames, detections, strict=True))
-            if frame is not None and (moved := self._at(frame_set.t_ns, k, frame.t_ns, detection)) is not None
+            if frame is not None and (moved := self._corners_at(frame_set.t_ns, k, frame.t_ns, detection)) is not None
         }
         if len(corners) < 2:
             return None
@@ -113,12 +113,12 @@ class MultiCameraTipEstimator:
             DetectionStatus.MEASURED if k in corners else _unused(detection.status)
             for k, detection in enumerate(detections)
         )
-        allowed = _WORST_PX + _PLACE_STDS * max(self._place_std_px(camera) for camera in cameras)
+        allowed = _WORST_PX + _PLACEMENT_STDS * max(self._placement_std_px(camera) for camera in cameras)
         if pose is None or pose.reprojection_px > allowed:
             statuses = tuple(DetectionStatus.DISAGREE if s is DetectionStatus.MEASURED else s for s in seen)
             return TipMeasurement.none(DetectionStatus.DISAGREE, statuses)
         for k in corners:
-            self._estimators[k].tracker.correct_flip(detections[k], self._places[k].inverse() @ pose.rigid)
+            self._estimators[k].tracker.correct_flip(detections[k], self._cameras_in_world[k].inverse() @ pose.rigid)
         tip, covariance = tip_in_base(pose, self._board_in_tip, self._world_in_base)
         return TipMeasurement(
             DetectionStatus.MEASURED, tip.translation_m, tip.rotation, covariance, pose.reprojection_px, None, seen
@@ -148,14 +148,14 @@ class MultiCameraTipEstimator:
             found, tip_m=found.tip_m - displacement_m, rotation=np.full((3, 3), np.nan), pose_covariance=covariance
         )
 
-    def _at(self, t_ns: int, k: int, taken_ns: int, detection: Detection) -> Corners | None:
+    def _corners_at(self, t_ns: int, k: int, taken_ns: int, detection: Detection) -> Corners | None:
         """Extrapolate camera `k`'s corners to time `t_ns`; None without corners or a speed."""
         corners = detection.corners
         if corners is None:
             return None
         before, now = (
             self._previous_corners[k],
-            _after(self._previous_corners[k], taken_ns, corners.padded(len(self._points_m)), self._recent_ns),
+            _with_speed(self._previous_corners[k], taken_ns, corners.padded(len(self._points_m)), self._recent_ns),
         )
         self._previous_corners[k] = now
         if abs(t_ns - taken_ns) <= _SIMULTANEOUS_NS:
@@ -185,13 +185,13 @@ class MultiCameraTipEstimator:
         moved = self._world_in_base.inverse() @ camera
         return replace(moved, translation_std_m=camera.translation_std_m, rotation_std_rad=camera.rotation_std_rad)
 
-    def _place_std_px(self, camera: DLT) -> float:
+    def _placement_std_px(self, camera: DLT) -> float:
         """Return the standard deviation of the projection due to the camera's pose uncertainty [px]."""
         slope = camera.by_coefficients(self._points_m)
         return float(np.sqrt(np.trace(slope @ camera.covariance @ slope.T) / len(self._points_m)))
 
 
-def _after(before: _PreviousEstimate | None, t_ns: int, px: Floats, recent_ns: float) -> _PreviousEstimate:
+def _with_speed(before: _PreviousEstimate | None, t_ns: int, px: Floats, recent_ns: float) -> _PreviousEstimate:
     """Return corners at a time with speed and its change; the change of a first speed is the speed itself."""
     if before is None or not 0 < t_ns - before.t_ns < recent_ns:
         return _PreviousEstimate(t_ns, px)

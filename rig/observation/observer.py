@@ -43,7 +43,7 @@ _HISTORY_NS = 1_000_000_000
 class _LiveModel(Protocol):
     """The live model, static or dynamic."""
 
-    def follow(
+    def step(
         self, frame_set: FrameSet, pressures: PressureInterpolator, loads: model.Loads | None
     ) -> model.Shape | None:
         """Return the arm's shape at the time of the frame set; None without convergence."""
@@ -55,14 +55,14 @@ class _TipEstimator(Protocol):
     def measure(self, frame_set: FrameSet) -> TipMeasurement: ...
 
 
-class _NoTip:
+class _NoTipEstimator:
     """The tip estimator of a rig without cameras and tracker: it measures nothing."""
 
     def measure(self, frame_set: FrameSet) -> TipMeasurement:
         return TipMeasurement.none(DetectionStatus.NO_CAMERA, ())
 
 
-class _TrackedTip:
+class _TrackerTipEstimator:
     """The tip estimator of a rig with a tracker, which gives the pose itself."""
 
     def measure(self, frame_set: FrameSet) -> TipMeasurement:
@@ -76,8 +76,8 @@ class _TrackedTip:
 
 def _tip_estimator(config: RigConfig) -> _TipEstimator:
     if config.trackers:
-        return _TrackedTip()
-    return MultiCameraTipEstimator(config) if config.cameras else _NoTip()
+        return _TrackerTipEstimator()
+    return MultiCameraTipEstimator(config) if config.cameras else _NoTipEstimator()
 
 
 class PressureInterpolator:
@@ -121,10 +121,10 @@ class _StaticModel:
     def __init__(self, arm: model.Arm) -> None:
         self._arm = arm
 
-    def follow(
+    def step(
         self, frame_set: FrameSet, pressures: PressureInterpolator, loads: model.Loads | None
     ) -> model.Shape | None:
-        return _rest(partial(statics, self._arm, doubt_units=False), pressures.at(frame_set.t_ns), loads)
+        return _static_shape(partial(statics, self._arm, doubt_units=False), pressures.at(frame_set.t_ns), loads)
 
 
 class _DynamicModel:
@@ -139,7 +139,7 @@ class _DynamicModel:
         self._period_ns = period_s * 1e9
         self._last: tuple[int, model.Shape] | None = None
 
-    def follow(
+    def step(
         self, frame_set: FrameSet, pressures: PressureInterpolator, loads: model.Loads | None
     ) -> model.Shape | None:
         last, self._last = self._last, None
@@ -150,7 +150,7 @@ class _DynamicModel:
         if self._remembers:
             steps = min(steps, _MOST_STEPS)
         if last is None or passed_ns <= 0 or steps > _MOST_STEPS:
-            shape = _rest(self._dynamics.start, pressures.at(frame_set.t_ns), loads)
+            shape = _static_shape(self._dynamics.start, pressures.at(frame_set.t_ns), loads)
         elif passed_ns * 1e-9 < self._dynamics.shortest_step_s:
             # Too short for the waves that the nodes resolve: the next frame takes a step over both.
             self._last = last
@@ -175,7 +175,7 @@ class _DynamicModel:
         first_ns = pressures.first_ns
         if first_ns is None or first_ns >= t_ns:
             return None
-        shape = _rest(self._dynamics.start, pressures.at(first_ns), loads)
+        shape = _static_shape(self._dynamics.start, pressures.at(first_ns), loads)
         return None if shape is None else (first_ns, shape)
 
     def _step_s(self, step_ns: float) -> float | None:
@@ -183,7 +183,7 @@ class _DynamicModel:
         return None if abs(step_ns - self._period_ns) < _EVEN * self._period_ns else step_ns * 1e-9
 
 
-def _rest(solve: _Solve, pressure: Floats, loads: model.Loads | None) -> model.Shape | None:
+def _static_shape(solve: _Solve, pressure: Floats, loads: model.Loads | None) -> model.Shape | None:
     if not np.all(np.isfinite(pressure)):
         return None
     try:
@@ -239,11 +239,11 @@ class Observer:
         self.shape: model.Shape | None = None
         self.adaptation: NDArray[np.void] | None = None
         """Row of the estimator for the last frame set; None without an estimator."""
-        self._adapting: OnlineEstimation | None = None
+        self._online_estimation: OnlineEstimation | None = None
         if adapt:
             from rig.observation.online_estimation import OnlineEstimation
 
-            self._adapting = OnlineEstimation(config, variant, adapt)
+            self._online_estimation = OnlineEstimation(config, variant, adapt)
 
     def step(
         self,
@@ -264,7 +264,7 @@ class Observer:
         `age_ns` stays zero; the caller sets it.
         """
         self._pressures.extend(np.asarray(sample_t_ns, dtype=np.int64), np.asarray(sample_pa, dtype=np.float64))
-        seen = self._tip_estimator.measure(frame_set)
+        measured = self._tip_estimator.measure(frame_set)
         force_n = np.zeros(3)
         if self._tip_force:
             if sample_aux is not None:
@@ -272,40 +272,40 @@ class Observer:
             weight_kg, force_n = 0.0, self._forces.at(frame_set.t_ns)
         shape = None
         if np.isfinite(force_n).all():
-            shape = self._model.follow(frame_set, self._pressures, self._tip_load.carrying(weight_kg, force_n))
-        self.measurement, self.shape = seen, shape
+            shape = self._model.step(frame_set, self._pressures, self._tip_load.carrying(weight_kg, force_n))
+        self.measurement, self.shape = measured, shape
         if shape is not None:
             self._model_m = np.array(shape.tip_m, dtype=np.float64)
         row = self._blank.copy()
         row["t_ns"], row["frame"] = frame_set.t_ns, frame_set.index
         row["protocol_s"], row["dropped"] = protocol_s, dropped
-        row["seen"], row["model_ok"] = seen.seen, shape is not None
+        row["seen"], row["model_ok"] = measured.seen, shape is not None
         row["pressure_pa"] = self._pressures.at(frame_set.t_ns)
         row["weight_kg"], row["force_n"] = weight_kg, force_n
-        row["measured_m"], row["covariance_m2"] = seen.tip_m, seen.covariance_m2
-        row["orientation_rad"] = seen.rotation_vector
-        row["orientation_covariance_rad2"] = seen.pose_covariance[3:, 3:]
-        row["cross_covariance_m_rad"] = seen.pose_covariance[:3, 3:]
-        row["reprojection_px"] = seen.reprojection_px
+        row["measured_m"], row["covariance_m2"] = measured.tip_m, measured.covariance_m2
+        row["orientation_rad"] = measured.rotation_vector
+        row["orientation_covariance_rad2"] = measured.pose_covariance[3:, 3:]
+        row["cross_covariance_m_rad"] = measured.pose_covariance[:3, 3:]
+        row["reprojection_px"] = measured.reprojection_px
         row["model_m"] = self._model_m
         row["backbone_m"] = backbone(shape)
         row["truth_m"] = np.nan if frame_set.truth_m is None else frame_set.truth_m
-        row["camera_seen"] = seen.cameras
+        row["camera_seen"] = measured.cameras
         row["camera_skew_s"] = [np.nan if f is None else (f.t_ns - frame_set.t_ns) * 1e-9 for f in frame_set.frames]
         if frame_set.reading is not None:
-            _describe_clock(row, frame_set.reading)
+            _set_clock(row, frame_set.reading)
         if self._sections is not None:
             self._sections.observe(row, frame_set, shape)
         for k, match in enumerate(frame_set.triggers):
             if match is not None:
                 row["stamp_delay_s"][k], row["untriggered"][k] = match.stamp_delay_ns * 1e-9, match.untriggered
         if self._reference and sample_protocol_s is not None:
-            self._refer(row, sample_t_ns, sample_protocol_s)
-        if self._adapting is not None:
-            self.adaptation = self._adapting.step(row)
+            self._set_reference(row, sample_t_ns, sample_protocol_s)
+        if self._online_estimation is not None:
+            self.adaptation = self._online_estimation.step(row)
         return row
 
-    def _refer(self, row: NDArray[np.void], sample_t_ns: Times, sample_protocol_s: Floats) -> None:
+    def _set_reference(self, row: NDArray[np.void], sample_t_ns: Times, sample_protocol_s: Floats) -> None:
         """Set the reference at the time of a frame: the cycles around it give its protocol time."""
         self._protocol_times.extend(sample_t_ns, sample_protocol_s[:, None])
         t_s = float(self._protocol_times.at(int(row["t_ns"]))[0])
@@ -315,7 +315,7 @@ class Observer:
         row["tip_motion"], row["tip_period"] = self._reference.motion_and_period(t_s)
 
 
-def _describe_clock(row: NDArray[np.void], reading: TrackerReading) -> None:
+def _set_clock(row: NDArray[np.void], reading: TrackerReading) -> None:
     """Set the columns of `TrackerClock`."""
     row["clock_offset_s"], row["clock_drift"] = reading.clock.offset_s, reading.clock.drift
     row["clock_std_s"], row["time_std_s"] = reading.clock.std_s, reading.time_std_s

@@ -1,7 +1,8 @@
-"""Online estimation: the recursive estimator updates the model's parameters with each measured tip."""
+"""Online estimation: the recursive estimator updates the model's parameters with each measured frame."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 import model
 from calibration.identify.parameter import Prior
 from calibration.identify.parameters import PUSH_GROWTH
-from calibration.identify.recursive_estimator import RecursiveEstimator
+from calibration.identify.recursive_estimator import RecursiveEstimator, SectionMeasurements
+from calibration.identify.section_mounts import offset_names, rotation_names
 from calibration.identify.setup import Setup
 from model.statics import statics
 from model.variants import variant_named
@@ -18,7 +20,7 @@ from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from rig.sections.quantities import PA_PER_BAR
-from runs.records import Quantity, adaptation_dtype, blank
+from runs.records import DetectionStatus, Quantity, adaptation_dtype, blank
 
 
 def default_parameters(config: RigConfig, variant: Variant | None = None) -> tuple[str, ...]:
@@ -29,7 +31,7 @@ def default_parameters(config: RigConfig, variant: Variant | None = None) -> tup
 
 
 def recursive_estimator(config: RigConfig, variant: Variant | None, parameters: Sequence[str]) -> RecursiveEstimator:
-    """Return the estimator of a rig's arm with the rig's values as initial estimates.
+    """Return the estimator of a rig's arm with the rig's values as initial estimates; it uses the measured sections.
 
     The prior of a sensor's offset has half its accuracy as standard deviation.
 
@@ -40,7 +42,25 @@ def recursive_estimator(config: RigConfig, variant: Variant | None, parameters: 
         f"sensor_{sensor.actuator}_offset_pa": Prior(0.0, sensor.accuracy_bar * PA_PER_BAR / 2)
         for sensor in config.sensors
     }
-    return RecursiveEstimator(Setup(model_arm(config, variant)), parameters, zeros)
+    start = Setup(model_arm(config, variant))
+    return RecursiveEstimator(start, parameters, zeros | section_priors(config), sections_m=section_lengths_m(config))
+
+
+def section_lengths_m(config: RigConfig) -> dict[str, float]:
+    """Arc lengths [m] of the measured sections from the rod base, by name."""
+    return {name: section.at_mm * 1e-3 for name, section in config.sections.items()}
+
+
+def section_priors(config: RigConfig) -> dict[str, Prior]:
+    """Priors of the boards of the measured sections, where the rig states how well they are placed."""
+    found: dict[str, Prior] = {}
+    for name, section in config.sections.items():
+        placed = section.board.placement
+        if placed.translation_std_mm:
+            found |= dict.fromkeys(offset_names(name), Prior(0.0, placed.translation_std_mm * 1e-3))
+        if placed.rotation_std_deg:
+            found |= dict.fromkeys(rotation_names(name), Prior(0.0, math.radians(placed.rotation_std_deg)))
+    return found
 
 
 def estimated_quantities(config: RigConfig, variant: Variant | None, parameters: Sequence[str]) -> tuple[Quantity, ...]:
@@ -60,14 +80,15 @@ class OnlineEstimation:
         self._estimator = recursive_estimator(config, variant, parameters)
         self._arm = model_arm(config, variant)
         self._tip_load = TipLoad(config)
+        self._sections_m = np.array(list(section_lengths_m(config).values()))
         self._row = blank((), adaptation_dtype(len(self._estimator.names)))
         self._predicted_m = np.full(3, np.nan)
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
         """Update with one observation (); return a row of `runs.records.adaptation_dtype`.
 
-        The model's tip in `observation` is replaced by the prediction with the prior estimates. The dynamic part of the
-        tip comes from the running model, whose parameters are constant.
+        The model's tip and sections in `observation` are replaced by the predictions with the prior estimates. Their
+        dynamic part comes from the running model, whose parameters are constant.
         """
         row = self._row.copy()
         row["t_ns"], row["frame"], row["start_model_m"] = (
@@ -75,24 +96,36 @@ class OnlineEstimation:
             observation["frame"],
             observation["model_m"],
         )
+        motion_m = self._motion_m(observation)
         update = self._estimator.step(
             observation["pressure_pa"],
             observation["measured_m"],
             observation["covariance_m2"],
-            self._motion_m(observation),
+            motion_m[0],
             float(observation["weight_kg"]),
+            self._sections(observation, motion_m[1:]),
         )
         solved = bool(np.isfinite(update.predicted_m).all())
         if solved:
             self._predicted_m = update.predicted_m
         observation["model_m"], observation["model_ok"] = self._predicted_m, solved
+        if len(self._sections_m):
+            observation["section_model_m"] = update.sections_m
         row["used"] = int(update.used) + int(update.damped)
         row["value"], row["covariance"] = self._estimator.values, self._estimator.covariance
         return row
 
+    def _sections(self, observation: NDArray[np.void], motion_m: NDArray[np.float64]) -> SectionMeasurements | None:
+        """The measured sections of an observation (), with their motion (S, 3)."""
+        if not len(motion_m):
+            return None
+        seen = observation["section_seen"] == DetectionStatus.MEASURED
+        point_m = np.where(seen[:, None], observation["section_m"], np.nan)
+        return SectionMeasurements(point_m, observation["section_covariance_m2"], motion_m)
+
     def _motion_m(self, observation: NDArray[np.void]) -> NDArray[np.float64]:
-        """Return the difference of the running model's tip from its static tip; NaN without a solution."""
-        nothing = np.full(3, np.nan)
+        """Return tip and sections (1 + S, 3) of the running model minus its static ones; NaN without a solution."""
+        nothing = np.full((1 + len(self._sections_m), 3), np.nan)
         if not observation["model_ok"]:
             return nothing
         try:
@@ -104,5 +137,8 @@ class OnlineEstimation:
             )
         except (model.NotConverged, ValueError):
             return nothing
-        moved: NDArray[np.float64] = observation["model_m"] - rest.tip_m
+        moved: NDArray[np.float64] = (observation["model_m"] - rest.tip_m)[None]
+        if len(self._sections_m):
+            along = observation["section_model_m"] - rest.frames_at(self._sections_m)[0]
+            moved = np.concatenate([moved, along])
         return moved

@@ -10,7 +10,7 @@ from rig.hardware.trackers.base import TrackerReading
 class ReadingSequence:
     """Frame sets of one tracker in increasing order of time; one that waits for no message has no reading.
 
-    An empty frame set stands at a time once every message of it would be late (`latest_ms`).
+    A time gets an empty frame set once every message of it would be late (`latest_ms`).
     """
 
     def __init__(self, config: RigConfig, start_ns: int) -> None:

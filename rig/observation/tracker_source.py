@@ -6,6 +6,7 @@ import time
 
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import FrameSet
+from rig.hardware.release import release
 from rig.hardware.trackers.base import TrackerError, TrackerReading
 from rig.hardware.trackers.registry import open_tracker
 from rig.observation.reading_sequence import ReadingSequence
@@ -69,7 +70,7 @@ class TrackerSource:
 
     def close(self) -> None:
         """Close the tracker."""
-        self._tracker.close()
+        release((self._tracker,))
 
     def _silence(self, timeout_s: float) -> TrackerError:
         return silence(self._name, timeout_s, self._tracker.counts())

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 import protocols
-from rig.cli.app import main
 from rig.config.loader import load
 from rig.config.schema import RigConfig
 from rig.design.blocks import BLOCK_S, blocks, rest_bar
 from rig.experiment.preflight import check
+from tests.support.command_line import status_of
 
 
 def slow(config: RigConfig) -> RigConfig:
@@ -56,8 +56,6 @@ def test_bad_input_gets_one_message(
     words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "design.yaml"
-    with pytest.raises(SystemExit) as left:
-        main(["design", "--rig", "mock", "--to", str(file), *words])
-    assert left.value.code == 2
+    assert status_of("design", "--rig", "mock", "--to", file, *words) == 2
     assert said in " ".join(capsys.readouterr().err.split())
     assert not file.exists()

@@ -15,7 +15,6 @@ from calibration.identify import identify
 from calibration.identify.model_comparison import MIN_DECISIVE, ComparisonFit, fit_all
 from calibration.identify.parameters import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, perform_as_planned
-from rig.cli.app import main
 from rig.cli.design_output import separations
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
@@ -25,6 +24,7 @@ from rig.experiment.preflight import check
 from rig.identify.estimation import rig_uncertainties, sensor_priors
 from rig.identify.law_names import laws_named
 from rig.identify.model_comparison import compare
+from tests.support.command_line import status_of
 
 CONFIG = load("mock-ideal")
 LAWS = ("homogeneous+rpe", "pointwise")
@@ -111,9 +111,7 @@ def test_bad_input_gets_one_message(
     words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "design.yaml"
-    with pytest.raises(SystemExit) as left:
-        main(["design", "--rig", "mock", "--to", str(file), *words])
-    assert left.value.code == 2
+    assert status_of("design", "--rig", "mock", "--to", file, *words) == 2
     assert said in " ".join(capsys.readouterr().err.split())
     assert not file.exists()
 
@@ -121,9 +119,7 @@ def test_bad_input_gets_one_message(
 def test_the_command_prints_the_expected_decisions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "laws.yaml"
     words = ["design", "--rig", "mock-ideal", "--compare", *LAWS, "--duration-s", "30", "--to", str(file), "--json"]
-    with pytest.raises(SystemExit) as left:
-        main(words)
-    assert left.value.code in (0, None)
+    assert status_of(*words) == 0
     found = json.loads(capsys.readouterr().out)
     assert [case["true"] for case in found["cases"]] == ["homogeneous+rpe", "inhomogeneous+rpe, pointwise"]
     assert found["cases"][1]["right"] > 0.99

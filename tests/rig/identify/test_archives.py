@@ -10,18 +10,16 @@ import numpy as np
 import pytest
 
 import model
-import runs
 from calibration.identify import NoDataError, Prior, Setup, at_rest, identify, in_motion, poses_of, split_at
 from calibration.identify.recursive_estimator import RecursiveEstimator
 from model.dynamics import Dynamics
 from model.statics import statics
-from rig.cli.app import main
 from rig.config.arm_model import model_arm, true_arm
 from rig.config.loader import load
 from rig.config.parameters_overlay import read
-from rig.execution.plan import NullOperator
-from rig.experiment import run as experiment
 from runs.run import Run
+from tests.support.command_line import status_of
+from tests.support.virtual_runs import virtual_run
 
 AT_REST = """
 title: Three pressures of each case, and two weights
@@ -43,21 +41,10 @@ steps:
 """
 
 
-class Prompt(NullOperator):
-    """Answers every prompt at once."""
-
-    def answered(self) -> bool:
-        """Always."""
-        return True
-
-
 def performed(folder: Path, text: str, seed: int) -> Run:
     file = folder / "protocol.yaml"
     file.write_text(text, encoding="utf-8")
-    request = experiment.request(str(file), "mock-ideal", folder=folder, fast=True, seed=seed, report=False)
-    result = experiment.run(request, experiment.plan(request), Prompt())
-    assert result.archive is not None
-    return runs.open(result.archive)
+    return virtual_run(file, "mock-ideal", folder=folder, seed=seed)
 
 
 @pytest.fixture(scope="module")
@@ -152,9 +139,7 @@ def test_rig_identify_writes_a_rig_file_with_the_identified_arm(
     resting: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = tmp_path / "found.yaml"
-    with pytest.raises(SystemExit) as left:
-        main(["identify", str(resting.path), "--free", "law,rpe_per_bar,sensor_offsets", "--rig-file", str(found)])
-    assert left.value.code == 0
+    assert status_of("identify", resting.path, "--free", "law,rpe_per_bar,sensor_offsets", "--rig-file", found) == 0
     assert "a1_per_n" in capsys.readouterr().out
     published, true, identified = model_arm(load("mock")), true_arm(load("mock")), model_arm(load(str(found)))
 
@@ -166,9 +151,7 @@ def test_rig_identify_writes_a_rig_file_with_the_identified_arm(
 
 
 def test_rig_identify_reports_an_invalid_request(resting: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["identify", str(resting.path), "--free", "a1_per_m"])
-    assert left.value.code == 2
+    assert status_of("identify", resting.path, "--free", "a1_per_m") == 2
     assert "did you mean" in capsys.readouterr().err
 
 
@@ -209,9 +192,7 @@ def test_the_orientation_of_the_board_is_used_and_reported(
     resting: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found, page = tmp_path / "arm.yaml", tmp_path / "page.html"
-    with pytest.raises(SystemExit) as left:
-        main(["identify", str(resting.path), "--to", str(found), "--report", str(page)])
-    assert left.value.code == 0
+    assert status_of("identify", resting.path, "--to", found, "--report", page) == 0
     said = capsys.readouterr().out
     used, frames, rms_deg = re.findall(r"orientation of the tip used in (\d+) of (\d+) frames: rms ([\d.]+) deg", said)[
         0

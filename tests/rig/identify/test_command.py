@@ -17,7 +17,6 @@ from calibration.identify import NoDataError, Poses, Setup
 from calibration.identify.model_error import TERMS
 from calibration.identify.parameters import groups, known
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
-from rig.cli.app import main
 from rig.config.arm_model import model_arm
 from rig.config.loader import load, text
 from rig.config.parameters_overlay import read
@@ -25,6 +24,7 @@ from rig.identify import estimation
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
 from runs.records import DetectionStatus, RunFooter, Status, observation_dtype, sample_dtype
+from tests.support.command_line import status_of
 from tests.support.sectioned_bench import sectioned
 from tests.support.synthetic_runs import header
 
@@ -75,9 +75,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 def rig(*arguments: str, status: int = 0) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["identify", *arguments])
-    assert left.value.code == status
+    assert status_of("identify", *arguments) == status
 
 
 def test_the_report_holds_everything_and_loads_nothing(
@@ -214,7 +212,7 @@ def test_a_search_that_ends_worse_than_it_began_quotes_no_number(
 ) -> None:
     monkeypatch.setattr(
         "calibration.identify.least_squares.LeastSquaresProblem.gauss_newton",
-        lambda self, z, only, weights, evaluations: (z + 0.3, False),
+        lambda self, z, *_: (z + 0.3, False),
     )
     found = tmp_path / "found.yaml"
     rig(bench["one"], "--free", "law", "--to", str(found), status=1)
@@ -279,8 +277,8 @@ def test_an_invalid_output_path_is_refused_before_the_search(
     (tmp_path / "short.yaml").write_text(text("mock").replace("length_mm: 170", "length_mm: 140"), encoding="utf-8")
     found = str(tmp_path / "found.yaml")
     for options, said in (
-        (["--rig-file", found, "--report", str(tmp_path)], "a file, not a folder"),
-        (["--to", str(tmp_path / "short.yaml" / "a.yaml")], "is a file, not a folder"),
+        (["--rig-file", found, "--report", str(tmp_path)], "is a folder: name a file"),
+        (["--to", str(tmp_path / "short.yaml" / "a.yaml")], "short.yaml is not a folder"),
     ):
         rig(bench["one"], *options, status=2)
         assert said in re.sub(r"[\s│]+", " ", capsys.readouterr().err)

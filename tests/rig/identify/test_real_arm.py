@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 import model
 from calibration.identify import Setup
 from model.statics import statics
-from rig.cli.app import main
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
+from tests.support.command_line import status_of
 from tests.support.shared_data import shared_data
 
 Array = NDArray[np.float64]
@@ -31,9 +31,7 @@ TWISTS = "actuator_angles,sensor_2_gain,sensor_3_gain"
 
 
 def rig(*arguments: str | Path) -> None:
-    with pytest.raises(SystemExit) as left:
-        main([str(argument) for argument in arguments])
-    assert left.value.code == 0
+    assert status_of(*arguments) == 0
 
 
 def brought(table: Path, mapping: Path, folder: Path) -> Path:

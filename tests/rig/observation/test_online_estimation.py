@@ -14,15 +14,17 @@ from calibration.identify.parameters import named
 from calibration.identify.setup import Setup
 from model.dynamics import Dynamics
 from model.statics import statics
-from rig.cli.app import main
 from rig.config import parameters_overlay as parameter_files
 from rig.config.arm_model import model_arm, true_arm
 from rig.config.loader import load
+from rig.observation.observer import observations_of
 from rig.observation.online_estimation import OnlineEstimation, default_parameters, estimated_quantities
 from runs.records import DetectionStatus, observation_dtype
 from runs.report.figure_specifications import figure_specifications
 from runs.run import Run
 from runs.summary import summarise
+from tests.support.command_line import status_of
+from tests.support.sectioned_bench import sectioned_rig
 
 PERIOD_S = 2 * np.pi
 DEFAULT_PARAMETERS = default_parameters(load("mock"))
@@ -39,24 +41,8 @@ def ran(folder: Path, seed: int, *more: str, periods: float = 1.4) -> Run:
     protocol = folder / "one-period.yaml"
     protocol.write_text(ONE_PERIOD.replace("periods: 1.4", f"periods: {periods}"))
     out = folder / f"out-{seed}-{len(more)}"
-    with pytest.raises(SystemExit) as left:
-        main(
-            [
-                "run",
-                str(protocol),
-                "--rig",
-                "mock-ideal",
-                "--fast",
-                "--yes",
-                "--no-report",
-                "--seed",
-                str(seed),
-                "--out",
-                str(out),
-                *more,
-            ]
-        )
-    assert left.value.code == 0
+    command = ["run", protocol, "--rig", "mock-ideal", "--fast", "--yes", "--no-report", "--seed", seed]
+    assert status_of(*command, "--out", out, *more) == 0
     return Run(next(out.glob("*.h5")))
 
 
@@ -159,6 +145,34 @@ def _moved(dynamics: Dynamics, pressure: np.ndarray, k: int) -> model.Shape:
     return dynamics.start(pressure) if k == 0 else dynamics.step(pressure)
 
 
+def test_the_sections_of_a_rig_narrow_the_estimates_and_are_predicted() -> None:
+    rig, without = sectioned_rig(), sectioned_rig().model_copy(update={"sections": {}})
+    arm, s_m = model_arm(rig), np.array([0.085, 0.125])
+    estimators = {
+        name: OnlineEstimation(one, None, ["law", "base"]) for name, one in (("with", rig), ("without", without))
+    }
+    last = {}
+    for k, level in enumerate(np.linspace(1e4, 6e4, 6)):
+        shape = statics(arm, [level, 0.0, level / 2])
+        for name, one in (("with", rig), ("without", without)):
+            row = np.zeros((), observations_of(one))
+            row["frame"], row["seen"], row["model_ok"] = k, DetectionStatus.MEASURED, 1
+            row["pressure_pa"] = (level, 0.0, level / 2)
+            row["measured_m"] = row["model_m"] = shape.tip_m
+            row["covariance_m2"] = COVARIANCE
+            if name == "with":
+                row["section_seen"], row["section_covariance_m2"] = DetectionStatus.MEASURED, COVARIANCE
+                row["section_m"] = row["section_model_m"] = shape.frames_at(s_m)[0]
+            last[name] = estimators[name].step(row)
+            if name == "with":
+                np.testing.assert_allclose(row["section_model_m"], shape.frames_at(s_m)[0], atol=1e-6)
+    std = {name: np.sqrt(np.diagonal(one["covariance"])) for name, one in last.items()}
+    assert last["with"]["used"] == 1
+    assert std["with"].shape == std["without"].shape
+    assert (std["with"] <= std["without"] * (1 + 1e-9)).all()
+    assert (std["with"] / std["without"]).min() < 0.9
+
+
 def test_a_frame_without_a_tip_predicts_and_changes_nothing() -> None:
     config = load("mock")
     adapting = OnlineEstimation(config, None, ["law"])
@@ -184,9 +198,7 @@ def test_a_frame_without_a_tip_predicts_and_changes_nothing() -> None:
 def test_an_invalid_request_gets_one_sentence(
     options: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["run", "sine-1", "--fast", "--yes", "--out", str(tmp_path), *options])
-    assert left.value.code == 2
+    assert status_of("run", "sine-1", "--fast", "--yes", "--out", tmp_path, *options) == 2
     told = capsys.readouterr().err
     assert said in told
     assert "Traceback" not in told
@@ -196,6 +208,5 @@ def test_the_json_output_names_the_parameter_file(tmp_path: Path, capsys: pytest
     protocol = tmp_path / "short.yaml"
     protocol.write_text("title: short\nsteps:\n  - hold: {duration_s: 1}\n")
     options = ["--fast", "--yes", "--no-report", "--json", "--adapt", "--free", "law", "--out", str(tmp_path)]
-    with pytest.raises(SystemExit):
-        main(["run", str(protocol), *options])
+    assert status_of("run", protocol, *options) == 0
     assert Path(json.loads(capsys.readouterr().out)["parameters"]).exists()
