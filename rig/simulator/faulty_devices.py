@@ -16,38 +16,38 @@ class FaultyValves:
     def __init__(self, faults: Faults, valves: ValveTable) -> None:
         self._faults = faults
         self._valves = valves
-        self._sound = ValveTable._make(array.copy() for array in valves)
+        self._healthy = ValveTable._make(array.copy() for array in valves)
         self._held_v: dict[int, float] = {}
-        self._touched = False
+        self._changed = False
 
     def apply(self, outputs_v: NDArray[np.float64], spool_v: NDArray[np.float64]) -> NDArray[np.float64]:
         """Apply the faults to the valves; return their effective voltages (V,) for the outputs `outputs_v`."""
         if not self._faults.active:
-            if self._touched:
-                self._mend()
+            if self._changed:
+                self._restore()
             return outputs_v
-        self._mend()
-        self._touched = True
-        row, felt = self._faults.row[0], outputs_v.copy()
+        self._restore()
+        self._changed = True
+        row, effective_v = self._faults.row[0], outputs_v.copy()
         if row["supply_lost"]:
             self._valves.supply_pa[:] = ATMOSPHERE_PA
         for i in range(min(MOST, len(outputs_v))):
             fault, value = ValveFault(int(row["valve"][i])), float(row["valve_value"][i])
             if fault is ValveFault.STUCK:
                 self._held_v.setdefault(i, float(spool_v[i]) if np.isnan(value) else value)
-                felt[i] = self._held_v[i]
+                effective_v[i] = self._held_v[i]
             else:
                 self._held_v.pop(i, None)
             if fault is ValveFault.LEAKING:
-                self._valves.leak[i] = sonic_conductance(value, float(self._sound.critical_ratio[i]))
+                self._valves.leak[i] = sonic_conductance(value, float(self._healthy.critical_ratio[i]))
             elif fault is ValveFault.REVERSED:
-                self._valves.fill_sign[i] = -self._sound.fill_sign[i]
-        return felt
+                self._valves.fill_sign[i] = -self._healthy.fill_sign[i]
+        return effective_v
 
-    def _mend(self) -> None:
-        for array, sound in zip(self._valves, self._sound, strict=True):
-            array[...] = sound
-        self._touched = False
+    def _restore(self) -> None:
+        for array, healthy in zip(self._valves, self._healthy, strict=True):
+            array[...] = healthy
+        self._changed = False
 
 
 class FaultySensors:

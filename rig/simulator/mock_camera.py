@@ -23,7 +23,7 @@ from rig.simulator.tip_pose import PoseSource, TipPose
 
 DROPPED = 9
 """Number of consecutive pictures that the fault DROPPING drops."""
-TRIGGER_LOOK_S = 0.0005
+TRIGGER_POLL_S = 0.0005
 _OTHER_NOISE = 1_000_003
 """Difference between the seeds of the cameras of a rig, so that each has its own noise."""
 
@@ -133,7 +133,7 @@ class MockCamera:
         return tuple(RenderedBoard(section.board.board()) for section in self._config.sections.values())
 
     def start(self) -> None:
-        """Begin the exposures of real time anew, with the scene made."""
+        """Prepare the scene and restart the exposures of real time."""
         self.scene.prepare()
         self._start_ns = time.monotonic_ns() + self._exposure_ns
         self._rises = 0 if self._edges is None else self._edges()[0]
@@ -226,7 +226,7 @@ class MockCamera:
         while (rise_ns := self.rise_ns()) is None:
             if time.monotonic() > until:
                 raise CameraError(f"no picture within {timeout_s:g} s: no pulse triggers the camera")
-            time.sleep(TRIGGER_LOOK_S)
+            time.sleep(TRIGGER_POLL_S)
         self._index += 1
         ready_ns = rise_ns + self._exposure_ns + self._faults.camera_delay_ns(self._number)
         time.sleep(max(0, ready_ns - time.monotonic_ns()) * 1e-9)

@@ -67,7 +67,7 @@ class MockCard:
     def read(self) -> Scans:
         """Scans since the last call; none before `start`."""
         if self._next is None:
-            return Scans(np.empty(0, np.int64), np.empty((0, len(self._inputs))))
+            return Scans.none(len(self._inputs))
         self._registers.faults.before_read(self._device, waits=True)
         # Read before the scans: data published in between can only increase the delay.
         late_ns = max(0, time.monotonic_ns() - self._registers.plant_t_ns)
@@ -111,7 +111,7 @@ class MockCard:
 
 def _lock_exclusively(device: str) -> int:
     """Lock a device for this process until the descriptor is closed, by the kernel if the process dies."""
-    lock = path_of(device).with_suffix(".door")
+    lock = path_of(device).with_suffix(".open")
     try:
         descriptor = open_private(lock, os.O_RDWR | os.O_CREAT)
     except OSError as error:

@@ -40,12 +40,8 @@ class Plant:
     is cut into calls of `advance`.
     """
 
-    def __init__(
-        self, config: RigConfig, seed: int, t0_ns: int, *, moving_arm: bool = True, faults: Faults | None = None
-    ) -> None:
+    def __init__(self, config: RigConfig, seed: int, t0_ns: int, *, moving_arm: bool = True) -> None:
         """`moving_arm` false leaves the arm straight and its chambers at their volume: pneumatics alone.
-
-        `faults` is the word that gives the bench its faults; without it the bench has one of its own.
 
         Raises:
             CardError: the rig has no simulator section, or its arm has no equilibrium without pressure.
@@ -88,7 +84,7 @@ class Plant:
         self._valves = pneumatics.valves(config, truth.valve)
         self._chambers = pneumatics.chambers(config, truth)
         self._sensors = pneumatics.sensors(config, truth, seed)
-        self.faults = faults if faults is not None else Faults()
+        self.faults = Faults()
         self._faulty_valves = FaultyValves(self.faults, self._valves)
         self._faulty_sensors = FaultySensors(self.faults, self._sensors)
         self._outputs_v: NDArray[np.float64] = np.zeros(len(config.valves))
@@ -151,7 +147,7 @@ class Plant:
             self._remember(index, *list(standing)[2:])
 
     def set_tip_weight(self, weight_kg: float) -> None:
-        """Hang a weight on the end cap in place of what hung there, as an operator would."""
+        """Replace the weight on the end cap."""
         self._weight_kg = weight_kg
         self._loads = self._hook.carrying(weight_kg)
 
@@ -160,7 +156,7 @@ class Plant:
         self._outputs_v[valve] = volts
 
     def output(self, valve: int) -> float:
-        """The voltage a valve's output stands at."""
+        """The voltage of a valve's output."""
         return float(self._outputs_v[valve])
 
     def _pass(self, steps: int) -> None:
@@ -222,7 +218,7 @@ class PlantCard:
         self._ranges = [config.valves[i].output_range for i in self._valves]
         self._device = config.cards[name].device
         self.faults = plant.faults
-        """The card's own: a mock card that stands before this one takes them upon itself."""
+        """Faults of this card; replaced where another object applies them."""
         self._every = pneumatics.scan_steps(config.cards[name].sampling_hz)
         self._sampling = False
         self._t_ns = np.zeros(FIFO_SCANS, np.int64)
@@ -292,7 +288,7 @@ class PlantCard:
         return self._rises, self._rise_ns
 
     def readback(self) -> NDArray[np.float64]:
-        """The voltages that the outputs stand at."""
+        """The voltages of the outputs."""
         return np.array([self._plant.output(valve) for valve in self._valves])
 
     def close(self) -> None:

@@ -17,8 +17,8 @@ from rig.hardware.lock import holders
 from rig.simulator.registers import Registers
 
 READY = b"ready\n"
-LOOK_S = 0.005
-GONE_S = 2.0
+POLL_S = 0.005
+EXIT_S = 2.0
 
 
 class Simulation:
@@ -59,7 +59,7 @@ class Simulation:
         return 0 if self._registers is None else now_ns - self._registers.plant_t_ns
 
     def set_tip_weight(self, weight_kg: float) -> None:
-        """Hang a weight on the end cap, as a prompt requests from the operator."""
+        """Put a weight on the end cap, as a prompt requests from the operator."""
         if self._registers is not None:
             self._registers.set_tip_weight(weight_kg)
 
@@ -80,7 +80,7 @@ class Simulation:
     def _wait(self) -> None:
         # A time-out, because the exit of a traced process is hidden until its debugger collects it.
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(GONE_S)
+            self._process.wait(EXIT_S)
 
 
 @contextmanager
@@ -118,7 +118,7 @@ def simulated(config: RigConfig, rig_file: Path, seed: int) -> Iterator[Simulati
     """
     with started(config, rig_file, seed) as simulation:
         while simulation is not None and not simulation.ready():
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
         yield simulation
 
 

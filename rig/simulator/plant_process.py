@@ -33,14 +33,14 @@ POLL_S = 0.002
 LONGEST_STRETCH_NS = 20_000_000
 """Longest step of a late plant that catches up, so that its data can be read in between."""
 GIVE_UP_NS = 2_000_000_000
-"""A plant with a longer delay (a stopped process, a sleeping laptop) skips the time instead."""
+"""A plant with a longer delay (a stopped process) skips the time instead."""
 OUTLIVE_PARENT_S = 3.0
 PRIORITY = 20
 _PR_SET_PDEATHSIG = 1
 SAFE_TOLERANCE_V = 0.01
 
 
-class _SimulatedCard:
+class SimulatedCard:
     """One mock card: its part of the plant and its shared file."""
 
     def __init__(self, config: RigConfig, name: str, plant: Plant) -> None:
@@ -53,11 +53,11 @@ class _SimulatedCard:
         self._channels = [v.channel for v in config.valves if v.card == name]
         valves = [i for i, v in enumerate(config.valves) if v.card == name]
         self._safe_v = np.array([[config.valves[i].safe_v(vent=vent) for i in valves] for vent in (False, True)])
-        self._registers = Registers.create(card.device, card.outputs, card.inputs, sections=len(config.sections))
-        self.faults = self._registers.faults
+        self.registers = Registers.create(card.device, card.outputs, card.inputs, sections=len(config.sections))
+        self.faults = self.registers.faults
         self._card.faults = Faults()  # faults act in the mock card of the run's processes; this one only samples
-        self._written = self._registers.outputs["written_ns"]
-        self._volts = self._registers.outputs["volts"]
+        self._written = self.registers.outputs["written_ns"]
+        self._volts = self.registers.outputs["volts"]
         self._poses = 0
         self._card.start()
 
@@ -76,7 +76,7 @@ class _SimulatedCard:
 
     def tip_weight_kg(self) -> float:
         """Mass of the weight on the end cap [kg]."""
-        return float(self._registers.header["tip_weight_kg"][0])
+        return float(self.registers.header["tip_weight_kg"][0])
 
     def publish(self, plant: Plant) -> None:
         """Publish the new scans and poses of the plant in the rings."""
@@ -84,19 +84,19 @@ class _SimulatedCard:
         if len(scans.t_ns):
             volts = np.zeros((len(scans.t_ns), self._inputs))
             volts[:, self._columns] = scans.volts
-            self._registers.push_scans(scans.t_ns, volts)
+            self.registers.push_scans(scans.t_ns, volts)
         poses = plant.poses_since(self._poses)
         if len(poses):
-            self._registers.push_poses(poses)
+            self.registers.push_poses(poses)
             self._poses = int(poses["index"][-1]) + 1
-        self._registers.header["plant_t_ns"][0] = plant.t_ns
+        self.registers.header["plant_t_ns"][0] = plant.t_ns
 
 
 def run(config: RigConfig, seed: int, parent: int | None, waits_ns: int | None = None) -> None:
     """Run the plant until it is terminated.
 
     With `waits_ns` the time of the plant stops while an open valve has not been written for longer, or while the plant
-    itself has a longer delay: a delay of the computer then has no effect on the bench.
+    itself has a longer delay: such a delay of the computer has no effect on the bench.
 
     Raises:
         CardError: a mock device is taken, or the rig cannot be simulated.
@@ -107,7 +107,7 @@ def run(config: RigConfig, seed: int, parent: int | None, waits_ns: int | None =
     t0_ns = time.monotonic_ns()
     plant = Plant(config, seed, t0_ns)
     plant.advance(t0_ns + LONGEST_STRETCH_NS)  # compiles kernels that are not cached
-    devices = [_SimulatedCard(config, name, plant) for name, card in config.cards.items() if card.is_mock]
+    devices = [SimulatedCard(config, name, plant) for name, card in config.cards.items() if card.is_mock]
     if devices:
         plant.faults.row = devices[0].faults.row
     _catch_up(plant, devices)
@@ -130,7 +130,7 @@ def run(config: RigConfig, seed: int, parent: int | None, waits_ns: int | None =
         if waits_ns is None:
             _catch_up(plant, devices)
         else:
-            _wait_or_catch_up(plant, devices, waits_ns)
+            advance_while_driven(plant, devices, waits_ns)
         if now >= look_ns:
             look_ns = now + 200_000_000
             if alone_since is None and poll.poll(0):
@@ -151,7 +151,7 @@ def _raise_priority() -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
 
 
-def _catch_up(plant: Plant, devices: Sequence[_SimulatedCard]) -> None:
+def _catch_up(plant: Plant, devices: Sequence[SimulatedCard]) -> None:
     """Advance the plant to the present; each output takes effect at the time of its write."""
     now = time.monotonic_ns()
     if now - plant.t_ns > GIVE_UP_NS:
@@ -161,19 +161,22 @@ def _catch_up(plant: Plant, devices: Sequence[_SimulatedCard]) -> None:
     _simulate(plant, devices, now)
 
 
-def _wait_or_catch_up(plant: Plant, devices: Sequence[_SimulatedCard], waits_ns: int) -> None:
-    """As `_catch_up`, but without the time in which the plant or the process that drives its valves was delayed."""
+def advance_while_driven(plant: Plant, devices: Sequence[SimulatedCard], waits_ns: int) -> None:
+    """As `_catch_up`, but without the time in which the plant or the process that drives its valves was delayed.
+
+    `waits_ns` before the present are always simulated: a plant that runs too seldom is slow, but not frozen.
+    """
     now = time.monotonic_ns()
     steered_ns = max((device.newest_write_ns() for device in devices if device.driven()), default=now) + waits_ns
     if steered_ns < now:
         _simulate(plant, devices, steered_ns)
         return
     if now - plant.t_ns > waits_ns:
-        plant.skip(now)
+        plant.skip(now - waits_ns)
     _simulate(plant, devices, now)
 
 
-def _simulate(plant: Plant, devices: Sequence[_SimulatedCard], until_ns: int) -> None:
+def _simulate(plant: Plant, devices: Sequence[SimulatedCard], until_ns: int) -> None:
     if devices:
         plant.set_tip_weight(devices[0].tip_weight_kg())
     for written_ns, device in sorted(((d.newest_write_ns(), d) for d in devices), key=itemgetter(0)):

@@ -18,13 +18,10 @@ _UNIT = np.eye(3)
 
 
 def pose_dtype(sections: int = 0) -> np.dtype[np.void]:
-    """One pose of the tip, and those of so many measured sections."""
+    """One pose of the tip and one of each measured section."""
     along = [("section_m", "<f8", (sections, 3)), ("section_rotation", "<f8", (sections, 3, 3))] if sections else []
     tip = [("index", "<i8"), ("t_ns", "<i8"), ("position_m", "<f8", (3,)), ("rotation", "<f8", (3, 3))]
     return np.dtype([*tip, *along], align=True)
-
-
-POSE_DTYPE = pose_dtype()
 
 
 def pose_among(entries: NDArray[np.void], t_ns: int) -> TipPose:

@@ -84,6 +84,7 @@ class Registers:
         """Map an open file that `create` or `attach` has validated; the map keeps its lock."""
         self.path = path
         self._map = mmap.mmap(descriptor, 0)
+        self._closed = False
         os.close(descriptor)
         self.header: NDArray[np.void] = np.frombuffer(self._map, HEADER_DTYPE, 1)
         inputs, outputs = int(self.header["inputs"][0]), int(self.header["outputs"][0])
@@ -161,9 +162,9 @@ class Registers:
         except OSError as error:
             raise CardError(f"mock card {device}: {path}: {error.strerror or error}") from error
         until = time.monotonic() + SETTLING_S
-        while not _sound(descriptor) and time.monotonic() < until:
+        while not _is_valid(descriptor) and time.monotonic() < until:
             time.sleep(0.01)  # its plant may be creating it now
-        if not _sound(descriptor):
+        if not _is_valid(descriptor):
             os.close(descriptor)
             raise CardError(f"mock card {device}: {path} was not made by this version of softrig: remove it")
         return cls(descriptor, path)
@@ -200,7 +201,7 @@ class Registers:
         return int(self.header["plant_t_ns"][0])
 
     def set_tip_weight(self, weight_kg: float) -> None:
-        """Hang a weight on the simulated end cap; the plant reads it from this register."""
+        """Put a weight on the simulated end cap; the plant reads it from this register."""
         self.header["tip_weight_kg"][0] = weight_kg
 
     def push_scans(self, t_ns: NDArray[np.int64], volts: NDArray[np.float64]) -> None:
@@ -257,13 +258,16 @@ class Registers:
         return pose_among(rows, t_ns)
 
     def close(self) -> None:
-        """Close the file; the registers keep their values."""
+        """Close the file, once; the registers keep their values."""
+        if self._closed:
+            return
+        self._closed = True
         del self.header, self.faults, self.outputs, self.digital, self._scans, self._poses
         with contextlib.suppress(BufferError):  # a view still exists: the map is released with the last view
             self._map.close()
 
 
-def _sound(descriptor: int) -> bool:
+def _is_valid(descriptor: int) -> bool:
     raw = os.pread(descriptor, HEADER_DTYPE.itemsize, 0)
     if len(raw) < HEADER_DTYPE.itemsize:
         return False

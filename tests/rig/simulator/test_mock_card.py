@@ -22,16 +22,9 @@ from rig.simulator import registers
 from rig.simulator.mock_card import MockCard
 from rig.simulator.registers import Registers, path_of
 from tests.support.plant_bench import MOCK, mock_rig
+from tests.support.waiting import wait_until
 
 COMMAND = [sys.executable, "-m", "rig.simulator.plant_process"]
-
-
-def until(what: str, condition: object, timeout_s: float = 30.0) -> None:
-    assert callable(condition)
-    limit = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < limit, f"timed out: {what}"
-        time.sleep(0.01)
 
 
 class Mock:
@@ -124,12 +117,14 @@ def test_the_register_moves_the_valve_and_the_valve_moves_the_pressure(mock: Moc
     time.sleep(0.02)
     assert abs(bench.read().pressure_pa).max() < 0.02e5
     bench.write(np.array([5.9, 0.0]))
-    until("the first chamber filled", lambda: bench.read().pressure_pa[-5:, 0].max(initial=0.0) > 0.2e5)
+    wait_until(lambda: bench.read().pressure_pa[-5:, 0].max(initial=0.0) > 0.2e5, "the first chamber filled")
     assert abs(bench.read().pressure_pa[:, 1]).max(initial=0.0) < 0.02e5
     bench.write(np.array([0.0, 0.0]))
-    until("the first chamber emptied", lambda: bench.read().pressure_pa[-5:, 0].min(initial=1e5) < 0.02e5)
+    wait_until(lambda: bench.read().pressure_pa[-5:, 0].min(initial=1e5) < 0.02e5, "the first chamber emptied")
     bench.write(np.array([5.6, 0.0]))
-    until("the tip moved", lambda: Registers.attach(mock.device).pose_at(time.monotonic_ns()).position_m[0] < -1e-3)
+    wait_until(
+        lambda: Registers.attach(mock.device).pose_at(time.monotonic_ns()).position_m[0] < -1e-3, "the tip moved"
+    )
 
 
 @pytest.mark.realtime
@@ -143,7 +138,7 @@ def test_a_new_plant_finds_the_outputs_at_zero_as_after_a_drivers_attach(mock: M
     mock.plant()
     np.testing.assert_array_equal(card.readback(), [0.0, 0.0])
     card.start()
-    until("scans of the new plant", lambda: len(card.read().t_ns) > 0)
+    wait_until(lambda: len(card.read().t_ns) > 0, "scans of the new plant")
 
 
 @pytest.mark.realtime
@@ -199,18 +194,18 @@ def test_the_time_of_a_waiting_plant_stops_while_open_valves_are_not_written(moc
     mock.plant("--waits-ms", "25")
     registers = Registers.attach(mock.device)
     late_s = lambda: (time.monotonic_ns() - registers.plant_t_ns) * 1e-9  # noqa: E731
-    until("the plant keeps up while its valves are safe", lambda: late_s() < 0.02)
+    wait_until(lambda: late_s() < 0.02, "the plant keeps up while its valves are safe")
     began_ns = time.monotonic_ns()
     for output in range(2):
         registers.write(output, 7.0, began_ns)
-    until("its time stops", lambda: late_s() > 0.3)
+    wait_until(lambda: late_s() > 0.3, "its time stops")
     assert registers.plant_t_ns - began_ns < 26_000_000
     registers.write(0, 7.0, time.monotonic_ns())
-    until("its time goes on with the next write", lambda: registers.plant_t_ns > began_ns + 300_000_000)
-    until("and stops again", lambda: late_s() > 0.3)
+    wait_until(lambda: registers.plant_t_ns > began_ns + 300_000_000, "its time goes on with the next write")
+    wait_until(lambda: late_s() > 0.3, "and stops again")
     for output in range(2):
         registers.write(output, 0.0, time.monotonic_ns())
-    until("the plant keeps up once its valves are safe", lambda: late_s() < 0.02)
+    wait_until(lambda: late_s() < 0.02, "the plant keeps up once its valves are safe")
     registers.close()
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from model.statics import statics
 from rig.config.arm_model import model_arm, true_arm
 from rig.simulator.plant import Plant
-from rig.simulator.pose_history import POSE_DTYPE, pose_among
+from rig.simulator.pose_history import pose_among, pose_dtype
 from tests.support.plant_bench import mock_rig
 
 BORE_M2 = math.pi * 9.5e-3**2
@@ -77,7 +77,7 @@ def test_before_the_beginning_the_arm_hangs_at_rest() -> None:
 
 @given(st.integers(-10_000_000, 40_000_000), st.floats(-0.05, 0.05))
 def test_an_interpolated_rotation_is_a_rotation(t_ns: int, angle: float) -> None:
-    entries = np.zeros(3, POSE_DTYPE)
+    entries = np.zeros(3, pose_dtype())
     for i in range(3):
         c, s = math.cos(angle * i), math.sin(angle * i)
         entries[i] = (i, i * 5_000_000, (i, 0, 0), ((c, -s, 0), (s, c, 0), (0, 0, 1)))
