@@ -16,26 +16,21 @@ class WouldOverwriteError(FileExistsError):
     """A file exists; the message names it and the option that allows overwriting."""
 
 
-def refuse_existing(
-    files: Iterable[Path],
-    *,
-    replace: bool = False,
-    option: str = "--replace",
-    made: Made = lambda _: False,
-) -> None:
-    """Refuse to overwrite files, before any computation.
-
-    `replace` is the user's consent, which `option` gives.
+def refuse_existing(files: Iterable[Path], *, replace: bool = False, made: Made = lambda _: False) -> None:
+    """Refuse to overwrite files without the user's consent, before any computation.
 
     Raises:
-        WouldOverwriteError: a file exists and may not be replaced, or is a folder.
+        WouldOverwriteError: a file exists and may not be replaced, is a folder, or lies below something that is none.
     """
     for file in files:
+        above = next(filter(os.path.lexists, file.parents), None)
+        if above is not None and not above.is_dir():
+            raise WouldOverwriteError(f"{file}: {above} is not a folder: name another one")
         if file.is_dir():
             raise WouldOverwriteError(f"{file} is a folder: name a file")
         # Also a broken link: writing would create its target.
         if os.path.lexists(file) and not replace and not made(file):
-            raise WouldOverwriteError(f"{file} exists: name another file, or say {option} to write over it")
+            raise WouldOverwriteError(f"{file} exists: name another file, or say --replace to write over it")
 
 
 def write_text(file: Path, text: str) -> None:

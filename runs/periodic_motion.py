@@ -79,7 +79,8 @@ def _motion(run: ArchiveReader, label: str, bounds: Floats) -> PeriodicMotion:
     axis = np.full(3, NAN) if axis is None else axis
     measured, model = measured_mm @ axis, model_mm @ axis
     moved, modelled = (fundamental(tip_s, along, period_s) for along in (measured, model))
-    at_frame = tip.pressure_bar[frames, actuator]
+    # Not the model's input, which is older than the frame: 2 ms are a loop of 1 % at 1 Hz.
+    at_frame = np.interp(tip_s, time_s, pressure.measured_bar[rows, actuator])
     origin = commanded
     if goes_round(tip_s, path_mm, period_s):
         at_frame, origin = np.full_like(at_frame, NAN), complex(NAN, NAN)

@@ -197,22 +197,22 @@ class RunHeader:
     started_utc_ns: int
     started_t_ns: int
     protocol_name: str
-    protocol_yaml: str
-    rig_name: str
-    rig_yaml: str
-    """The rig file as written; overlays are in `calibrations` and `parameters_yaml`."""
     actuators: int
     valves: int
     executor: str
     """`real time` or `virtual time`."""
     simulated: bool
     """True if the card, a camera or the arm is simulated."""
-    seed: int | None
-    model_variant: str
-    operator: str
-    notes: str
-    command: str
-    host: str
+    protocol_yaml: str = ""
+    rig_name: str = ""
+    rig_yaml: str = ""
+    """The rig file as written; overlays are in `calibrations` and `parameters_yaml`."""
+    seed: int | None = None
+    model_variant: str = ""
+    operator: str = ""
+    notes: str = ""
+    command: str = ""
+    host: str = ""
     metadata: dict[str, str] = field(default_factory=dict)
     """Facts about the specimen and the user, by name: `specimen`, `batch`, .."""
     versions: dict[str, str] = field(default_factory=dict)

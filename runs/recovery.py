@@ -39,21 +39,21 @@ class RecoveryOutcome:
     """Outcome for one file; `archive` is the archive of a journal, if there is one."""
 
     path: Path
-    fate: RecoveryStatus
+    status: RecoveryStatus
     message: str
     archive: Path | None = None
 
 
 def orphans(folder: Path | str) -> tuple[Path, ...]:
     """Return the journals in a folder that have no archive and no living writer; reads none of them."""
-    return tuple(path for path in _journals(Path(folder)) if not _archive_of(path).exists() and not _held(path))
+    return tuple(path for path in _journals(Path(folder)) if not _archive_of(path).exists() and not _locked(path))
 
 
 def recover(folder: Path | str = DATA) -> tuple[RecoveryOutcome, ...]:
     """Make archives of the journals in a folder that have none, and remove the remainders of interrupted attempts.
 
     Safe to call again, and while runs are being recorded. An archive that cannot be opened is set aside under
-    another name, never deleted, and made anew from its journal.
+    another name, never deleted, and made again from its journal.
     """
     place = Path(folder)
     return (*_leftovers(place), *(_recover(path) for path in _journals(place)))
@@ -79,15 +79,15 @@ def _recover(path: Path) -> RecoveryOutcome:
         return RecoveryOutcome(path, RecoveryStatus.UNREADABLE, str(fault) + aside)
     rows = f"{len(content.samples)} samples, {len(content.observations)} frames, {len(content.pictures)} pictures"
     lost = f"; not readable: {'; '.join(map(str, content.damage))}" if content.damage else ""
-    fate = RecoveryStatus.RECOVERED if content.footer is None else RecoveryStatus.FINALISED
-    return RecoveryOutcome(path, fate, rows + lost + aside, target)
+    status = RecoveryStatus.RECOVERED if content.footer is None else RecoveryStatus.FINALISED
+    return RecoveryOutcome(path, status, rows + lost + aside, target)
 
 
 def _leftovers(folder: Path) -> Iterator[RecoveryOutcome]:
     """Remove archives that were never finished, unless someone holds the journal or HDF5 the file."""
     for path in sorted(folder.glob(f"*{archive.PART}")):
         source = path.with_name(path.name.removesuffix(archive.PART) + journal.SUFFIX)
-        if not _held(source) and not _held(path):
+        if not _locked(source) and not _locked(path):
             path.unlink(missing_ok=True)
             yield RecoveryOutcome(path, RecoveryStatus.REMOVED, "left by an interrupted finalisation")
 
@@ -100,8 +100,8 @@ def _archive_of(path: Path) -> Path:
     return path.with_suffix(archive.SUFFIX)
 
 
-def _held(path: Path) -> bool:
-    """Tell whether a living process holds a lock on a file."""
+def _locked(path: Path) -> bool:
+    """Return whether a living process holds a lock on a file."""
     try:
         handle = os.open(path, os.O_RDONLY)
     except OSError:

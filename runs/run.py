@@ -12,7 +12,7 @@ from runs.archive.checked import ArchiveError
 from runs.archive.reader import ArchiveReader
 from runs.run_names import resolve
 from runs.summary import Summary, summarise
-from runs.table import TABLES, segments, table
+from runs.table import segments, table, tables
 
 
 class Run(ArchiveReader):
@@ -24,15 +24,15 @@ class Run(ArchiveReader):
         return summarise(self)
 
     def to_pandas(self, group: str = "tip") -> Any:
-        """Return a group of `runs.table.TABLES` as a DataFrame over time, or the protocol's `segments` by number.
+        """Return a group of `runs.table.tables` as a DataFrame over time, or the protocol's `segments` by number.
 
         pandas is not a dependency of softrig. `ArchiveError` if the run has no such table.
         """
         pandas = _optional("pandas")
         columns = segments(self.path) if group == "segments" else table(self.path, group)
         if not columns:
-            known = ", ".join((*TABLES, "segments"))
-            raise ArchiveError(f"{self.path} has no table '{group}'; there can be {known}")
+            known = ", ".join((*tables(self.path), "segments"))
+            raise ArchiveError(f"{self.path} has no table '{group}'; it has {known}")
         first = next(iter(columns))
         return pandas.DataFrame(columns, index=pandas.Index(columns.pop(first), name=first))
 

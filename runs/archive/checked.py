@@ -20,7 +20,7 @@ import numpy as np
 
 from runs.archive import checksum, global_heap
 from runs.archive.schema import BYTES, TEXT, ExpectedDataset
-from runs.archive.structure import Fields, SchemaViolationError, StructureCheck, shown, text_of
+from runs.archive.structure import Fields, SchemaViolationError, StructureCheck, member, shown, text_of
 
 _TEXTS_AT_ONCE = 64
 _FAULTS = (ArithmeticError, AttributeError, LookupError, MemoryError, OSError, RuntimeError, TypeError, ValueError)
@@ -57,7 +57,7 @@ class ArchiveContents:
         group, _, name = path.rpartition("/")
         expected = self._fields[group][name]
         with self._reading(path):
-            node = self._file[path]
+            node = member(self._file, path)
             _fits_memory(node)
             if expected.kind != TEXT:
                 found = node[()]
@@ -74,19 +74,19 @@ class ArchiveContents:
     def row(self, path: str, k: int) -> Any:
         """Return one row of a dataset."""
         with self._reading(path):
-            return self._file[path][k]
+            return member(self._file, path)[k]
 
     def about(self, path: str) -> tuple[str, str, float]:
         """Return unit, source and standard uncertainty [the unit] of a number; empty and NaN if missing."""
         with self._reading(path):
-            attributes = self._file[path].attrs
+            attributes = member(self._file, path).attrs
             unit, source = (text_of(attributes.get(name, ""), f"@{name}") for name in ("units", "source"))
             return unit, source, _number_of(attributes.get("uncertainty", math.nan), "@uncertainty")
 
     def described(self, path: str) -> tuple[tuple[int, ...], str, str]:
         """Return shape, unit and description of a dataset; texts are empty if missing."""
         with self._reading(path):
-            node = self._file[path]
+            node = member(self._file, path)
             unit, description = (text_of(node.attrs.get(name, ""), f"@{name}") for name in ("units", "description"))
             return node.shape, unit, description
 
@@ -263,5 +263,7 @@ def _number_of(value: Any, where: str) -> float:
 
 def _fits_memory(node: h5py.Dataset) -> None:
     half = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
-    if node.nbytes > half:
-        raise SchemaViolationError(f"{node.nbytes} bytes", f"at most {half}, half of this machine's memory")
+    # Not `nbytes`: h5py makes a NumPy type for it, which takes longer than to open the dataset.
+    size = math.prod(node.shape) * node.id.get_type().get_size()
+    if size > half:
+        raise SchemaViolationError(f"{size} bytes", f"at most {half}, half of this machine's memory")

@@ -2,143 +2,131 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from runs import columns
 from runs.archive.fields import ComputedColumn, Field, Group, RowTable, Value, row_chunks
+from runs.columns import COUNT
 from runs.columns.declaration import Column, Table
 from runs.journal.journal import Journal
 
 
-def pressure(journal: Journal) -> Group:
-    """Return the control cycles."""
-    return _group(journal, columns.Pressure, journal.samples)
+@dataclass(frozen=True)
+class TableGroup:
+    """The group of one table: the rows that it is computed from, the runs that have it, and its other datasets."""
+
+    kind: type[Table]
+    rows: str
+    """Attribute of the journal."""
+    present: Callable[[Journal], object] = lambda journal: True
+    facts: Callable[[Journal], tuple[Field, ...]] = lambda journal: ()
+
+    def of(self, journal: Journal) -> Group | None:
+        """Return the group of a journal's archive; None for a run without it."""
+        if not self.present(journal):
+            return None
+        kind, rows = self.kind, getattr(journal, self.rows)
+        # Without cameras there are no columns per camera: HDF5 keeps no empty dimension.
+        declared = [c for c in kind.columns() if "camera" not in c.axes or journal.header.cameras]
+        axes = dict.fromkeys(axis for column in declared for axis in column.axes)
+        plotted = next(column for column in declared if column.dataset == kind.signal)
+        fields = (*(_field(journal, column, rows) for column in declared), *(_scale(journal, axis) for axis in axes))
+        return Group(
+            f"entry/{kind.group}",
+            "NXdata",
+            (*fields, *self.facts(journal)),
+            signal=kind.signal,
+            axes=("time", *plotted.axes),
+            about=kind.about,
+        )
 
 
-def timing(journal: Journal, losses: tuple[Field, ...]) -> Group:
-    """Return the timing of the control cycles, and the losses of the whole run."""
-    return _group(journal, columns.Timing, journal.samples, losses)
+def _input_units(journal: Journal) -> tuple[Field, ...]:
+    units = [one.unit for one in journal.header.auxiliary]
+    return (Field("input_unit", units, about="unit of each column of value", scales=("input",)),)
 
 
-def auxiliary(journal: Journal) -> Group | None:
-    """Return the auxiliary inputs; None for a rig without any."""
-    inputs = journal.header.auxiliary
-    if not inputs:
-        return None
-    units = Field("input_unit", [one.unit for one in inputs], about="unit of each column of value", scales=("input",))
-    return _group(journal, columns.Auxiliary, journal.samples, (units,))
+def _tracker_name(journal: Journal) -> tuple[Field, ...]:
+    return (Field("name", journal.header.tracker, about="of the tracker in the rig file"),)
 
 
-def tip(journal: Journal) -> Group:
-    """Return the camera frames."""
-    return _group(journal, columns.Tip, journal.observations)
+def _section_places(journal: Journal) -> tuple[Field, ...]:
+    at_mm = np.array([place.at_mm for place in journal.header.sections])
+    about = "arc length from the rod base, of the arm at rest"
+    return (Field("at_mm", at_mm, "mm", about, scales=("section",)),)
 
 
-def tracker(journal: Journal) -> Group | None:
-    """Return the clock and the counts of the tracker; None without one."""
-    if not journal.header.tracker:
-        return None
-    name = Field("name", journal.header.tracker, about="of the tracker in the rig file")
-    return _group(journal, columns.TrackerClock, journal.observations, (name,))
-
-
-def backbone(journal: Journal) -> Group | None:
-    """Return the model's centre lines; None if there are none."""
-    rows = journal.observations
-    return _group(journal, columns.Backbone, rows) if _some(rows, "backbone_m") else None
-
-
-def simulator(journal: Journal) -> Group | None:
-    """Return the simulator's truth; None without a simulator."""
-    rows = journal.observations
-    simulated = journal.header.simulated and _some(rows, "truth_m")
-    return _group(journal, columns.Simulated, rows) if simulated else None
-
-
-def reference(journal: Journal) -> Group | None:
-    """Return the reference of the tip; None without one."""
-    rows = journal.observations
-    some = any(bool(chunk["tip_motion"].any()) for chunk in row_chunks(rows))
-    return _group(journal, columns.Reference, rows) if some else None
-
-
-def learning(journal: Journal) -> Group | None:
-    """Return what was learned from earlier runs; None without any."""
-    if not journal.header.learned_from:
-        return None
-    runs = Field("run", list(journal.header.learned_from), about="ids of the earlier runs", any_length=True)
-    return _group(journal, columns.Learning, journal.observations, (runs,))
-
-
-def adaptation(journal: Journal) -> Group | None:
-    """Return the results of the recursive estimator; None without one."""
-    adapted = journal.header.adapted
-    if not adapted:
-        return None
-    by = ("parameter",)
+def _initial_parameters(journal: Journal) -> tuple[Field, ...]:
+    adapted, by = journal.header.adapted, ("parameter",)
     start = np.array([q.value[0] for q in adapted], float)
     deviation = np.array([q.uncertainty for q in adapted], float)
-    facts = (
+    return (
         Field("unit", [q.unit for q in adapted], about="unit of start, value and their uncertainties", scales=by),
         Field("start", start, about="initial value", scales=by),
         Field("start_uncertainty", deviation, about="one standard deviation of the prior", scales=by),
     )
-    return _group(journal, columns.Adaptation, journal.adaptations, facts)
 
 
-def tip_control(journal: Journal) -> Group | None:
-    """Return the plans of the tip controller; None without one."""
-    if not journal.header.tip_controller:
-        return None
-    name = Field("controller", journal.header.tip_controller, about="name of the tip controller, or package:Class")
-    return _group(journal, columns.TipControl, journal.plans, (name,))
+def _controller_name(journal: Journal) -> tuple[Field, ...]:
+    about = "name of the tip controller, or package:Class"
+    return (Field("controller", journal.header.tip_controller, about=about),)
 
 
-def stream(journal: Journal) -> Group | None:
-    """Return the set-points of another program; None for a protocol without a step `stream`."""
-    return _group(journal, columns.StreamedSetPoints, journal.streamed) if journal.header.streams else None
+def _earlier_runs(journal: Journal) -> tuple[Field, ...]:
+    return (Field("run", list(journal.header.learned_from), about="ids of the earlier runs", any_length=True),)
 
 
-def trigger(journal: Journal) -> Group | None:
-    """Return the pulses of the camera trigger; None for a rig without one."""
-    return _group(journal, columns.TriggerPulse, journal.pulses) if journal.header.triggered else None
+def _losses(journal: Journal) -> tuple[Field, ...]:
+    """Return the losses of the whole run, and the nominal rates."""
+    header, counters = journal.header, journal.footer.counters if journal.footer else {}
+    overflows = sum(count for name, count in counters.items() if name.endswith("ring_overflows"))
+    dropped = sum(int(chunk["dropped"].sum()) for chunk in row_chunks(journal.observations))
+    about = "camera frames or messages of the tracker lost, over the run"
+    frames = (Field("dropped_frames", np.int64(dropped), about=about, limits=COUNT),) if header.measures_tip else ()
+    about = "nominal; that of the tracker or, without both, of the model"
+    return (
+        *frames,
+        Field("ring_overflows", np.int64(overflows), about="rows lost in shared memory, over the run", limits=COUNT),
+        Field("control_rate", header.control_hz, "Hz", "nominal"),
+        Field("camera_rate", header.camera_hz, "Hz", about),
+    )
 
 
-def exposure(journal: Journal) -> Group | None:
-    """Return what the pulses say of the frames; None for a rig without a camera trigger."""
-    return _group(journal, columns.TriggeredFrame, journal.observations) if journal.header.triggered else None
+def _has_numbers(name: str) -> Callable[[Journal], bool]:
+    """Return the condition that a field of the observations has a finite number."""
+    return lambda journal: any(bool(np.isfinite(chunk[name]).any()) for chunk in row_chunks(journal.observations))
 
 
-def sections(journal: Journal) -> Group | None:
-    """Return the measured sections of the arm; None without any."""
-    places = journal.header.sections
-    if not places:
-        return None
-    at_mm = np.array([place.at_mm for place in places])
-    about = "arc length from the rod base, of the arm at rest"
-    place = Field("at_mm", at_mm, "mm", about, scales=("section",))
-    return _group(journal, columns.Sections, journal.observations, (place,))
+def _has_reference(journal: Journal) -> bool:
+    return any(bool(chunk["tip_motion"].any()) for chunk in row_chunks(journal.observations))
+
+
+TABLE_GROUPS = (
+    TableGroup(columns.Pressure, "samples"),
+    TableGroup(columns.Auxiliary, "samples", lambda j: j.header.auxiliary, _input_units),
+    TableGroup(columns.Tip, "observations"),
+    TableGroup(columns.TrackerClock, "observations", lambda j: j.header.tracker, _tracker_name),
+    TableGroup(columns.TriggerPulse, "pulses", lambda j: j.header.triggered),
+    TableGroup(columns.TriggeredFrame, "observations", lambda j: j.header.triggered),
+    TableGroup(columns.Sections, "observations", lambda j: j.header.sections, _section_places),
+    TableGroup(columns.Adaptation, "adaptations", lambda j: j.header.adapted, _initial_parameters),
+    TableGroup(columns.TipControl, "plans", lambda j: j.header.tip_controller, _controller_name),
+    TableGroup(columns.StreamedSetPoints, "streamed", lambda j: j.header.streams),
+    TableGroup(columns.Timing, "samples", facts=_losses),
+    TableGroup(columns.Backbone, "observations", _has_numbers("backbone_m")),
+    TableGroup(columns.Simulated, "observations", lambda j: j.header.simulated and _has_numbers("truth_m")(j)),
+    TableGroup(columns.Reference, "observations", _has_reference),
+    TableGroup(columns.Learning, "observations", lambda j: j.header.learned_from, _earlier_runs),
+)
 
 
 def seconds(journal: Journal, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return times [s] since the start of the run."""
     return np.asarray((t_ns - journal.header.started_t_ns) / 1e9)
-
-
-def _group(journal: Journal, kind: type[Table], rows: RowTable, facts: tuple[Field, ...] = ()) -> Group:
-    # Without cameras there are no columns per camera: HDF5 keeps no empty dimension.
-    declared = [c for c in kind.columns() if "camera" not in c.axes or journal.header.cameras]
-    axes = dict.fromkeys(axis for column in declared for axis in column.axes)
-    plotted = next(column for column in declared if column.dataset == kind.signal)
-    return Group(
-        f"entry/{kind.group}",
-        "NXdata",
-        (*(_field(journal, column, rows) for column in declared), *(_scale(journal, axis) for axis in axes), *facts),
-        signal=kind.signal,
-        axes=("time", *plotted.axes),
-        about=kind.about,
-    )
 
 
 def _field(journal: Journal, column: Column, rows: RowTable) -> Field:
@@ -176,8 +164,3 @@ def _scale(journal: Journal, axis: str) -> Field:
     return Field(
         axis, values[axis], about=columns.AXES[axis][1], any_length=axis in ("camera", "input", "parameter", "section")
     )
-
-
-def _some(rows: RowTable, name: str) -> bool:
-    """Return whether any number of a field is finite."""
-    return any(bool(np.isfinite(chunk[name]).any()) for chunk in row_chunks(rows))

@@ -50,7 +50,7 @@ class Field:
 
     `since` is the layout that it came with. The others are what a reader may rely on. `any_length`: a scale whose
     length is the run's own, as that of the cameras' names. `finite`: no value is NaN. `limits`: smallest and largest
-    value. `among`: all values that there are.
+    value. `among`: all values that there are. `pictures`: the values are encoded pictures, each of its own length.
     """
 
     name: str
@@ -65,16 +65,12 @@ class Field:
     limits: tuple[float, float] | None = None
     among: tuple[str | int, ...] = ()
     since: int = OLDEST_LAYOUT
+    pictures: bool = False
 
-
-@dataclass(frozen=True)
-class Pictures:
-    """The encoded pictures (K,), each of its own length."""
-
-    name: str
-    data: ComputedColumn
-    scales: tuple[str, ...]
-    about: str
+    @property
+    def sample(self) -> Any:
+        """The value; of a column as many rows as show its kind: none."""
+        return self.value.of(self.value.table[:0]) if isinstance(self.value, ComputedColumn) else self.value
 
 
 @dataclass(frozen=True)
@@ -83,7 +79,7 @@ class Group:
 
     path: str
     nx_class: str
-    fields: tuple[Field | Pictures, ...]
+    fields: tuple[Field, ...]
     signal: str = ""
     axes: tuple[str, ...] = ()
     about: str = ""

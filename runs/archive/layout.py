@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from runs import columns
 from runs.archive import column_groups, provenance
-from runs.archive.fields import ComputedColumn, Field, Group, Pictures, named, row_chunks
-from runs.columns import COUNT, SECONDS
+from runs.archive.fields import ComputedColumn, Field, Group, named
+from runs.columns import SECONDS
 from runs.columns.conversions import LARGEST_NS
 from runs.journal.journal import Journal
 from runs.journal.stored_rows import StoredPicture, StoredPictures
@@ -26,8 +26,8 @@ VERSION = max(column.since for table in columns.TABLES for column in table.colum
 
 MOST_CHANNELS = 4096
 """Most actuators, or valves, of an archive."""
-UNITS = ("bar", "V", "mm", "mm2", "px", "us", "g", "N", "Nm", "deg", "deg2")
-"""Unit suffixes of column names."""
+UNITS = ("mm_deg", "bar", "V", "mm", "mm2", "px", "s", "ms", "us", "g", "N", "Nm", "deg", "deg2", "ppm")
+"""Unit suffixes of column names; one that ends with another comes first."""
 CLOCK = (0, LARGEST_NS)
 OWN_CLOCK = (-LARGEST_NS, LARGEST_NS)
 """Imported data may count from any zero."""
@@ -35,49 +35,32 @@ OWN_CLOCK = (-LARGEST_NS, LARGEST_NS)
 
 def split_unit(name: str) -> tuple[str, str]:
     """Return a field's name without its unit, and the unit; `measured_mm` is `measured` in `mm`."""
-    plain, _, unit = name.rpartition("_")
-    return (plain, unit) if unit in UNITS else (name, "")
+    unit = next((unit for unit in UNITS if name.endswith(f"_{unit}")), "")
+    return name.removesuffix(f"_{unit}") if unit else name, unit
 
 
 def groups(journal: Journal) -> tuple[Group, ...]:
     """Return every group of the archive of a journal."""
-    return tuple(
-        group
-        for group in (
-            _entry(journal),
-            provenance.protocol(journal),
-            provenance.protocol_parameters(journal),
-            provenance.rig(journal),
-            provenance.protocol_files(journal),
-            provenance.calibration_files(journal),
-            provenance.sample(journal),
-            provenance.user(journal),
-            provenance.study(journal),
-            provenance.versions(journal),
-            provenance.git(journal),
-            column_groups.pressure(journal),
-            column_groups.auxiliary(journal),
-            column_groups.tip(journal),
-            column_groups.tracker(journal),
-            column_groups.trigger(journal),
-            column_groups.exposure(journal),
-            column_groups.sections(journal),
-            column_groups.adaptation(journal),
-            column_groups.tip_control(journal),
-            column_groups.stream(journal),
-            _timing(journal),
-            _counters(journal),
-            _frames(journal),
-            _events(journal),
-            provenance.quantities(journal, "calibration", "what was calibrated, as it was used"),
-            provenance.quantities(journal, "model", "every number of the model, as it was used"),
-            column_groups.backbone(journal),
-            column_groups.simulator(journal),
-            column_groups.reference(journal),
-            column_groups.learning(journal),
-        )
-        if group is not None
+    found = (
+        _entry(journal),
+        provenance.protocol(journal),
+        provenance.protocol_parameters(journal),
+        provenance.rig(journal),
+        provenance.protocol_files(journal),
+        provenance.calibration_files(journal),
+        provenance.sample(journal),
+        provenance.user(journal),
+        provenance.study(journal),
+        provenance.versions(journal),
+        provenance.git(journal),
+        *(table.of(journal) for table in column_groups.TABLE_GROUPS),
+        _counters(journal),
+        _frames(journal),
+        _events(journal),
+        provenance.quantities(journal, "calibration", "what was calibrated, as it was used"),
+        provenance.quantities(journal, "model", "every number of the model, as it was used"),
     )
+    return tuple(group for group in found if group is not None)
 
 
 def utc(nanoseconds: int) -> str:
@@ -145,37 +128,8 @@ def _entry(journal: Journal) -> Group:
     return Group("entry", "NXentry", tuple(fields), default="tip")
 
 
-def _timing(journal: Journal) -> Group:
-    overflows = sum(count for name, count in _counted(journal).items() if name.endswith("ring_overflows"))
-    dropped = sum(int(chunk["dropped"].sum()) for chunk in row_chunks(journal.observations))
-    losses = (
-        *(
-            [
-                Field(
-                    "dropped_frames",
-                    np.int64(dropped),
-                    about="camera frames or messages of the tracker lost, over the run",
-                    limits=COUNT,
-                )
-            ]
-            if journal.header.measures_tip
-            else []
-        ),
-        Field("ring_overflows", np.int64(overflows), about="rows lost in shared memory, over the run", limits=COUNT),
-        Field("control_rate", journal.header.control_hz, "Hz", "nominal"),
-        Field(
-            "camera_rate", journal.header.camera_hz, "Hz", "nominal; that of the tracker or, without both, of the model"
-        ),
-    )
-    return column_groups.timing(journal, losses)
-
-
-def _counted(journal: Journal) -> dict[str, int]:
-    return journal.footer.counters if journal.footer else {}
-
-
 def _counters(journal: Journal) -> Group:
-    counters = _counted(journal)
+    counters = journal.footer.counters if journal.footer else {}
     fields = (
         Field(name, np.int64(count), about=f"{name.replace('_', ' ')} over the run")
         for name, count in sorted(counters.items())
@@ -194,7 +148,7 @@ def _frames(journal: Journal) -> Group:
     )
 
 
-def _picture_fields(journal: Journal) -> tuple[Field | Pictures, ...]:
+def _picture_fields(journal: Journal) -> tuple[Field, ...]:
     """Time, camera and bytes of each kept picture."""
     pictures, by = journal.pictures, ("time",)
 
@@ -209,7 +163,7 @@ def _picture_fields(journal: Journal) -> tuple[Field | Pictures, ...]:
         Field("index", index, about="as tip/frame", scales=by),
         Field("camera", column(lambda some: [p.camera for p in some]), about="name of the camera", scales=by),
         Field("encoding", column(lambda some: [p.encoding for p in some]), about="jpeg or png", scales=by),
-        Pictures("image", image, by, "the encoded picture, byte for byte"),
+        Field("image", image, about="the encoded picture, byte for byte", scales=by, pictures=True),
     )
 
 

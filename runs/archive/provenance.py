@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from runs.archive.fields import QUANTITY_GROUPS, Field, Group, named
 from runs.archive.quantity_meanings import meaning
 from runs.columns.conversions import PA_PER_BAR
 from runs.journal.journal import Journal
-from runs.records import Interval, Quantity, StudyRole, StudyRun
+from runs.records import Interval, Quantity, RecordedFile, StudyRole, StudyRun
 
 SPECIMEN = "specimen"
 """The name of the metadata that names the specimen; `name` in the NXsample."""
@@ -68,40 +68,30 @@ def rig(journal: Journal) -> Group:
 
 def protocol_files(journal: Journal) -> Group | None:
     """The CSV files of the protocol; None if there are none."""
-    files = journal.header.protocol_files
-    if not files:
-        return None
-    by = ("name",)
-    return Group(
-        "entry/protocol_files",
-        "NXcollection",
-        (
-            Field("name", [f.name for f in files], about="as the protocol names it", any_length=True),
-            Field("kind", [f.kind for f in files], about="of the step that plays it", scales=by),
-            Field("sha256", [f.sha256 for f in files], about="of the text", scales=by),
-            Field("text", [f.text for f in files], about="verbatim", scales=by),
-        ),
-        about="what the protocol plays",
-    )
+    names = ("as the protocol names it", "of the step that plays it")
+    return _files("protocol_files", journal.header.protocol_files, "text", names, "what the protocol plays")
 
 
 def calibration_files(journal: Journal) -> Group | None:
     """The calibration files applied to the rig; None if there are none."""
-    files = journal.header.calibrations
+    names = ("as the rig file names it", "camera, dlt, tool or pressure")
+    about = "calibrations applied to the rig, in this order"
+    return _files("calibration_files", journal.header.calibrations, "yaml", names, about)
+
+
+def _files(
+    group: str, files: Sequence[RecordedFile], text: str, name_and_kind: tuple[str, str], about: str
+) -> Group | None:
     if not files:
         return None
     by = ("name",)
-    return Group(
-        "entry/calibration_files",
-        "NXcollection",
-        (
-            Field("name", [f.name for f in files], about="as the rig file names it", any_length=True),
-            Field("kind", [f.kind for f in files], about="camera, dlt, tool or pressure", scales=by),
-            Field("sha256", [f.sha256 for f in files], about="of the text", scales=by),
-            Field("yaml", [f.text for f in files], about="verbatim", scales=by),
-        ),
-        about="calibrations applied to the rig, in this order",
+    fields = (
+        Field("name", [f.name for f in files], about=name_and_kind[0], any_length=True),
+        Field("kind", [f.kind for f in files], about=name_and_kind[1], scales=by),
+        Field("sha256", [f.sha256 for f in files], about="of the text", scales=by),
+        Field(text, [f.text for f in files], about="verbatim", scales=by),
     )
+    return Group(f"entry/{group}", "NXcollection", fields, about=about)
 
 
 STUDY_NUMBERS = (1, 1_000_000)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,7 @@ from runs.records import (
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+T = TypeVar("T", bound=Table)
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,22 @@ class Frames:
     """(k, points, 2), the model's."""
 
 
+def _required(kind: type[T]) -> cached_property[T]:
+    """Return the attribute of a table that every run has, read on first access."""
+
+    def read(archive: ArchiveReader) -> T:
+        found = archive._table(kind)
+        assert found is not None
+        return found
+
+    return cached_property(read)
+
+
+def _optional(kind: type[T]) -> cached_property[T | None]:
+    """Return the attribute of a table that is None for a run without it, read on first access."""
+    return cached_property(lambda archive: archive._table(kind))
+
+
 class ArchiveReader:
     """The recorded data of one run. The file is open only during a read; each group is read whole on first access."""
 
@@ -80,7 +97,7 @@ class ArchiveReader:
     @cached_property
     def header(self) -> RunHeader:
         """Everything known before the first sample."""
-        entry = self._group("entry")
+        entry = self._entry
         protocol, rig, git = (self._group(f"entry/{name}") for name in ("protocol", "rig", "git"))
         return RunHeader(
             run_id=entry["run_id"],
@@ -128,113 +145,45 @@ class ArchiveReader:
     @cached_property
     def status(self) -> Status:
         """How the run ended."""
-        return Status(self._group("entry")["status"])
+        return Status(self._entry["status"])
 
     @cached_property
     def message(self) -> str:
         """Reason for the end of the run."""
-        return str(self._group("entry")["message"])
+        return str(self._entry["message"])
 
     @cached_property
     def duration_s(self) -> float:
         """From start to end, waiting included."""
-        return float(self._group("entry")["duration"])
+        return float(self._entry["duration"])
 
     @cached_property
     def arm(self) -> dict[str, Quantity]:
         """The parameters of the modelled arm by name, each with unit, source and uncertainty."""
         return {quantity.name: quantity for quantity in self._quantities("model")}
 
-    @cached_property
-    def pressure(self) -> Pressure:
-        """Control cycles."""
-        return Pressure(self._values(Pressure))
-
-    @cached_property
-    def tip(self) -> Tip:
-        """Camera frames."""
-        return Tip(self._values(Tip))
-
-    @cached_property
-    def auxiliary(self) -> Auxiliary | None:
-        """Auxiliary inputs; None for a rig without any."""
-        g = self._group("entry/aux", without="value")
-        return Auxiliary(self._values(Auxiliary), g["input"], g["input_unit"]) if g else None
-
-    @cached_property
-    def adaptation(self) -> Adaptation | None:
-        """Results of the recursive estimator; None for a run without one."""
-        g = self._group("entry/adaptation")
-        if not g:
-            return None
-        return Adaptation(self._values(Adaptation), g["parameter"], g["unit"], g["start"], g["start_uncertainty"])
-
-    @cached_property
-    def tip_control(self) -> TipControl | None:
-        """Plans of the tip controller; None for a run without one."""
-        values = self._values(TipControl)
-        return TipControl(values) if values else None
-
-    @cached_property
-    def streamed(self) -> StreamedSetPoints | None:
-        """Set-points of another program; None for a protocol without a step `stream`."""
-        values = self._values(StreamedSetPoints)
-        return StreamedSetPoints(values) if values else None
-
-    @cached_property
-    def trigger(self) -> TriggerPulse | None:
-        """Pulses of the camera trigger; None for a rig without one."""
-        values = self._values(TriggerPulse)
-        return TriggerPulse(values) if values else None
-
-    @cached_property
-    def exposure(self) -> TriggeredFrame | None:
-        """What the pulses say of the camera frames; None for a rig without a camera trigger."""
-        values = self._values(TriggeredFrame)
-        return TriggeredFrame(values) if values else None
-
-    @cached_property
-    def sections(self) -> Sections | None:
-        """Measured sections of the arm; None without any."""
-        g = self._group("entry/sections", without="measured_mm")
-        return Sections(self._values(Sections), g["section"], g["at_mm"]) if g else None
+    pressure = _required(Pressure)
+    tip = _required(Tip)
+    backbone = _optional(Backbone)
+    simulated = _optional(Simulated)
+    sections = _optional(Sections)
+    auxiliary = _optional(Auxiliary)
+    adaptation = _optional(Adaptation)
+    reference = _optional(Reference)
+    learning = _optional(Learning)
+    tip_control = _optional(TipControl)
+    streamed = _optional(StreamedSetPoints)
+    tracker = _optional(TrackerClock)
+    trigger = _optional(TriggerPulse)
+    exposure = _optional(TriggeredFrame)
 
     @cached_property
     def timing(self) -> Timing:
         """Lateness and losses."""
-        g = self._group("entry/timing")
-        counters = {name: int(count) for name, count in self._group("entry/timing/counters").items()}
-        return Timing(self._values(Timing), int(g.get("dropped_frames", 0)), int(g["ring_overflows"]), counters)
-
-    @cached_property
-    def simulated(self) -> Simulated | None:
-        """The simulator's truth; None for a run without a simulator."""
-        values = self._values(Simulated)
-        return Simulated(values) if values else None
-
-    @cached_property
-    def reference(self) -> Reference | None:
-        """Where the tip had to be; None for a run without a tip path."""
-        values = self._values(Reference)
-        return Reference(values) if values else None
-
-    @cached_property
-    def learning(self) -> Learning | None:
-        """What was learned from earlier runs; None for a run that did not learn."""
-        values = self._values(Learning)
-        return Learning(values, self.header.learned_from) if values else None
-
-    @cached_property
-    def tracker(self) -> TrackerClock | None:
-        """Clock and message counts of the tracker; None for a run without one."""
-        values = self._values(TrackerClock)
-        return TrackerClock(values) if values else None
-
-    @cached_property
-    def backbone(self) -> Backbone | None:
-        """The model's centre line; None without a model."""
-        values = self._values(Backbone)
-        return Backbone(values) if values else None
+        timing = self._table(Timing)
+        assert timing is not None
+        timing.counters = {name: int(count) for name, count in self._group("entry/timing/counters").items()}
+        return timing
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
@@ -267,12 +216,17 @@ class ArchiveReader:
             data: bytes = archive.row("entry/frames/image", k).tobytes()
             return data
 
-    def _values(self, kind: type[Table]) -> dict[str, Values]:
-        """Return the columns of a table by name; empty if the archive has no such group."""
+    def _table(self, kind: type[T]) -> T | None:
+        """Return a table; None if the archive has no such group."""
         g = self._group(f"entry/{kind.group}")
         if not g:
-            return {}
-        return {c.name: c.read(g[c.dataset] if c.dataset in g else _unset(c, g)) for c in kind.columns()}
+            return None
+        values = {c.name: c.read(g[c.dataset] if c.dataset in g else _unset(c, g)) for c in kind.columns()}
+        return kind(values, {name: g[dataset] for name, dataset in kind.facts if dataset in g})
+
+    @cached_property
+    def _entry(self) -> dict[str, Any]:
+        return self._group("entry")
 
     def _group(self, path: str, without: str = "") -> dict[str, Any]:
         """Return the datasets of a group by name: arrays, texts and numbers; empty if the group is missing."""

@@ -1,6 +1,6 @@
 """What an archive must hold, derived from the layout that archives are written by.
 
-The layout is asked for the groups of two made-up journals: one that has everything, and one that has only what every
+These are the groups of the layout for two synthetic journals: one that has everything, and one that has only what every
 run has. What both have is required; what only the first has may be missing.
 """
 
@@ -15,10 +15,11 @@ import h5py
 import numpy as np
 
 from runs.archive import checksum, layout
-from runs.archive.fields import QUANTITY_GROUPS, ComputedColumn, Field, Group, Pictures
+from runs.archive.fields import QUANTITY_GROUPS, ComputedColumn, Field, Group
 from runs.columns.conversions import LARGEST
 from runs.columns.declaration import OLDEST_LAYOUT
-from runs.journal.journal import Journal, observations_of
+from runs.journal.journal import Journal
+from runs.journal.row_kinds import ROW_KINDS
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
 from runs.records import (
     AuxiliaryChannel,
@@ -31,11 +32,6 @@ from runs.records import (
     Status,
     StudyRole,
     StudyRun,
-    adaptation_dtype,
-    pulse_dtype,
-    sample_dtype,
-    streamed_dtype,
-    tip_control_dtype,
 )
 
 TEXT, BYTES = "text", "bytes"
@@ -120,18 +116,14 @@ def _datasets(group: Group, required: set[str], first_of: dict[int, str]) -> Ite
     own: dict[str, Dimension] = {}
     for item in group.fields:
         path = f"{group.path}/{item.name}"
-        value = item.data if isinstance(item, Pictures) else item.value
-        if isinstance(value, ComputedColumn):
-            own[item.name] = first_of.setdefault(id(value.table), path)
-        elif np.ndim(value):
-            own[item.name] = path if group.open or _any_length(item) else len(np.asarray(value))
+        if isinstance(item.value, ComputedColumn):
+            own[item.name] = first_of.setdefault(id(item.value.table), path)
+        elif np.ndim(item.value):
+            own[item.name] = path if group.open or item.any_length else len(np.asarray(item.value))
     for item in group.fields:
         path = f"{group.path}/{item.name}"
         names = item.scales or ((item.name,) if item.name in own else ())
         dimensions = tuple(own[name] if not group.open else own[item.name] for name in names)
-        if isinstance(item, Pictures):
-            yield ExpectedDataset(path, BYTES, dimensions, item.name in required, scales=item.scales)
-            continue
         kind = _kind(item)
         limits = item.limits or ((-LARGEST, LARGEST) if kind[0] == "f" and not group.open else None)
         fixed = dimensions and isinstance(dimensions[0], int) and kind[0] != "f"
@@ -149,13 +141,10 @@ def _datasets(group: Group, required: set[str], first_of: dict[int, str]) -> Ite
         )
 
 
-def _any_length(item: Field | Pictures) -> bool:
-    return isinstance(item, Field) and item.any_length
-
-
 def _kind(item: Field) -> str:
-    value: Any = item.value.of(item.value.table[:0]) if isinstance(item.value, ComputedColumn) else item.value
-    return TEXT if isinstance(value, str | list) else checksum.kind_of(np.asarray(value).dtype)
+    if item.pictures:
+        return BYTES
+    return TEXT if isinstance(item.sample, str | list) else checksum.kind_of(np.asarray(item.sample).dtype)
 
 
 def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
@@ -171,19 +160,11 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         started_utc_ns=0,
         started_t_ns=0,
         protocol_name="",
-        protocol_yaml="",
-        rig_name="",
-        rig_yaml="",
         actuators=actuators,
         valves=valves,
         executor="",
         simulated=everything,
         seed=0 if everything else None,
-        model_variant="",
-        operator="",
-        notes="",
-        command="",
-        host="",
         metadata={"specimen": "", "email": "-"} if everything else {},
         versions={"library": ""} if everything else {},
         intervals=(Interval(0.0, 0.0, "", "", ()),),
@@ -205,15 +186,10 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
     return Journal(
         header=header,
         footer=RunFooter(0, Status.FINISHED, "", {"counter": 0} if everything else {}),
-        samples=_rows(sample_dtype(actuators, valves, len(header.auxiliary)), 0),
-        observations=_rows(observations_of(header), rows),
-        adaptations=_rows(adaptation_dtype(len(header.adapted)), 0),
-        plans=_rows(tip_control_dtype(valves), 0),
-        streamed=_rows(streamed_dtype(actuators), 0),
-        pulses=_rows(pulse_dtype(), 0),
         events=(),
         pictures=StoredPictures(memoryview(b"")),
         damage=(),
+        **{kind.name: _rows(kind.dtype(header), rows if kind.name == "observations" else 0) for kind in ROW_KINDS},
     )
 
 

@@ -136,6 +136,14 @@ def _is_hard(parent: h5py.Group, name: str) -> bool:
     return bool(parent.id.links.get_info(name.encode()).type == h5py.h5l.TYPE_HARD)
 
 
+def member(parent: h5py.Group, path: str) -> Any:
+    """Return an object of a file that is open for reading, as `parent[path]` does in twice the time."""
+    found = h5py.h5o.open(parent.id, path.encode())
+    if isinstance(found, h5py.h5d.DatasetID):
+        return h5py.Dataset(found, readonly=True)
+    return h5py.Group(found) if isinstance(found, h5py.h5g.GroupID) else h5py.Datatype(found)
+
+
 def _member(parent: h5py.Group, path: str, kind: type) -> Any:
     """Return a group or dataset by its path; None where there is none. External and soft links are refused."""
     node: Any = parent
@@ -144,7 +152,7 @@ def _member(parent: h5py.Group, path: str, kind: type) -> Any:
             return None
         if not _is_hard(node, name):
             raise SchemaViolationError("a link to elsewhere", f"a {kind.__name__.lower()}")
-        node = node[name]
+        node = member(node, name)
     if not isinstance(node, kind):
         raise SchemaViolationError(f"a {type(node).__name__.lower()}", f"a {kind.__name__.lower()}")
     return node
@@ -211,14 +219,10 @@ def _check_shape(shapes: Mapping[str, tuple[int, ...]], one: ExpectedDataset) ->
 
 
 def text_of(value: Any, where: str) -> str:
-    if not isinstance(value, str) or not _is_unicode(value):
+    # Lone surrogates represent invalid UTF-8.
+    if not isinstance(value, str) or any("\ud800" <= sign <= "\udfff" for sign in value):
         raise SchemaViolationError(shown(value), "text in UTF-8", where)
     return value
-
-
-def _is_unicode(text: str) -> bool:
-    """Return whether a text has no lone surrogates, which represent invalid UTF-8."""
-    return not any("\ud800" <= sign <= "\udfff" for sign in text)
 
 
 def shown(value: Any) -> str:

@@ -21,7 +21,7 @@ import numpy as np
 from runs.archive import checksum, layout
 from runs.archive.checked import ArchiveError as ArchiveError
 from runs.archive.checked import content_sha256, digest_of
-from runs.archive.fields import CHUNK_ROWS, ComputedColumn, Field, Group, Pictures, RowTable, row_chunks
+from runs.archive.fields import CHUNK_ROWS, ComputedColumn, Field, Group, RowTable, row_chunks
 from runs.file_lock import lock
 from runs.journal import journal
 from runs.journal.append_only_file import ARCHIVE_TO_JOURNAL, NO_ROOM, JournalError
@@ -37,15 +37,15 @@ class ArchiveInUseError(ArchiveError):
     """A running process still writes the journal."""
 
 
-def finalise(journal_path: Path | str, archive_path: Path | str | None = None) -> Path:
-    """Make an archive from a journal and return its path; the journal is kept.
+def finalise(journal_path: Path | str) -> Path:
+    """Make an archive beside a journal and return its path; the journal is kept.
 
-    By default the archive stands beside the journal. A journal without a footer gives an archive with status
+    A journal without a footer gives an archive with status
     `recovered`. An existing archive is replaced. Raises `ArchiveError` or `JournalError`.
     """
     source = Path(journal_path)
-    target = source.with_suffix(SUFFIX) if archive_path is None else Path(archive_path)
-    with held(source):
+    target = source.with_suffix(SUFFIX)
+    with locked(source):
         content = journal.read(source)
         write(content, target, _MARGIN_BYTES + int(ARCHIVE_TO_JOURNAL * source.stat().st_size))
     return target
@@ -76,7 +76,7 @@ def write(content: journal.Journal, target: Path, most_bytes: int) -> None:
 
 
 @contextmanager
-def held(source: Path) -> Iterator[None]:
+def locked(source: Path) -> Iterator[None]:
     """Lock a journal during finalisation; `ArchiveInUseError` if its writer is still running."""
     try:
         handle = os.open(source, os.O_RDONLY)
@@ -147,31 +147,31 @@ def _write(part: Path, name: str, groups: tuple[Group, ...]) -> dict[str, int]:
 class _Dataset:
     """One dataset of an archive, and the checksum of its intended content."""
 
-    def __init__(self, node: h5py.Group, item: Field | Pictures) -> None:
-        value = item.data if isinstance(item, Pictures) else item.value
-        self.column = value if isinstance(value, ComputedColumn) else None
-        now: Any = value.of(value.table[:0]) if isinstance(value, ComputedColumn) else value
-        shape: tuple[int, ...] = (len(value.table),) if isinstance(value, ComputedColumn) else np.shape(now)
+    def __init__(self, node: h5py.Group, item: Field) -> None:
+        self.column = item.value if isinstance(item.value, ComputedColumn) else None
+        now = item.sample
+        shape: tuple[int, ...] = np.shape(now) if self.column is None else (len(self.column.table),)
         storage: dict[str, Any] = {}
-        attributes: dict[str, Any] = {"description": item.about}
         kind: Any
-        if isinstance(item, Pictures):
+        if item.pictures:
             self._kind, kind = "bytes", h5py.vlen_dtype(np.uint8)
+        elif isinstance(now, str | list):
+            self._kind, kind = "str", h5py.string_dtype()
         else:
-            attributes = {"units": item.units, **attributes, "source": item.source}
-            if item.uncertainty is not None:
-                attributes["uncertainty"] = item.uncertainty
-            if isinstance(now, str | list):
-                self._kind, kind = "str", h5py.string_dtype()
-            else:
-                numbers = np.asarray(now)
-                self._kind, kind = checksum.kind_of(numbers.dtype), numbers.dtype
-                shape = (*shape[:1], *numbers.shape[1:])
-                storage = _storage(shape, kind.itemsize)
+            numbers = np.asarray(now)
+            self._kind, kind = checksum.kind_of(numbers.dtype), numbers.dtype
+            shape = (*shape[:1], *numbers.shape[1:])
+            storage = _storage(shape, kind.itemsize)
         self._node = node.create_dataset(item.name, shape, kind, **storage)
         self.path = self._node.name.lstrip("/")
-        for name, attribute in attributes.items():
-            if attribute != "":
+        attributes = (
+            ("units", item.units),
+            ("description", item.about),
+            ("source", item.source),
+            ("uncertainty", item.uncertainty),
+        )
+        for name, attribute in attributes:
+            if attribute not in ("", None):
                 self._node.attrs[name] = attribute
         self._part = checksum.ChecksumPart(self._kind, shape)
         if self.column is None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-
 from runs.columns.conversions import deviation, time_column, to_mm
 from runs.columns.declaration import Column, Table, Values
 
@@ -13,6 +11,11 @@ class Adaptation(Table):
 
     group, rows, signal = "adaptation", "M", "value"
     about = "parameters estimated during the run; never used for control"
+    facts = tuple((name, name) for name in ("parameter", "unit", "start", "start_uncertainty"))
+    parameter: tuple[str, ...]
+    unit: tuple[str, ...]
+    start: Values
+    start_uncertainty: Values
 
     time_s = time_column("middle of the exposure")
     frame = Column("frame", "<i8", about="as in /entry/tip")
@@ -30,17 +33,3 @@ class Adaptation(Table):
         of=lambda rows: deviation(rows["covariance"]), axes=("parameter",), about="one standard deviation of value"
     )
     covariance = Column("covariance", axes=("parameter", "parameter"), about="covariance of value")
-
-    def __init__(
-        self,
-        values: Mapping[str, Values],
-        parameter: Iterable[str],
-        unit: Iterable[str],
-        start: Values,
-        start_uncertainty: Values,
-    ) -> None:
-        super().__init__(values)
-        self.parameter = tuple(parameter)
-        self.unit = tuple(unit)
-        self.start = start
-        self.start_uncertainty = start_uncertainty

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-
 from runs.columns.conversions import protocol_time_column, time_column, to_bar, to_us
-from runs.columns.declaration import Column, Table, Values
+from runs.columns.declaration import Column, Table
 
 
 class Pressure(Table):
@@ -35,31 +33,26 @@ class Auxiliary(Table):
 
     group, rows, signal = "aux", "N", "value"
     about = "auxiliary inputs of the rig file, one row per control cycle"
+    facts = (("inputs", "input"), ("units", "input_unit"))
+    inputs: tuple[str, ...]
+    units: tuple[str, ...]
 
     time_s = time_column("time of the newest scan of the cycle")
     value = Column(
         "aux", axes=("input",), about="mean of the scans since the last value; NaN outside the span of the sensor"
     )
 
-    def __init__(self, values: Mapping[str, Values], inputs: Iterable[str], units: Iterable[str]) -> None:
-        super().__init__(values)
-        self.inputs = tuple(inputs)
-        self.units = tuple(units)
-
 
 class Timing(Table):
     """Timing of the control cycles (n,), and losses of the whole run."""
 
     group, rows, signal = "timing", "N", "lateness_us"
+    facts = tuple((name, name) for name in ("dropped_frames", "ring_overflows"))
+    dropped_frames: int = 0
+    ring_overflows: int
+    counters: dict[str, int]
+    """As the executor counted them, by name."""
 
     time_s = time_column("time of the newest scan of the cycle")
     overruns = Column("missed", "<i4", about="deadlines missed since the last cycle")
     lateness_us = Column("lateness_ns", "<i8", unit="us", about="how late the control cycle began", convert=to_us)
-
-    def __init__(
-        self, values: Mapping[str, Values], dropped_frames: int, ring_overflows: int, counters: Mapping[str, int]
-    ) -> None:
-        super().__init__(values)
-        self.dropped_frames = dropped_frames
-        self.ring_overflows = ring_overflows
-        self.counters = dict(counters)

@@ -80,9 +80,14 @@ class Table:
     signal: ClassVar[str]
     """Dataset that a viewer plots."""
     about: ClassVar[str] = ""
+    facts: ClassVar[tuple[tuple[str, str], ...]] = ()
+    """Datasets beside the columns: the attribute of each as it is read, and its name."""
 
-    def __init__(self, values: Mapping[str, Values]) -> None:
+    def __init__(self, values: Mapping[str, Values], facts: Mapping[str, Any] | None = None) -> None:
         self.values = dict(values)
+        for name, fact in (facts or {}).items():
+            single = fact.item() if isinstance(fact, np.generic) else fact
+            setattr(self, name, tuple(single) if isinstance(single, list) else single)
 
     @classmethod
     def columns(cls) -> tuple[Column, ...]:

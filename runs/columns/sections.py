@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +21,10 @@ class Sections(Table):
 
     group, rows, signal = "sections", "M", "error_mm"
     about = "one row per camera frame of a rig with `sections`; NaN where nothing was measured"
+    facts = (("names", "section"), ("at_mm", "at_mm"))
+    names: tuple[str, ...]
+    at_mm: Values
+    """Arc lengths from the rod base, of the arm at rest."""
 
     time_s = time_column("middle of the exposure")
     seen = Column("section_seen", "<i4", axes=("section",), about=STATUSES, among=tuple(DetectionStatus))
@@ -65,8 +67,3 @@ class Sections(Table):
         convert=to_mm,
     )
     error_mm = Column(of=_error_mm, axes=("section",), unit="mm", about="distance between measured and modelled point")
-
-    def __init__(self, values: Mapping[str, Values], names: Iterable[str], at_mm: Values) -> None:
-        super().__init__(values)
-        self.names = tuple(names)
-        self.at_mm = at_mm

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from enum import IntEnum
 
 import numpy as np
@@ -65,6 +64,9 @@ class Learning(Table):
 
     group, rows, signal = "learning", "M", "disturbance_mm"
     about = "iterative learning: what earlier runs have shown of the arm beyond the controller's model"
+    facts = (("learned_from", "run"),)
+    learned_from: tuple[str, ...]
+    """Ids of the earlier runs."""
 
     time_s = time_column("middle of the exposure")
     disturbance_mm = Column(
@@ -74,10 +76,6 @@ class Learning(Table):
         about="learned difference between the tip and that of the controller's model; NaN outside tip paths",
         convert=to_mm,
     )
-
-    def __init__(self, values: Mapping[str, Values], learned_from: Iterable[str]) -> None:
-        super().__init__(values)
-        self.learned_from = tuple(learned_from)
 
 
 class TipControl(Table):

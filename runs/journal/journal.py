@@ -10,7 +10,6 @@ from __future__ import annotations
 import mmap
 import os
 import struct
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,32 +21,10 @@ from numpy.typing import NDArray
 from runs.journal import mcap_records, messages
 from runs.journal.append_only_file import AppendOnlyFile, BufferedFile, DiskFile, JournalError
 from runs.journal.mcap_records import JournalBlock, JournalDamage
-from runs.journal.messages import (
-    ADAPTATIONS,
-    EVENTS,
-    FOOTER,
-    HEADER,
-    MARKS,
-    OBSERVATIONS,
-    PICTURES,
-    PLANS,
-    PULSES,
-    SAMPLES,
-    STREAMED,
-)
+from runs.journal.messages import EVENTS, FOOTER, HEADER, MARKS, PICTURES
+from runs.journal.row_kinds import ROW_KINDS, RowKind
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
-from runs.records import (
-    Event,
-    Picture,
-    RunFooter,
-    RunHeader,
-    adaptation_dtype,
-    observation_dtype,
-    pulse_dtype,
-    sample_dtype,
-    streamed_dtype,
-    tip_control_dtype,
-)
+from runs.records import Event, Picture, RunFooter, RunHeader
 
 SUFFIX = ".mcap"
 
@@ -66,19 +43,10 @@ class JournalWriter:
         A `live` run does not wait for a disk that stalls for less than `patience_s` (default 10 s); other runs wait.
         """
         self.path = Path(path)
-        self._samples = _TopicRows(SAMPLES, sample_dtype(header.actuators, header.valves, len(header.auxiliary)))
-        self._observations = _TopicRows(OBSERVATIONS, observations_of(header))
-        self._adaptations = _TopicRows(ADAPTATIONS, adaptation_dtype(len(header.adapted)))
-        self._plans = _TopicRows(PLANS, tip_control_dtype(header.valves))
-        self._streamed = _TopicRows(STREAMED, streamed_dtype(header.actuators))
-        self._pulses = _TopicRows(PULSES, pulse_dtype())
+        self._kinds = {kind.name: _FramedRows(kind, header) for kind in ROW_KINDS}
         self._utc_minus_t_ns = header.started_utc_ns - header.started_t_ns
         self.newest_t_ns = header.started_t_ns
-        kinds = [self._samples, self._observations, *([self._adaptations] if header.adapted else [])]
-        kinds += [self._plans] if header.tip_controller else []
-        kinds += [self._streamed] if header.streams else []
-        kinds += [self._pulses] if header.triggered else []
-        first = block_of_header(header, {kind.channel: kind.form["row"] for kind in kinds})
+        first = block_of_header(header)
         file = DiskFile(self.path, mcap_records.opening() + first + first)
         self._file: AppendOnlyFile = BufferedFile(file, patience_s) if live else file
 
@@ -89,27 +57,27 @@ class JournalWriter:
 
     def samples(self, rows: NDArray[np.void]) -> None:
         """Append control cycles: `sample_dtype` rows (n,)."""
-        self._rows(self._samples, rows)
+        self._append("samples", rows)
 
     def observations(self, rows: NDArray[np.void]) -> None:
         """Append camera frames: `observation_dtype` rows (n,)."""
-        self._rows(self._observations, rows)
+        self._append("observations", rows)
 
     def adaptations(self, rows: NDArray[np.void]) -> None:
         """Append what the recursive estimator found: `adaptation_dtype` rows (n,)."""
-        self._rows(self._adaptations, rows)
+        self._append("adaptations", rows)
 
     def plans(self, rows: NDArray[np.void]) -> None:
         """Append plans of the tip controller: `tip_control_dtype` rows (n,)."""
-        self._rows(self._plans, rows)
+        self._append("plans", rows)
 
     def streamed(self, rows: NDArray[np.void]) -> None:
         """Append set-points of another program: `streamed_dtype` rows (n,)."""
-        self._rows(self._streamed, rows)
+        self._append("streamed", rows)
 
     def pulses(self, rows: NDArray[np.void]) -> None:
         """Append pulses of the camera trigger: `pulse_dtype` rows (n,)."""
-        self._rows(self._pulses, rows)
+        self._append("pulses", rows)
 
     def picture(self, picture: Picture) -> None:
         """Append an encoded picture and what was seen in it, both or neither."""
@@ -137,9 +105,10 @@ class JournalWriter:
         content = mcap_records.encode(Message(FOOTER, utc_ns, messages.to_json(footer), utc_ns, 0))
         self._file.close(mcap_records.block(content, utc_ns, utc_ns) + mcap_records.ending())
 
-    def _rows(self, kind: _TopicRows, rows: NDArray[np.void]) -> None:
+    def _append(self, name: str, rows: NDArray[np.void]) -> None:
         if len(rows) == 0:
             return
+        kind = self._kinds[name]
         if rows.dtype != kind.form["row"]:
             raise TypeError(f"rows of {rows.dtype}, expected {kind.form['row']}")
         log_ns = rows["t_ns"] + self._utc_minus_t_ns
@@ -149,24 +118,17 @@ class JournalWriter:
         self._file.append(mcap_records.block(content, int(log_ns[0]), int(log_ns[-1])))
 
 
-def observations_of(header: RunHeader) -> np.dtype[np.void]:
-    """Return the dtype of the camera frames of a run."""
-    return observation_dtype(
-        header.actuators, len(header.cameras), bool(header.tracker), header.triggered, len(header.sections)
-    )
-
-
-class _TopicRows:
+class _FramedRows:
     """How one kind of row is framed, and how many there were."""
 
-    def __init__(self, channel: int, row: np.dtype[np.void]) -> None:
-        self.channel = channel
-        self.form = mcap_records.framed(row)
+    def __init__(self, kind: RowKind, header: RunHeader) -> None:
+        self.channel = kind.channel
+        self.form = mcap_records.framed(kind.dtype(header))
         self.sequence = 0
 
 
-def block_of_header(header: RunHeader, rows: Mapping[int, np.dtype[np.void]]) -> bytes:
-    """Return the first block of a journal: schemas, channels (with the rows of each that has any) and the header."""
+def block_of_header(header: RunHeader) -> bytes:
+    """Return the first block of a journal: schemas, channels (those of rows that the run has) and the header."""
     json: tuple[str, bytes, str, dict[str, str]] = ("jsonschema", b'{"type": "object"}', "json", {})
     kinds = {
         HEADER: json,
@@ -175,16 +137,19 @@ def block_of_header(header: RunHeader, rows: Mapping[int, np.dtype[np.void]]) ->
         PICTURES: ("ros1msg", messages.PICTURE_DEFINITION.encode(), "ros1", {}),
         MARKS: ("ros1msg", messages.MARKS_DEFINITION.encode(), "ros1", {}),
     }
-    for channel, row in rows.items():
-        definition = messages.row_definition(row).encode()
-        kinds[channel] = ("ros1msg", definition, "ros1", {"dtype": messages.dtype_to_json(row)})
+    topics = messages.TOPICS.copy()
+    for kind in ROW_KINDS:
+        if kind.recorded(header):
+            row = kind.dtype(header)
+            metadata = {"dtype": messages.dtype_to_json(row)}
+            kinds[kind.channel] = ("ros1msg", messages.row_definition(row).encode(), "ros1", metadata)
+            topics[kind.channel] = kind.topic
     names = {PICTURES: "sensor_msgs/CompressedImage"}
     records: list[Schema | Channel | Message] = []
     for channel, (schema_encoding, definition, encoding, metadata) in kinds.items():
-        topic = messages.TOPICS[channel]
-        name = names.get(channel, f"softrig{topic}")
+        name = names.get(channel, f"softrig{topics[channel]}")
         records.append(Schema(channel, definition, schema_encoding, name))
-        records.append(Channel(channel, topic, encoding, metadata, channel))
+        records.append(Channel(channel, topics[channel], encoding, metadata, channel))
     utc_ns = header.started_utc_ns
     records.append(Message(HEADER, utc_ns, messages.to_json(header), utc_ns, 0))
     return mcap_records.block(mcap_records.encode(*records), utc_ns, utc_ns)
@@ -241,7 +206,7 @@ class _Contents:
         self.footer: RunFooter | None = None
         self.data = data
         self.stored: dict[int, np.dtype[np.void]] = {}
-        self.rows = {channel: Index() for channel in (SAMPLES, OBSERVATIONS, ADAPTATIONS, PLANS, STREAMED, PULSES)}
+        self.rows = {kind.channel: Index() for kind in ROW_KINDS}
         self.events: list[Event] = []
         self.pictures = StoredPictures(data)
         self.damage: list[JournalDamage] = []
@@ -261,7 +226,7 @@ class _Contents:
 
     def _channel(self, channel: Channel) -> None:
         if "dtype" in channel.metadata:
-            # The first block stands twice; rows of one channel are all of one dtype.
+            # The first block is written twice; rows of one channel are all of one dtype.
             self.stored.setdefault(channel.id, messages.dtype_from_json(channel.metadata["dtype"]))
 
     def _message(self, channel: int, position: int, payload: memoryview) -> None:
@@ -278,19 +243,15 @@ class _Contents:
             self.pictures.picture(position)
 
     def journal(self, header: RunHeader) -> Journal:
-        def rows(channel: int, kind: np.dtype[np.void]) -> StoredRows:
-            return StoredRows(self.data, self.stored.get(channel, kind), kind, self.rows[channel])
+        def rows(kind: RowKind) -> StoredRows:
+            now = kind.dtype(header)
+            return StoredRows(self.data, self.stored.get(kind.channel, now), now, self.rows[kind.channel])
 
         return Journal(
             header=header,
             footer=self.footer,
-            samples=rows(SAMPLES, sample_dtype(header.actuators, header.valves, len(header.auxiliary))),
-            observations=rows(OBSERVATIONS, observations_of(header)),
-            adaptations=rows(ADAPTATIONS, adaptation_dtype(len(header.adapted))),
-            plans=rows(PLANS, tip_control_dtype(header.valves)),
-            streamed=rows(STREAMED, streamed_dtype(header.actuators)),
-            pulses=rows(PULSES, pulse_dtype()),
             events=tuple(self.events),
             pictures=self.pictures,
             damage=tuple(self.damage),
+            **{kind.name: rows(kind) for kind in ROW_KINDS},
         )

@@ -1,7 +1,7 @@
 """MCAP blocks: messages framed with a checksum, and found again in a damaged file.
 
 A block is one MCAP chunk record, uncompressed, handed to the kernel in one write. Chunks carry a CRC-32, bare
-messages do not: so a flipped bit is seen, and a reader that has lost its place can find the next sound block.
+messages do not: so a reader detects a flipped bit, and finds the next intact block after damage.
 MCAP's records are specified at https://mcap.dev/spec.
 """
 
@@ -27,7 +27,7 @@ _MESSAGE = struct.Struct("<HIQQ")
 """Channel, sequence, log time, publish time."""
 _CHUNK_FIELDS = _CHUNK.size - _RECORD.size
 _ALLOWED_BETWEEN = {Opcode.HEADER: 256, Opcode.DATA_END: 4, Opcode.FOOTER: 20}
-"""Records that stand between blocks, with the longest that is believed."""
+"""Records that may stand between blocks, with their largest accepted lengths."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ def scan(data: memoryview) -> Iterator[JournalBlock | JournalDamage]:
 
 
 def _record_end(data: memoryview, position: int) -> int | None:
-    """Return where the record at this position ends; None if there is no record that can be believed."""
+    """Return where the record at this position ends; None if there is no valid record."""
     size = len(data)
     if size - position == len(MAGIC) and data[position:].tobytes() == MAGIC:
         return size
@@ -195,7 +195,7 @@ def _record_end(data: memoryview, position: int) -> int | None:
 
 
 def _is_chunk(data: memoryview, position: int) -> bool:
-    """Tell whether the lengths stated in what may be a block agree with one another and with the file."""
+    """Return whether the lengths in a possible block agree with each other and with the file."""
     if position + _CHUNK.size > len(data):
         return False
     opcode, length, _, _, size, _, name, again = _CHUNK.unpack_from(data, position)
@@ -208,7 +208,7 @@ def _is_chunk(data: memoryview, position: int) -> bool:
 
 
 def _next_chunk(data: memoryview, start: int) -> int | None:
-    """Return where the next block with a right checksum begins."""
+    """Return where the next block with a correct checksum begins."""
     stretch = 1 << 20
     for low in range(start, len(data), stretch):
         for found in np.flatnonzero(np.frombuffer(data[low : low + stretch], np.uint8) == Opcode.CHUNK):

@@ -1,7 +1,7 @@
 """What the messages of a journal mean: rows and pictures as ROS 1 binary, the rest as JSON.
 
 ROS 1 messages of fixed size are packed little-endian, as NumPy's rows are: so a row is its own message, and viewers
-that read MCAP (Foxglove, PlotJuggler) plot a journal as it is. The exact dtype stands in the channel's metadata.
+that read MCAP (Foxglove, PlotJuggler) plot a journal as it is. The channel's metadata holds the exact dtype.
 """
 
 from __future__ import annotations
@@ -21,20 +21,14 @@ if TYPE_CHECKING:
 
 T = TypeVar("T", RunHeader, RunFooter, Event)
 
-HEADER, FOOTER, EVENTS, SAMPLES, OBSERVATIONS, PICTURES, ADAPTATIONS, MARKS, PLANS, STREAMED, PULSES = range(1, 12)
-"""Channel numbers, the same in every journal."""
+HEADER, FOOTER, EVENTS, PICTURES, MARKS = 1, 2, 3, 6, 8
+"""Channel numbers, the same in every journal; `runs.journal.row_kinds` has those of rows."""
 TOPICS = {
     HEADER: "/header",
     FOOTER: "/footer",
     EVENTS: "/events",
-    SAMPLES: "/samples",
-    OBSERVATIONS: "/observations",
     PICTURES: "/pictures",
-    ADAPTATIONS: "/adaptations",
     MARKS: "/marks",
-    PLANS: "/tip_control",
-    STREAMED: "/stream",
-    PULSES: "/trigger",
 }
 _ROS_TYPES = {"<i8": "int64", "<i4": "int32", "<f8": "float64", "<f4": "float32"}
 _STAMP = struct.Struct("<III")

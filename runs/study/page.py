@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from runs.overwriting import refuse_existing, write_text
 from runs.report.colours import MEASURED, MUTED, RUNS
 from runs.report.drawing import svg
+from runs.report.html_table import html_table
 from runs.report.numbers import DASH, significant
 from runs.report.page import html_document
 from runs.run import Run
@@ -77,7 +78,7 @@ def write(name: str, title: str, planned: int, archives: Sequence[Path], folder:
     mark = f'<meta name="softrig-study" content="{escape(name)}">'
     text = _csv(table)
     refuse_existing([page], made=lambda file: mark in file.read_text(encoding="utf-8", errors="replace"))
-    head = text.splitlines()[0]
+    head = ",".join(_FACTS)
     refuse_existing([rows], made=lambda file: file.read_text(encoding="utf-8", errors="replace").startswith(head))
     body = "\n".join(_body(name, title, planned, table))
     write_text(rows, text)
@@ -88,10 +89,11 @@ def write(name: str, title: str, planned: int, archives: Sequence[Path], folder:
 def _csv(table: StudyTable) -> str:
     out = StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*_FACTS, *table.settings, *(f"{r.name}_{r.unit}" for r in RESPONSES)])
+    writer.writerow([*_FACTS, *table.settings, *(f"{r.name}_{r.unit}" for r in RESPONSES), "simulated"])
     for row, facts in enumerate(table.facts):
         numbers = [values[row] for values in (*table.settings.values(), *table.responses)]
-        writer.writerow([*facts, *(f"{value:.9g}" if math.isfinite(value) else "" for value in numbers)])
+        texts = (f"{value:.9g}" if math.isfinite(value) else "" for value in numbers)
+        writer.writerow([*facts, *texts, int(table.simulated)])
     return out.getvalue()
 
 
@@ -175,9 +177,7 @@ def _with_width(value: float, half_width: float) -> str:
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    head = "".join(f"<th>{escape(text)}</th>" for text in heads)
-    body = "".join(f"<tr>{''.join(f'<td>{escape(cell or DASH)}</td>' for cell in row)}</tr>" for row in rows)
-    return f'<div class="scroll"><table><tr>{head}</tr>{body}</table></div>'
+    return html_table([*map(escape, heads)], [[escape(cell or DASH) for cell in row] for row in rows])
 
 
 def _draw(

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 import runs
 import tests.support.synthetic_runs as made_up
-from rig.cli.app import main
 from runs import annotation_file
 from runs.archive.checked import ArchiveError, content_sha256
 from runs.archive.writer import finalise
@@ -24,6 +23,7 @@ from runs.journal.journal import JournalWriter
 from runs.pressure_cycles import pressure_cycles
 from runs.records import RunFooter, Status
 from runs.report.page import page
+from tests.support.command_line import status_of
 from tests.support.report_text import without_figures
 
 ROOT = Path(__file__).parents[2]
@@ -42,12 +42,6 @@ def make(folder: Path, run_id: str, specimen: str = "", bar: tuple[float, ...] =
     return finalise(writer.path)
 
 
-def rig(*words: object) -> object:
-    with pytest.raises(SystemExit) as ended:
-        main([str(word) for word in words])
-    return ended.value.code
-
-
 def test_notes_and_tags_are_shown_and_the_archive_stays(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -55,9 +49,9 @@ def test_notes_and_tags_are_shown_and_the_archive_stays(
     archive, other = make(tmp_path, "one"), make(tmp_path, "two")
     before, checksum = archive.read_bytes(), content_sha256(archive)
     assert catalogue(tmp_path)[0].tags == ()
-    assert rig("note", archive, "the <tube> slipped") == 0
-    assert rig("tag", archive, "bad", "leak", "bad") == 0
-    assert rig("tag", archive, "leak", "--remove") == 0
+    assert status_of("note", archive, "the <tube> slipped") == 0
+    assert status_of("tag", archive, "bad", "leak", "bad") == 0
+    assert status_of("tag", archive, "leak", "--remove") == 0
     assert (archive.read_bytes(), content_sha256(archive)) == (before, checksum)
 
     assert annotation_file.read(archive).tags == ("bad",)
@@ -68,14 +62,14 @@ def test_notes_and_tags_are_shown_and_the_archive_stays(
     assert "the &lt;tube&gt; slipped" in text
     assert '<span class="badge">bad</span>' in text
     capsys.readouterr()
-    assert rig("show", archive) == 0
+    assert status_of("show", archive) == 0
     shown = capsys.readouterr().out
     assert "the <tube> slipped" in shown
-    assert rig("show", archive, "--json") == 0
+    assert status_of("show", archive, "--json") == 0
     assert json.loads(capsys.readouterr().out)["annotations"]["tags"] == ["bad"]
-    assert rig("runs", tmp_path) == 0
+    assert status_of("runs", tmp_path) == 0
     assert "bad" in capsys.readouterr().out
-    assert rig("runs", tmp_path, "--tag", "bad", "--json") == 0
+    assert status_of("runs", tmp_path, "--tag", "bad", "--json") == 0
     assert [entry["file"] for entry in json.loads(capsys.readouterr().out)] == [archive.name]
     assert not annotation_file.path_of(other).exists()
 
@@ -94,7 +88,7 @@ def test_what_is_no_tag_or_note_is_refused(
     archive = make(tmp_path, "one")
     annotation_file.add_tag(archive, "bad")
     before = annotation_file.path_of(archive).read_bytes()
-    assert rig(words[0], archive, *words[1:]) == 2
+    assert status_of(words[0], archive, *words[1:]) == 2
     assert said in capsys.readouterr().err
     assert annotation_file.path_of(archive).read_bytes() == before
 
@@ -161,7 +155,7 @@ def test_the_pressure_cycles_of_a_specimen_are_counted_over_its_runs(
             "again": None,
             "computed": None,
         }
-    assert rig("runs", tmp_path, "--specimen", "A7") == 0
+    assert status_of("runs", tmp_path, "--specimen", "A7") == 0
     assert "specimen A7: 3 pressure cycles in 2 runs" in capsys.readouterr().out
 
 
@@ -183,7 +177,7 @@ def test_cycles_are_rises_and_falls_whatever_the_noise(
 def test_a_note_on_what_is_no_archive_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     empty = tmp_path / "empty.h5"
     empty.touch()
-    assert rig("note", empty, "a good run") == 2
-    assert rig("tag", empty, "good") == 2
+    assert status_of("note", empty, "a good run") == 2
+    assert status_of("tag", empty, "good") == 2
     assert "empty.h5" in capsys.readouterr().err
     assert [file.name for file in tmp_path.iterdir()] == ["empty.h5"]

@@ -6,7 +6,6 @@ import hashlib
 import re
 import shutil
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import h5py
@@ -18,26 +17,17 @@ import tests.support.synthetic_runs as made_up
 from protocols import BadInputError
 from rig.config import loader
 from rig.config.calibration_files import write
-from rig.experiment import run as experiment
 from rig.experiment.replay import replay
 from runs.archive.writer import finalise
 from runs.export.exporters import export
 from runs.journal import journal
 from runs.records import RecordedFile, RunFooter, Status
 from runs.report.page import page
-from runs.run import Run
 from tests.rig.config.test_calibration_files import camera_file
-from tests.rig.virtual.test_run import Silent
 from tests.support.report_text import without_figures
+from tests.support.virtual_runs import virtual_run
 
 CSV = "time_s,actuator_1_bar\n0,0\n0.2,0.1\n0.4,0.1\n"
-
-
-def run_fast(folder: Path, protocol: Path, rig: str = "mock", settings: dict[str, float] | None = None) -> Run:
-    request = experiment.request(str(protocol), rig, settings=settings, folder=folder, fast=True, seed=1, report=False)
-    archive = experiment.run(request, experiment.plan(request), Silent()).archive
-    assert archive is not None
-    return runs.open(archive)
 
 
 def test_a_run_can_be_repeated_when_its_files_are_gone(tmp_path: Path) -> None:
@@ -46,7 +36,7 @@ def test_a_run_can_be_repeated_when_its_files_are_gone(tmp_path: Path) -> None:
     protocol, csv = source / "played.yaml", source.parent / "samples.csv"
     protocol.write_text("title: Played\nsteps:\n  - csv: {file: ../samples.csv, actuators: [1]}\n")
     csv.write_text(CSV)
-    first = run_fast(tmp_path / "first", protocol)
+    first = virtual_run(protocol, folder=tmp_path / "first")
     text = protocol.read_text()
     protocol.unlink()
     csv.unlink()
@@ -61,7 +51,7 @@ def test_a_run_can_be_repeated_when_its_files_are_gone(tmp_path: Path) -> None:
 
     written = {path.name: path for path in export(first.path, "yaml", tmp_path)}
     assert set(written) == {"played.yaml", "samples.csv", "mock-rig.yaml"}
-    again = run_fast(tmp_path / "again", written["played.yaml"], str(written["mock-rig.yaml"]))
+    again = virtual_run(written["played.yaml"], written["mock-rig.yaml"], folder=tmp_path / "again")
     np.testing.assert_array_equal(again.pressure.measured_bar, first.pressure.measured_bar)
     np.testing.assert_array_equal(again.tip.measured_mm, first.tip.measured_mm)
 
@@ -74,7 +64,7 @@ def test_the_parameters_of_a_protocol_stay_with_the_run(tmp_path: Path, monkeypa
         "  - sine: {actuators: [1], mean_bar: peak_bar / 2, amplitude_bar: peak_bar / 2, phase_deg: -90, periods: 1, "
         "period_s: period_s}\n"
     )
-    low, high = (run_fast(tmp_path / "data", protocol, settings=s) for s in ({}, {"peak_bar": 0.125}))
+    low, high = (virtual_run(protocol, folder=tmp_path / "data", settings=s) for s in ({}, {"peak_bar": 0.125}))
     texts = ["peak_bar = 0.125 bar", "period_s = 0.5 s"]
     assert [str(quantity) for quantity in high.header.protocol_parameters] == texts
     assert [q.source for q in high.header.protocol_parameters] == ["set for this run", "default of the protocol"]
@@ -96,7 +86,7 @@ def test_the_parameters_of_a_protocol_stay_with_the_run(tmp_path: Path, monkeypa
     options = written["wave.yaml"].read_text().splitlines()[0]
     assert options == "# This run: --set peak_bar=0.125 --set period_s=0.5"
     settings = {name: float(value) for name, value in re.findall(r"--set (\w+)=(\S+)", options)}
-    repeated = run_fast(tmp_path / "again", written["wave.yaml"], str(written["mock-rig.yaml"]), settings)
+    repeated = virtual_run(written["wave.yaml"], written["mock-rig.yaml"], folder=tmp_path / "again", settings=settings)
     np.testing.assert_array_equal(repeated.pressure.measured_bar, high.pressure.measured_bar)
 
 
@@ -151,9 +141,8 @@ def test_metadata_of_rig_and_command_reach_the_archive_and_stay_with_its_replay(
     )
     protocol = tmp_path / "rest.yaml"
     protocol.write_text("title: Rest\nsteps:\n  - hold: {duration_s: 0.2}\n")
-    request = partial(experiment.request, str(protocol), str(rig), folder=tmp_path, fast=True, report=False)
     with pytest.raises(BadInputError) as refused:
-        request(metadata={"a b": "1", "name": "x"})
+        virtual_run(protocol, rig, folder=tmp_path, metadata={"a b": "1", "name": "x"})
     lines = loader.text("mock").count("\n")
     assert [(p.file, p.line, p.column, p.value) for p in refused.value.problems] == [
         ("--meta", 0, 0, "a b=1"),
@@ -162,14 +151,12 @@ def test_metadata_of_rig_and_command_reach_the_archive_and_stay_with_its_replay(
     ]
     assert "--meta specimen=VALUE" in str(refused.value)
 
-    asked = request(metadata={"specimen": "A7", "batch": "11"}, operator="ada")
-    made = experiment.run(asked, experiment.plan(asked), Silent()).archive
-    assert made is not None
-    run = runs.open(made)
+    given = {"specimen": "A7", "batch": "11"}
+    run = virtual_run(protocol, rig, folder=tmp_path, metadata=given, operator="ada")
     expected = {"specimen": "A7", "batch": "11", "fibre_angle_deg": "30", "orcid": "0000-0001"}
     assert run.header.metadata == expected
     assert run.header.operator == "ada"
-    with h5py.File(made) as file:
+    with h5py.File(run.path) as file:
         assert file["entry/sample"].attrs["NX_class"] == "NXsample"
         assert file["entry/sample/name"].asstr()[()] == "A7"
         assert {name: file["entry/user"][name].asstr()[()] for name in file["entry/user"]} == {

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from runs.periodic_motion import _lag_ms, fundamental, goes_round, loop_percent
+from runs.archive.reader import ArchiveReader
+from runs.periodic_motion import _lag_ms, _motion, fundamental, goes_round, loop_percent
+from runs.records import DetectionStatus
 
 
 @pytest.mark.parametrize(("amplitude", "lag_s"), [(1.0, 0.0), (3.0, 0.05), (0.5, -0.02)])
@@ -30,6 +34,25 @@ def test_the_loop_of_an_ellipse_is_its_area_and_a_line_has_none() -> None:
     assert loop_percent(np.cos(angle), 5 * np.sin(angle)) == pytest.approx(100 * math.pi / 4, rel=1e-3)
     assert loop_percent(np.cos(angle), 3 * np.cos(angle)) == pytest.approx(0, abs=1e-9)
     assert math.isnan(loop_percent(angle, np.full(400, np.nan)))
+
+
+def test_the_loop_is_that_of_the_pressure_at_each_frame_whatever_the_age_of_the_models_input() -> None:
+    lag, time, frames = 0.02, np.arange(0, 4 * np.pi, 0.005), np.arange(0, 4 * np.pi, 1 / 30)
+    columns = {
+        "pressure": {"protocol_s": time, "setpoint_bar": np.sin(time)[:, None], "measured_bar": np.sin(time)[:, None]},
+        "tip": {
+            "protocol_s": frames,
+            "seen": np.full(len(frames), DetectionStatus.MEASURED),
+            "measured_mm": np.outer(np.sin(frames - lag), (20, 0, 0)),
+            "model_mm": np.outer(np.sin(frames), (20, 0, 0)),
+            "pressure_bar": np.sin(frames - 0.002)[:, None],
+            "error_mm": np.zeros(len(frames)),
+        },
+    }
+    run = cast("ArchiveReader", SimpleNamespace(**{name: SimpleNamespace(**part) for name, part in columns.items()}))
+    motion = _motion(run, "sine", 2 * np.pi * np.arange(3))
+    assert motion.tip_loop_percent == pytest.approx(100 * np.pi / 4 * np.sin(lag), rel=0.02)
+    assert motion.model_loop_percent == pytest.approx(0, abs=0.02)
 
 
 def test_too_few_values_have_no_amplitude() -> None:

@@ -12,7 +12,7 @@ import pytest
 
 import runs
 import tests.support.synthetic_runs as made_up
-from runs.archive.writer import held, verify
+from runs.archive.writer import locked, verify
 from runs.records import RunFooter, Status
 from runs.recovery import RecoveryStatus, orphans, recover
 
@@ -42,14 +42,14 @@ def orphan(path: Path) -> Path:
 
 
 def fates(folder: Path) -> dict[str, RecoveryStatus]:
-    return {outcome.path.name: outcome.fate for outcome in recover(folder)}
+    return {outcome.path.name: outcome.status for outcome in recover(folder)}
 
 
 def test_an_orphan_becomes_an_archive_with_status_recovered(tmp_path: Path) -> None:
     path = orphan(tmp_path / "run.mcap")
     assert orphans(tmp_path) == (path,)
     (outcome,) = recover(tmp_path)
-    assert (outcome.fate, outcome.archive) == (RecoveryStatus.RECOVERED, tmp_path / "run.h5")
+    assert (outcome.status, outcome.archive) == (RecoveryStatus.RECOVERED, tmp_path / "run.h5")
     assert outcome.message == "600 samples, 90 frames, 5 pictures"
     run = runs.open(tmp_path / "run.h5")
     assert run.status is Status.RECOVERED
@@ -102,7 +102,7 @@ def test_the_readable_part_of_a_damaged_journal_is_recovered_and_the_loss_is_rep
     data[len(data) // 3] ^= 0xFF
     path.write_bytes(data[: len(data) // 2])
     (outcome,) = recover(tmp_path)
-    assert outcome.fate is RecoveryStatus.RECOVERED
+    assert outcome.status is RecoveryStatus.RECOVERED
     assert "not readable" in outcome.message
     assert "bytes at" in runs.open(tmp_path / "run.h5").events[-1].message
 
@@ -139,7 +139,7 @@ def test_an_archive_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     made_up.write_journal(path)
     (tmp_path / "run.h5.part").write_bytes(b"half")
-    with held(path):
+    with locked(path):
         assert fates(tmp_path) == {"run.mcap": RecoveryStatus.RUNNING}
     assert (tmp_path / "run.h5.part").exists()
 

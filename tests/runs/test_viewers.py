@@ -94,7 +94,7 @@ def test_a_run_becomes_a_pandas_table(archive: Path) -> None:
     segments = run.to_pandas("segments")
     assert segments.loc[2, "label"] == "step 2"
     assert segments.index.name == "segment"
-    with pytest.raises(ArchiveError, match=r"no table 'adaptations'; there can be pressure, aux, tip, .*, segments"):
+    with pytest.raises(ArchiveError, match=r"no table 'adaptations'; it has pressure, tip, .*, segments"):
         run.to_pandas("adaptations")
 
 

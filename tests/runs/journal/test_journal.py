@@ -22,8 +22,8 @@ from mcap.reader import make_reader
 from numpy.typing import NDArray
 
 import tests.support.synthetic_runs as made_up
-from runs.archive.writer import ArchiveInUseError, held
-from runs.journal import append_only_file, journal, messages
+from runs.archive.writer import ArchiveInUseError, locked
+from runs.journal import append_only_file, journal, messages, row_kinds
 from runs.journal.append_only_file import JournalError, JournalFullError
 from runs.journal.journal import JournalWriter
 from runs.records import Event, Level, RunFooter, RunHeader, Status, sample_dtype
@@ -220,10 +220,10 @@ def test_the_rows_may_be_reused_after_the_call(tmp_path: Path) -> None:
 def test_the_journal_is_locked_while_it_is_written(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     writer = JournalWriter(path, made_up.header())
-    with pytest.raises(ArchiveInUseError, match="is being written by another process"), held(path):
+    with pytest.raises(ArchiveInUseError, match="is being written by another process"), locked(path):
         pass
     writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
-    with held(path):
+    with locked(path):
         pass
 
 
@@ -374,7 +374,7 @@ def test_the_journal_of_another_version_is_read_by_the_names_of_its_columns(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     older = np.dtype([("t_ns", "<i8"), ("measured_pa", "<f8", (3,)), ("gone", "<i4")])
-    monkeypatch.setattr(journal, "sample_dtype", lambda *_: older)
+    monkeypatch.setattr(row_kinds, "sample_dtype", lambda *_: older)
     writer = JournalWriter(tmp_path / "old.mcap", made_up.header())
     rows = np.zeros(2, older)
     rows["t_ns"], rows["measured_pa"] = (5, 6), 7.0

@@ -1,0 +1,24 @@
+"""Escapes of control characters and bidirectional marks, for texts of unknown origin that a terminal may show."""
+
+from __future__ import annotations
+
+import unicodedata
+
+_KEPT = "\n\t\u200c\u200d"
+"""Newline, tab, and the joiners of Persian, Hindi and emoji."""
+
+
+def printable(text: str) -> str:
+    """Return a text with every control character and mark of direction as its escape: ESC as `\\x1b`."""
+    if text.isprintable():
+        return text
+    return "".join(map(_shown, text))
+
+
+def _shown(sign: str) -> str:
+    # str.isprintable accepts no space but U+0020.
+    if sign.isprintable() or sign in _KEPT or unicodedata.category(sign) == "Zs":
+        return sign
+    if "\udc80" <= sign <= "\udcff":
+        return f"\\x{ord(sign) - 0xDC00:02x}"  # a byte of a file name that is not UTF-8
+    return sign.encode("unicode_escape", "surrogatepass").decode("ascii")
