@@ -1,4 +1,4 @@
-"""The colours of reports: Okabe and Ito's palette, told apart by all common kinds of colour vision, and in grey."""
+"""The colours of reports: Okabe and Ito's palette, distinguishable with any common colour vision, and in grey."""
 
 from __future__ import annotations
 

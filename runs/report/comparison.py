@@ -10,11 +10,12 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from runs.report import differences
+from runs.report import differences, repeats
 from runs.report.colours import RUNS
 from runs.report.drawing import FigureSpecification, decimated, legend, path_indices, svg
 from runs.report.figures import across
 from runs.report.gaps import tip_with_gaps
+from runs.report.html_table import html_table
 from runs.report.numbers import listed, plain, three
 from runs.report.reference_figure import distance_mm
 from runs.run import Run
@@ -35,7 +36,7 @@ def section(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
     papers = f'<div class="beside">{by_model(runs, summaries)}{by_axis(runs, summaries)}</div>\n'
     simulated = ", ".join(escape(s.run_id) for s in summaries if s.simulated)
     mark = f'<p class="note"><b>Simulated:</b> {simulated}; nothing here was measured on a real manipulator.</p>\n'
-    found = differences.table(runs) + differences.repeatability(runs)
+    found = differences.table(runs) + repeats.section(runs)
     note = "<p class=small><code>rig report RUN</code> writes the whole report of one run.</p>\n"
     tables = table(runs, summaries) + by_controller(runs, summaries)
     parts = (head, mark if simulated else "", tables, found, papers, shown, note)
@@ -82,15 +83,19 @@ def by_model(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
     for run, summary in zip(runs, summaries, strict=True):
         if math.isfinite(summary.normalised_percent):
             known.setdefault((run.header.model_variant, summary.simulated), []).append(summary.normalised_percent)
-    rows = "".join(
-        f"<tr><td>{_check_mark(model.startswith('inhomogeneous'))}</td><td>{_check_mark(model.endswith('+rpe'))}</td>"
-        f"<td class=n>{plain(sum(errors) / len(errors), 2)}</td><td class=n>{len(errors)}{_marked(simulated)}</td></tr>"
+    rows = [
+        (
+            _check_mark(model.startswith("inhomogeneous")),
+            _check_mark(model.endswith("+rpe")),
+            plain(sum(errors) / len(errors), 2),
+            f"{len(errors)}{_marked(simulated)}",
+        )
         for (model, simulated), errors in sorted(known.items())
-    )
-    head = "<th>inhomogeneity</th><th>radial pressure effect</th><th class=n>|error| [%]</th><th class=n>runs</th>"
+    ]
+    table = html_table(("inhomogeneity", "radial pressure effect", "|error| [%]", "runs"), rows, words=2)
     title = "<h2>Normalised error by model</h2>"
     caption = "<p class=small>As the paper's Table 3: the mean over the settled steps of all runs.</p>"
-    return f"<div>{title}\n<table><tr>{head}</tr>{rows}</table>{caption}</div>" if rows else ""
+    return f"<div>{title}\n{table}{caption}</div>" if table else ""
 
 
 def by_axis(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
@@ -100,17 +105,20 @@ def by_axis(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
     """
     cases = Counter((run.header.protocol_name, run.header.model_variant) for run in runs)
     alike = max(cases.values(), default=0) > 1
-    rows = "".join(
-        f"<tr><td>{escape(run.header.run_id if alike else run.header.protocol_name)}{_marked(s.simulated)}</td>"
-        f"<td>{escape(run.header.model_variant)}</td>"
-        f"<td class=n>{plain(s.rmse_mm[2], 4)}</td><td class=n>{plain(s.rmse_mm[0], 4)}</td></tr>"
+    rows = [
+        (
+            f"{escape(run.header.run_id if alike else run.header.protocol_name)}{_marked(s.simulated)}",
+            escape(run.header.model_variant),
+            plain(s.rmse_mm[2], 4),
+            plain(s.rmse_mm[0], 4),
+        )
         for run, s in zip(runs, summaries, strict=True)
         if math.isfinite(s.rmse_mm[0])
-    )
-    head = "<th>case</th><th>model</th><th class=n>z [mm]</th><th class=n>x [mm]</th>"
+    ]
+    table = html_table(("case", "model", "z [mm]", "x [mm]"), rows, words=2)
     title = "<h2>Root mean square error by direction</h2>"
     caption = "<p class=small>As the paper's Table 5: over every frame.</p>"
-    return f"<div>{title}\n<table><tr>{head}</tr>{rows}</table>{caption}</div>" if rows else ""
+    return f"<div>{title}\n{table}{caption}</div>" if table else ""
 
 
 def by_controller(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
@@ -120,23 +128,24 @@ def by_controller(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
         if s.tip_path is None:
             continue
         error, learned = s.tip_path.truth or s.tip_path.measured, run.header.learned_from
-        words = (
-            f"{escape(run.header.run_id)}{_marked(s.simulated)}",
-            escape(run.header.tip_controller),
-            escape(", ".join(learned)),
+        rows.append(
+            (
+                f"{escape(run.header.run_id)}{_marked(s.simulated)}",
+                escape(run.header.tip_controller),
+                escape(", ".join(learned)),
+                plain(error.rms_mm, 3),
+                plain(error.lag_mm, 3),
+                plain(error.contour_mm, 3),
+                plain(s.tip_path.measured.noise_mm, 3),
+                plain(error.max_mm, 3),
+                listed(error.periods_mm, 3),
+                plain(s.tip_plans.solve_p99_ms, 1) if s.tip_plans else "",
+            )
         )
-        numbers = (
-            plain(error.rms_mm, 3),
-            plain(error.lag_mm, 3),
-            plain(error.contour_mm, 3),
-            plain(s.tip_path.measured.noise_mm, 3),
-            plain(error.max_mm, 3),
-            listed(error.periods_mm, 3),
-            plain(s.tip_plans.solve_p99_ms, 1) if s.tip_plans else "",
-        )
-        cells = "".join(f"<td>{word}</td>" for word in words) + "".join(f"<td class=n>{n}</td>" for n in numbers)
-        rows.append(f"<tr>{cells}</tr>")
     heads = (
+        "run",
+        "controller",
+        "learned from",
         "rms<br>[mm]",
         "lag<br>[mm]",
         "across the path<br>[mm]",
@@ -145,13 +154,10 @@ def by_controller(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
         "rms of each period<br>[mm]",
         "solver p99<br>[ms]",
     )
-    head = "<th>run</th><th>controller</th><th>learned from</th>" + "".join(
-        f"<th class=n>{name}</th>" for name in heads
-    )
+    table = html_table(heads, rows, words=3)
     title = "<h2>Tip to reference</h2>"
     caption = "<p class=small>Of the true tip where a run was simulated, else of the measured one; without lead-in.</p>"
-    body = f'<div class="scroll"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
-    return f"{title}\n{body}\n{caption}\n" if rows else ""
+    return f"{title}\n{table}\n{caption}\n" if table else ""
 
 
 def _marked(simulated: bool) -> str:
@@ -164,31 +170,27 @@ def _check_mark(yes: bool) -> str:
 
 def table(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
     """Return the errors of each run."""
-    words, numbers = (
-        ["run", "model", "status"],
-        (
-            "mean error<br>[mm]",
-            "settled<br>[mm]",
-            "normalised<br>[%]",
-            "rms x, y, z<br>[mm]",
-            "largest<br>[mm]",
-            "measured<br>[%]",
-        ),
-    )
     differ = len({tuple(map(str, run.header.protocol_parameters)) for run in runs}) > 1
-    if differ:
-        words.append("parameters")
-    head = "".join(f"<th>{word}</th>" for word in words) + "".join(f"<th class=n>{name}</th>" for name in numbers)
-    rows = "".join(_row(run, summary, differ) for run, summary in zip(runs, summaries, strict=True))
-    return f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>\n'
+    words = ["run", "model", "status", *(["parameters"] if differ else [])]
+    numbers = (
+        "mean error<br>[mm]",
+        "settled<br>[mm]",
+        "normalised<br>[%]",
+        "rms x, y, z<br>[mm]",
+        "largest<br>[mm]",
+        "measured<br>[%]",
+    )
+    rows = [_row(run, summary, differ) for run, summary in zip(runs, summaries, strict=True)]
+    return html_table((*words, *numbers), rows, words=len(words)) + "\n"
 
 
-def _row(run: Run, s: Summary, parameters: bool) -> str:
+def _row(run: Run, s: Summary, parameters: bool) -> Sequence[str]:
     header = run.header
     words = [f"{escape(header.run_id)}{_marked(s.simulated)}", escape(header.model_variant), escape(s.status)]
     if parameters:
         words.append(escape(", ".join(map(str, header.protocol_parameters))))
-    numbers = (
+    return (
+        *words,
         plain(s.error_mm.mean, 2),
         plain(s.settled_error_mm, 2),
         plain(s.normalised_percent, 2),
@@ -196,8 +198,6 @@ def _row(run: Run, s: Summary, parameters: bool) -> str:
         plain(s.error_mm.max, 2),
         plain(100 * s.measured_fraction, 1),
     )
-    cells = "".join(f"<td>{word}</td>" for word in words) + "".join(f"<td class=n>{n}</td>" for n in numbers)
-    return f"<tr>{cells}</tr>"
 
 
 def tips(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> None:

@@ -111,7 +111,7 @@ class FigureSpecification:
 
 
 def svg(draw: Callable[..., None], size: tuple[float, float], salt: str, *about: object) -> str:
-    """Return a figure of a size in inches as an SVG element that can stand inside HTML.
+    """Return a figure of a size in inches as an SVG element for use inside HTML.
 
     `draw` is called with the figure and `about`. The `salt` keeps the drawing's ids apart from others on the page.
     """
@@ -148,7 +148,7 @@ def save(draw: Callable[..., None], size: tuple[float, float], path: Path, *abou
     """Write a figure of a size in inches to a file for print; the file's kind is that of its name.
 
     `draw` is called with the figure and `about`. A CSV file beside it has what is drawn (see `figure_data`). The
-    `mark` goes into a corner: what must not be forgotten of a figure that is shown without its page.
+    `mark` goes into a corner: a remark for a figure that is shown without its page.
     """
     with mpl.rc_context(STYLE | _PRINT):
         figure = Figure(figsize=size)

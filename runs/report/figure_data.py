@@ -13,6 +13,8 @@ from matplotlib.collections import PolyCollection
 from matplotlib.container import BarContainer, ErrorbarContainer
 from matplotlib.figure import Figure
 
+from runs.printable_text import printable
+
 COLUMNS = ("panel", "kind", "number", "label", "x_label", "y_label", "x", "y", "low", "high")
 Points = Iterator[tuple[float, float, Any, Any]]
 
@@ -27,11 +29,11 @@ def write(figure: Figure, path: Path) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         for panel, axes in enumerate(figure.axes, 1):
-            labels = (axes.get_xlabel(), axes.get_ylabel().replace("\n", " "))
+            labels = (printable(axes.get_xlabel()), printable(axes.get_ylabel().replace("\n", " ")))
             counted: dict[str, int] = {}
             for kind, label, points in _drawn(axes):
                 counted[kind] = counted.get(kind, 0) + 1
-                named = "" if label.startswith("_") else label
+                named = "" if label.startswith("_") else printable(label)
                 writer.writerows((panel, kind, counted[kind], named, *labels, *point) for point in points)
 
 

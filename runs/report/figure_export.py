@@ -9,7 +9,7 @@ from runs.export.exporters import ExportError
 from runs.overwriting import WouldOverwriteError, staged
 from runs.report import comparison, drawing
 from runs.report.figure_specifications import figure_specifications, of_pictures
-from runs.run import Run
+from runs.run import Run, paths_of
 from runs.summary import summarise
 
 KINDS = ("pdf", "png", "svg")
@@ -18,7 +18,7 @@ _MARK = "simulated"
 
 
 def write(
-    archives: Sequence[Path | str],
+    archives: Sequence[Run | Path | str],
     folder: Path | str,
     kind: str = "pdf",
     *,
@@ -30,7 +30,10 @@ def write(
     The width is that of a column. Beside each figure, `<run>-<figure>.csv` has what it shows (see `figure_data`). Of
     several runs also those that compare them, `compared-<figure>.pdf`. What was simulated says so in its corner.
 
+    Runs are given as `Run`, path, run id or `last`.
+
     Raises:
+        ArchiveError: a run is not found.
         WouldOverwriteError: a file exists, and `replace` is False.
         ExportError: there is no such kind, or the files cannot be written.
     """
@@ -40,7 +43,7 @@ def write(
         raise ExportError(
             f"no figures {width_mm:g} mm wide; they are {LEAST_WIDTH_MM:g} to {LARGEST_WIDTH_MM:g} mm wide"
         )
-    runs, place = [Run(archive) for archive in archives], Path(folder)
+    runs, place = [Run(path) for path in paths_of(archives)], Path(folder)
     try:
         with staged(place, replace=replace) as stage:
             names = _write(runs, stage, kind, width_mm)

@@ -363,7 +363,7 @@ def _plane(summary: Summary) -> Floats:
 
 
 def _abscissa(dwells: Sequence[StepSummary]) -> tuple[Floats, str]:
-    """Return where steps stand: at their pressures or weights where each has its own, else at their numbers."""
+    """Return the abscissae of steps: their pressures or weights where each has its own, else their numbers."""
     choices = (("pressure [bar]", [max(s.level_bar) for s in dwells]), ("weight [g]", [s.weight_g for s in dwells]))
     for label, values in choices:
         if len(set(np.round(values, 6))) == len(values):

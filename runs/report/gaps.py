@@ -33,7 +33,7 @@ def with_gaps(values: NDArray[Any], rows: Rows, missing: float = np.nan) -> NDAr
 
 
 def tip_with_gaps(tip: Tip) -> tuple[Tip, Rows]:
-    """Return the camera frames with a row for each gap, and the rows that it stands before."""
+    """Return the camera frames with a row for each gap, and the rows after the gaps."""
     rows = after_gaps(tip.time_s, tip.dropped)
     return _opened(tip, rows).replaced(seen=with_gaps(tip.seen, rows, DetectionStatus.NO_FRAME)), rows
 
@@ -45,7 +45,7 @@ def pressure_with_gaps(pressure: Pressure) -> Pressure:
 
 def _opened(table: T, rows: Rows) -> T:
     opened = {name: with_gaps(c, rows, np.nan if c.dtype.kind == "f" else 0) for name, c in table.values.items()}
-    # Time goes on in a gap.
+    # Time continues in a gap.
     for name in ("time_s", "protocol_s"):
         times = table.values[name]
         opened[name] = np.insert(times, rows, (times[rows - 1] + times[rows]) / 2)

@@ -17,8 +17,9 @@ from runs.report import comparison, pictures
 from runs.report.drawing import svg
 from runs.report.figure_processes import drawn
 from runs.report.figure_specifications import figure_specifications
+from runs.report.html_table import html_table
 from runs.report.numbers import DASH, listed, plain, significant, three, with_unit
-from runs.run import Run
+from runs.run import Run, paths_of
 from runs.summary import BAND_BAR, Summary, summarise
 
 SUFFIX = ".html"
@@ -26,17 +27,21 @@ _HEAD_BYTES = 100_000
 
 
 def write(
-    paths: Path | str | Sequence[Path | str], out_html: Path | str | None = None, *, replace: bool = False
+    archives: Run | Path | str | Sequence[Run | Path | str],
+    out_html: Path | str | None = None,
+    *,
+    replace: bool = False,
 ) -> Path:
-    """Write the report of one archive or several and return its path; by default `default_path`.
+    """Write the report of one run or several and return its path; by default `default_path`.
 
-    An earlier report of the same runs is written again.
+    Runs are given as `Run`, path, run id or `last`. An earlier report of the same runs is written again.
 
     Raises:
+        ArchiveError: a run is not found.
         WouldOverwriteError: there is another file, and `replace` is False.
         OSError: it cannot be written.
     """
-    chosen = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
+    chosen = paths_of([archives] if isinstance(archives, Run | str | os.PathLike) else archives)
     target = default_path(chosen) if out_html is None else Path(out_html)
     runs = [Run(path) for path in chosen]
     mark = _mark(runs)
@@ -57,7 +62,7 @@ def default_path(archives: Sequence[Path], suffix: str = SUFFIX) -> Path:
 
 
 def _mark(runs: Sequence[Run]) -> str:
-    """What tells a report of these runs from every other file."""
+    """Return the element that marks a file as the report of these runs."""
     return f'<meta name="softrig-report" content="{escape(" ".join(run.header.run_id for run in runs))}">'
 
 
@@ -209,16 +214,12 @@ def _steps(summary: Summary) -> str:
     shown = {name: cells for name, cells in columns.items() if any(cell not in ("", DASH) for cell in cells)}
     if not summary.steps:
         return ""
-    head = "<th>segment</th>" + "".join(f"<th class=n>{name}</th>" for name in shown)
-    rows = "".join(
-        f"<tr><td>{escape(step.label)}</td>{''.join(f'<td class=n>{cells[i]}</td>' for cells in shown.values())}</tr>"
-        for i, step in enumerate(summary.steps)
-    )
+    rows = [(escape(step.label), *(cells[i] for cells in shown.values())) for i, step in enumerate(summary.steps)]
     note = (
         "<p class=small>Set-points: at the end of the segment. Tips and errors of dwells: mean over their last part; "
         "of other segments: mean over the whole.</p>"
     )
-    return f'<h2>Segments</h2>\n<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>\n{note}'
+    return f"<h2>Segments</h2>\n{html_table(('segment', *shown), rows, words=1)}\n{note}"
 
 
 def _periodic(summary: Summary) -> str:
@@ -236,9 +237,8 @@ def _periodic(summary: Summary) -> str:
         "loop<br>[%]",
         "mean error of each period<br>[mm]",
     )
-    rows = ""
-    for motion in summary.periodic:
-        cells = (
+    rows = [
+        (
             escape(motion.label),
             plain(motion.period_s, 3),
             plain(motion.pressure_ratio, 3),
@@ -251,16 +251,15 @@ def _periodic(summary: Summary) -> str:
             plain(motion.model_loop_percent, 1),
             listed(motion.error_mm, 2),
         )
-        rows += f"<tr>{''.join(f'<td class=n>{cell}</td>' for cell in cells)}</tr>"
+        for motion in summary.periodic
+    ]
     note = (
         "<p class=small>Fundamental of the motion over whole periods. Lags count from the set-point. Ratios: measured "
         "pressure to set-point; modelled to measured tip. Loop: area that tip and measured pressure enclose in a "
         "period, in percent of the rectangle around it: hysteresis and delay together. "
         "A tip that goes round has neither lag nor loop.</p>"
     )
-    head = "".join(f"<th class=n>{name}</th>" for name in heads)
-    table = f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
-    return f"<h2>Periodic motion</h2>\n{table}\n{note}" if rows else ""
+    return f"<h2>Periodic motion</h2>\n{html_table(heads, rows, words=1)}\n{note}" if rows else ""
 
 
 def _events(run: Run) -> str:
@@ -304,16 +303,13 @@ def _provenance(run: Run) -> str:
 
 
 def _quantities(run: Run) -> str:
-    rows = "".join(
-        _row(q.room, q.name, ", ".join(f"{v:.6g}" for v in q.value), q.unit, significant(q.uncertainty, 3), q.source)
+    rows = [
+        [*map(escape, (q.room, q.name, _listed(q.value), q.unit, significant(q.uncertainty, 3), q.source))]
         for q in run.header.quantities
-    )
-    if not rows:
-        return ""
-    names = ("of", "name", "value", "unit", "standard uncertainty", "source")
-    head = "".join(f"<th>{name}</th>" for name in names)
-    return f"<details><summary>Numbers that were used</summary><table><tr>{head}</tr>{rows}</table></details>"
+    ]
+    table = html_table(("of", "name", "value", "unit", "standard uncertainty", "source"), rows)
+    return f"<details><summary>Numbers that were used</summary>{table}</details>" if rows else ""
 
 
-def _row(*cells: str) -> str:
-    return f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
+def _listed(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:.6g}" for value in values)

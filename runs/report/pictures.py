@@ -1,4 +1,4 @@
-"""The pictures worth a look, with what was seen in them drawn in: board, measured and model's tip, backbone."""
+"""Selected pictures with their annotations: corners of the board, measured and modelled tip, backbone."""
 
 from __future__ import annotations
 
@@ -104,7 +104,8 @@ def section(run: Run, summary: Summary) -> str:
         '<p class="small">Yellow rings: the corners as detected, the first one filled. Blue ring: the measured tip. '
         "Orange: the model's tip and backbone.</p>"
     )
-    return f'<h2>Camera</h2>\n<div class="pictures">{shown}</div>\n{legend if _any_marks(run, chosen) else ""}'
+    marked = any(np.isfinite(run.frames.corners_px[moment.k]).any() for moment in chosen)
+    return f'<h2>Camera</h2>\n<div class="pictures">{shown}</div>\n{legend if marked else ""}'
 
 
 def grid(figure: Figure, run: Run, summary: Summary) -> None:
@@ -208,10 +209,6 @@ def _losses(run: Run) -> Iterator[tuple[int, str]]:
             found += 1
             why = DetectionStatus(int(seen[begins[i]])).words
             yield int(within[0]), f"nothing measured ({why})"
-
-
-def _any_marks(run: Run, chosen: Iterable[PictureMoment]) -> bool:
-    return any(np.isfinite(run.frames.corners_px[moment.k]).any() for moment in chosen)
 
 
 def _shown(run: Run, moment: PictureMoment, sizes: dict[str, tuple[int, int]], views: dict[str, PictureSection]) -> str:
