@@ -15,12 +15,13 @@ import yaml
 from runs.archive.checked import ArchiveError, opened
 from runs.archive.schema import BYTES
 from runs.overwriting import WouldOverwriteError, staged
+from runs.printable_text import printable
 from runs.records import RecordedFile, RunHeader
-from runs.run import Run
-from runs.table import TABLES, segments, table
+from runs.run import Run, paths_of
+from runs.table import facts, segments, table, tables
 
-_FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n")
-"""First characters of spreadsheet formulas; a spreadsheet skips the last three."""
+_FORMULAS = ("=", "+", "-", "@", "\t", "\n")
+"""First characters of spreadsheet formulas; a spreadsheet skips the last two."""
 SIMULATED = "simulated"
 """Column of every CSV: 1 where card, camera or arm was simulated, else 0."""
 
@@ -34,11 +35,11 @@ class ExportWriteError(ExportError):
 
 
 def export(
-    archive: Path | str, to: str = "csv", folder: Path | str | None = None, *, replace: bool = False
+    archive: Run | Path | str, to: str = "csv", folder: Path | str | None = None, *, replace: bool = False
 ) -> tuple[Path, ...]:
     """Write an archive in another format (`csv`, `mat`, `mcap` or `yaml`) and return what was written.
 
-    By default beside the archive.
+    The run is given as `Run`, path, run id or `last`. By default beside the archive.
 
     Raises:
         ArchiveError: there is no archive.
@@ -48,7 +49,8 @@ def export(
     """
     if to not in FORMATS:
         raise ExportError(f"cannot export to {to!r}; there are {', '.join(FORMATS)}")
-    source = Run(archive).path
+    (source,) = paths_of([archive])
+    Run(source)  # reports an archive that cannot be read before any file is written
     place = source.parent if folder is None else Path(folder)
     try:
         with staged(place, replace=replace) as stage:
@@ -61,7 +63,7 @@ def export(
 
 
 def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
-    """One file for each table; numbers with all their digits, nothing where nothing was measured.
+    """One file for each table, the segments and all other fields; numbers with all their digits, else nothing.
 
     The last column says of every row whether it was simulated: it stays with rows that are cut out or joined to
     others', and every reader takes it.
@@ -70,11 +72,12 @@ def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
     with opened(source) as archive:
         simulated = int(archive.value("entry/simulated"))
     # Read everything before the first write, so that a damaged archive leaves no partial export.
-    tables = [*((group, table(source, group)) for group in TABLES), ("segments", segments(source))]
-    for group, columns in tables:
-        if not columns:
+    content = {group.replace("/", "-"): table(source, group) for group in tables(source)}
+    content |= {"segments": segments(source), "facts": facts(source)}
+    for name, columns in content.items():
+        if not any(map(len, columns.values())):
             continue
-        path = stem.with_name(f"{stem.name}-{group}.csv")
+        path = stem.with_name(f"{stem.name}-{name}.csv")
         with path.open("w", newline="", encoding="utf-8") as file:
             lines = csv.writer(file)
             lines.writerow([*map(_plain_text, columns), SIMULATED])
@@ -93,7 +96,8 @@ def _cells(column: np.ndarray[Any, Any]) -> list[Any]:
 
 
 def _plain_text(text: str) -> str:
-    """Escape a text that a spreadsheet would evaluate as a formula by an apostrophe (OWASP)."""
+    """Escape control characters, and a text that a spreadsheet would evaluate as a formula by an apostrophe (OWASP)."""
+    text = printable(text)
     return f"'{text}" if text.startswith(_FORMULAS) else text
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from heapq import merge
 from operator import itemgetter
 from pathlib import Path
@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 
 from runs.records import Level
 from runs.run import Run
-from runs.table import table
+from runs.table import Column, facts, table, tables
 
 SUFFIX = ".foxglove.mcap"
 """Distinguishes the file from a journal, which is also MCAP."""
 FRAME_ID = "rod_base"
-_TABLES = ("pressure", "aux", "tip", "timing", "simulator")
+_DRAWN = ("frames", "events")
+"""Tables with topics of their own."""
 _LOG_LEVEL = {Level.INFO: 2, Level.WARNING: 3, Level.FAULT: 4}
 _POINTS, _LINE_STRIP = 1, 3
 _YELLOW, _BLUE, _ORANGE = (0.94, 0.89, 0.26), (0.0, 0.45, 0.70), (0.84, 0.37, 0.0)
@@ -37,14 +38,16 @@ Message = tuple[int, str, dict[str, Any]]
 
 def write(run: Run, path: Path) -> None:
     """Write the MCAP file, its messages in the order of time."""
+    numbers = {group: _numbers(run, group) for group in tables(run.path) if group not in _DRAWN}
+    schemas = {f"/{group}": _schema_of_rows(group, columns) for group, columns in numbers.items()}
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start(profile="", library="softrig")
         channels: dict[str, int] = {}
         counts: dict[str, int] = {}
-        for t_ns, topic, content in merge(*_streams(run), key=itemgetter(0)):
+        for t_ns, topic, content in merge(*_streams(run, numbers), key=itemgetter(0)):
             if topic not in channels:
-                name, schema = _schema(topic, content)
+                name, schema = schemas.get(topic) or _schema(topic, content)
                 number = writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
                 channels[topic] = writer.register_channel(topic, "json", number)
             counts[topic] = counts.get(topic, 0) + 1
@@ -53,29 +56,48 @@ def write(run: Run, path: Path) -> None:
         header = run.header
         about = {"run_id": header.run_id, "title": header.title, "simulated": str(header.simulated).lower()}
         writer.add_metadata("run", about | header.inputs)
+        writer.add_metadata("facts", dict(_facts(run)))
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def _streams(run: Run) -> Iterator[Iterable[Message]]:
+def _streams(run: Run, numbers: Mapping[str, Mapping[str, Column]]) -> Iterator[Iterable[Message]]:
     start_ns = run.header.started_utc_ns
-    for group in _TABLES:
-        yield _rows(run, group, start_ns)
+    for group, columns in numbers.items():
+        yield _rows(group, columns, start_ns)
     yield _arm(run, start_ns)
     yield _pictures(run, start_ns)
     # Events are recorded in the order of arrival, not of their times.
     yield iter(sorted(_events(run), key=itemgetter(0)))
 
 
-def _rows(run: Run, group: str, start_ns: int) -> Iterator[Message]:
-    """Rows of a table, in bar and mm, as flat objects; what was not measured is left out."""
-    columns = {name: c for name, c in table(run.path, group).items() if c.dtype.kind in "fiu"}
-    if not columns:
-        return
-    t_ns = _absolute(columns.pop("time_s"), start_ns)
-    names = list(columns)
-    for t, *values in zip(t_ns.tolist(), *(column.tolist() for column in columns.values()), strict=True):
-        known = {name: v for name, v in zip(names, values, strict=True) if isinstance(v, int) or math.isfinite(v)}
+def _numbers(run: Run, group: str) -> dict[str, Column]:
+    """Return the numbers of a table in the order of its times, in bar and mm."""
+    columns = {name: column for name, column in table(run.path, group).items() if column.dtype.kind in "fiu"}
+    order = np.argsort(columns["time_s"], kind="stable")
+    return {name: column[order] for name, column in columns.items()}
+
+
+def _schema_of_rows(group: str, columns: Mapping[str, Column]) -> tuple[str, dict[str, Any]]:
+    """Return the schema of a table: of all its columns, also of those that its first row lacks."""
+    kinds = {name: "number" if column.dtype.kind == "f" else "integer" for name, column in columns.items()}
+    properties = {name: {"type": kind} for name, kind in kinds.items() if name != "time_s"}
+    return f"softrig.{group}", {"type": "object", "properties": properties}
+
+
+def _rows(group: str, columns: Mapping[str, Column], start_ns: int) -> Iterator[Message]:
+    """Rows of a table as flat objects; what was not measured is left out."""
+    names = [name for name in columns if name != "time_s"]
+    values = (columns[name].tolist() for name in names)
+    for t, *row in zip(_absolute(columns["time_s"], start_ns).tolist(), *values, strict=True):
+        known = {name: v for name, v in zip(names, row, strict=True) if isinstance(v, int) or math.isfinite(v)}
         yield t, f"/{group}", known
+
+
+def _facts(run: Run) -> Iterator[tuple[str, str]]:
+    """Yield each field that is in no table: its path, with its label where there are several, and its value."""
+    columns = facts(run.path)
+    for field, label, value, unit in zip(*(columns[n] for n in ("field", "of", "value", "unit")), strict=True):
+        yield f"{field} {label}".strip(), f"{value} {unit}".strip()
 
 
 def _arm(run: Run, start_ns: int) -> Iterator[Message]:
