@@ -4,92 +4,29 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.config.card_sections import CARD_DRIVERS
-from rig.config.schema import RigConfig
+from rig.driver_contract.card_subject import CardSubject, Volts, needs_outputs, polled, settled_readback
 from rig.driver_contract.check import BrokenContractError, Check, NotApplicableError
 from rig.driver_contract.device_time import timed
 from rig.driver_contract.other_process import holding, in_second_process
-from rig.hardware.cards.base import Card, CardError, CardSetup, Scans
-from rig.hardware.cards.registry import open_card
-from rig.hardware.cards.setup import card_setup
-from rig.hardware.safe_state import READBACK_TOLERANCE, open_outputs
+from rig.driver_contract.pressure_checks import PRESSURE_CHECKS
+from rig.hardware.cards.base import CardError
+from rig.hardware.safe_state import open_outputs
 
-SETTLED_S = 0.1
-"""Time for the read-back of a device on a bus."""
-RATE_S = 1.0
-"""How long the inputs are sampled."""
 FREED_S = 2.0
 """Time for a card whose process was killed; `rig vent` and the watchdog wait no longer."""
 GONE_S = 1.0
 """Time for a driver to detect that its device has gone, beyond `stale_s` of the rig."""
 MOST_SLOW = 0.02
 """Largest share of reads or writes that may take longer than the control period."""
+OTHER_FILES = 16
+"""Files that are opened between two closes of a card."""
 FRACTIONS = (0.25, 0.5, 0.8)
 """Voltages to write, as shares of the range."""
-
-Volts = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class CardSubject:
-    """A card under test.
-
-    `rig_file` is for processes that open it too; `vanish` makes the device disappear; inputs are sampled `sample_s`.
-    """
-
-    config: RigConfig
-    name: str
-    rig_file: Path
-    vanish: Callable[[], None] | None = None
-    sample_s: float = RATE_S
-
-    @property
-    def setup(self) -> CardSetup:
-        """Channels as the rig uses them."""
-        return card_setup(self.config, self.name)
-
-    @property
-    def period_s(self) -> float:
-        """Control period."""
-        return 1.0 / self.config.control.rate_hz
-
-    def open(self, *, inputs: bool = True) -> Card:
-        """Open the card as control does, or as the watchdog does."""
-        setup = self.setup if inputs else replace(self.setup, inputs=())
-        return open_card(self.config.cards[self.name], setup)
-
-    def volts(self, fraction: float) -> Volts:
-        """A voltage for each output, all different, at about this share of the range."""
-        steps = enumerate(self.setup.outputs)
-        return np.array([c.low_v + (c.high_v - c.low_v) * min(1.0, fraction + 0.02 * i) for i, c in steps])
-
-    @property
-    def tolerance_v(self) -> Volts:
-        """Largest deviation of a read-back."""
-        return np.array([(c.high_v - c.low_v) * READBACK_TOLERANCE for c in self.setup.outputs])
-
-    def stated(self, outputs: Volts) -> str:
-        """Values of the outputs with their unit, for messages."""
-        units = {valve.output_unit for valve in self.config.valves if valve.card == self.name} or {"V"}
-        return f"{', '.join(f'{value:.3f}' for value in outputs)} {'/'.join(sorted(units))}"
-
-    @property
-    def safe_v(self) -> Volts:
-        """The safe voltage of each output."""
-        return np.array([valve.safe_v() for valve in self.config.valves if valve.card == self.name])
-
-    def make_safe(self) -> None:
-        """Write the safe state, if the card can be opened."""
-        with suppress(CardError), closing(open_outputs(self.config, self.name)) as outputs:
-            outputs.make_safe()
 
 
 def opening(subject: CardSubject) -> str:
@@ -102,8 +39,8 @@ def opening(subject: CardSubject) -> str:
     with closing(subject.open(inputs=False)) as card:
         took_s = time.monotonic() - began
         after = card.readback()
-    if np.all(np.isnan(before)):
-        raise NotApplicableError(f"the card has no read-back; opened in {took_s * 1e3:.1f} ms")
+    if np.all(np.isnan(before)) or np.all(np.isnan(after)):
+        raise NotApplicableError(f"the card has no read-back before a write; opened in {took_s * 1e3:.1f} ms")
     safe = subject.safe_v
     kept = np.abs(after - before) <= subject.tolerance_v
     if not np.all(kept | (np.abs(after - safe) <= subject.tolerance_v)):
@@ -156,13 +93,18 @@ def sampling(subject: CardSubject) -> str:
     inputs = len(subject.setup.inputs)
     if not inputs:
         raise NotApplicableError("the rig uses no input of this card")
+    scans, ages_s = [], []
     with closing(subject.open()) as card:
         if len(subject.setup.outputs):
             # Where the supply is on, as of a simulated device, the sensors read more than zero.
             card.write(subject.volts(0.5))
         card.start()
-        scans = [s for s, _ in _polled(card, subject.period_s, subject.sample_s)]
-        newest_ns = time.monotonic_ns()
+        for one, _ in polled(card, subject.period_s, subject.sample_s):
+            newest_ns = time.monotonic_ns()
+            if len(subject.setup.outputs):
+                card.write(subject.volts(0.5))  # the heartbeat of a device that vents by itself
+            scans.append(one)
+            ages_s += [(newest_ns - t_ns) * 1e-9 for t_ns in one.t_ns[-1:].tolist()]
     for one in scans:
         if one.volts.shape != (len(one.t_ns), inputs):
             raise BrokenContractError(f"`volts` has the shape {one.volts.shape} for {len(one.t_ns)} times")
@@ -174,6 +116,10 @@ def sampling(subject: CardSubject) -> str:
     if t_ns[-1] > newest_ns or newest_ns - t_ns[0] > (subject.sample_s + 2.0) * 1e9:
         raise BrokenContractError(
             f"the newest scan is {(newest_ns - t_ns[-1]) * 1e-6:.1f} ms old: is t_ns CLOCK_MONOTONIC?"
+        )
+    if min(ages_s) > (stale_s := subject.config.limits.stale_s):
+        raise BrokenContractError(
+            f"the newest scan is {min(ages_s) * 1e3:.0f} ms old at best; a run stops at {stale_s * 1e3:g} ms (stale_s)"
         )
     volts = np.concatenate([s.volts for s in scans])
     if not np.all(np.isfinite(volts)):
@@ -206,7 +152,7 @@ def durations(subject: CardSubject) -> str:
         writes: list[float] = []
         volts = subject.volts(0.5)
         reads = []
-        for _, took_s in _polled(card, period_s, subject.sample_s):
+        for _, took_s in polled(card, period_s, subject.sample_s):
             reads.append(took_s)
             if len(volts):
                 writes.append(timed(lambda: card.write(volts))[1])
@@ -223,6 +169,28 @@ def durations(subject: CardSubject) -> str:
             share = f"{slow} of {len(taken)} calls of {word}"
             raise BrokenContractError(f"{words[-1]}; {share} take longer than the control period")
     return "; ".join(words)
+
+
+def closing_again(subject: CardSubject) -> str:
+    """A card may be closed again, and opened again once it is closed."""
+    with closing(subject.open()) as card:
+        card.start()
+    # Files that are opened in between get the numbers of the descriptors that the card has closed.
+    others = [os.open(os.devnull, os.O_RDONLY) for _ in range(OTHER_FILES)]
+    closed = 0
+    try:
+        card.close()
+    finally:
+        for other in others:
+            try:
+                os.close(other)
+            except OSError:
+                closed += 1
+    if closed:
+        raise BrokenContractError("the second close closed a file of another part of the program")
+    began = time.monotonic()
+    subject.open().close()
+    return f"closed twice, opened again in {(time.monotonic() - began) * 1e3:.1f} ms"
 
 
 def second_opener(subject: CardSubject) -> str:
@@ -254,7 +222,7 @@ def second_opener(subject: CardSubject) -> str:
                 f"a second process set {subject.stated(volts)} and the first process still reads back "
                 f"{subject.stated(seen)}: its read-back is not that of the device"
             )
-        if subject.setup.inputs and not any(len(s.t_ns) for s, _ in _polled(card, subject.period_s, 0.2)):
+        if subject.setup.inputs and not any(len(s.t_ns) for s, _ in polled(card, subject.period_s, 0.2)):
             raise BrokenContractError("the first process gets no scans once a second one has written")
     return "a second process can write"
 
@@ -293,7 +261,7 @@ def silence(subject: CardSubject) -> str:
     with holding(subject, subject.volts(0.5)) as process:
         process.kill()
         process.wait()
-    time.sleep(patience_s + SETTLED_S)
+    time.sleep(patience_s + subject.settled_s)
     with closing(subject.open(inputs=False)) as card:
         found = card.readback()
     safe = subject.safe_v
@@ -345,35 +313,10 @@ CARD_CHECKS: tuple[Check[CardSubject], ...] = (
     Check("bad values", "NaN is refused with CardError, other values are clipped to range_V", bad_values),
     Check("sampling", "fresh scans in every control period, times of CLOCK_MONOTONIC that increase", sampling),
     Check("durations", "read and write return within the control period", durations),
+    *PRESSURE_CHECKS,
+    Check("closing", "a closed card may be closed again without effect, and can be opened again", closing_again),
     Check("second opener", "a second process can write, or gets CardBusyError with the holder", second_opener),
     Check("killed owner", f"the safe state can be written within {FREED_S:g} s", killed_owner),
     Check("silence", "a device that is said to vent by itself does so when its writer is killed", silence),
     Check("vanished device", "CardError from write; from read CardError or no scans", vanished),
 )
-
-
-def needs_outputs(subject: CardSubject) -> None:
-    """Raise NotApplicableError for a card without valves."""
-    if not subject.setup.outputs:
-        raise NotApplicableError("the rig uses no output of this card")
-
-
-def settled_readback(card: Card, written: Volts, subject: CardSubject) -> Volts:
-    """The read-back, once it is what was written, or after SETTLED_S."""
-    until = time.monotonic() + SETTLED_S
-    while True:
-        found = card.readback()
-        right = np.all(np.isnan(found) | (np.abs(found - written) <= subject.tolerance_v))
-        if right or time.monotonic() > until:
-            return found
-        time.sleep(0.002)
-
-
-def _polled(card: Card, period_s: float, duration_s: float) -> Iterator[tuple[Scans, float]]:
-    """Read once in each control period; yields scans and the duration of each read."""
-    until = time.monotonic() + duration_s
-    due = time.monotonic()
-    while time.monotonic() < until:
-        yield timed(card.read)
-        due = max(due + period_s, time.monotonic())
-        time.sleep(max(0.0, due - time.monotonic()))

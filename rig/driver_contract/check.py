@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,6 +12,9 @@ from rig.hardware.cards.base import CardError
 from rig.hardware.tip_source import TipSourceError
 
 Subject = TypeVar("Subject")
+
+LONGEST_S = 120.0
+"""A check that takes longer waits for a driver that does not return."""
 
 
 class CheckVerdict(StrEnum):
@@ -54,7 +58,18 @@ class Check(Generic[Subject]):
     run: Callable[[Subject], str]
 
     def result(self, device: str, subject: Subject) -> CheckResult:
-        """Run the check; whatever the driver raises is a result."""
+        """Run the check; whatever the driver raises is a result, and so is a call that does not return."""
+        results: list[CheckResult] = []
+        # Only a thread of its own can be left behind in a call that never returns.
+        thread = threading.Thread(target=lambda: results.append(self._result(device, subject)), daemon=True)
+        thread.start()
+        thread.join(LONGEST_S)
+        stuck = CheckResult(
+            device, self.name, CheckVerdict.FAIL, f"a call does not return within {LONGEST_S:g} s", self.expected
+        )
+        return results[0] if results else stuck
+
+    def _result(self, device: str, subject: Subject) -> CheckResult:
         try:
             verdict, found = CheckVerdict.PASS, self.run(subject)
         except NotApplicableError as error:

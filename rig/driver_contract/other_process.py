@@ -49,9 +49,12 @@ def _command(mode: str, subject: CardOfRig, volts: Volts) -> list[str]:
 
 def in_second_process(subject: CardOfRig, volts: Volts) -> dict[str, Any]:
     """What a second process gets that opens the card and writes."""
-    done = subprocess.run(
-        _command("write", subject, volts), capture_output=True, text=True, timeout=START_S, check=False
-    )
+    try:
+        done = subprocess.run(
+            _command("write", subject, volts), capture_output=True, text=True, timeout=START_S, check=False
+        )
+    except subprocess.TimeoutExpired:
+        raise BrokenContractError(f"a second process that opens the card does not end within {START_S:g} s") from None
     try:
         return dict(json.loads(done.stdout))
     except ValueError:

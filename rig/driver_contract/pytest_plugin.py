@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from rig.config import loader
-from rig.driver_contract.card_checks import CARD_CHECKS, RATE_S, CardSubject
+from rig.driver_contract.card_checks import CARD_CHECKS
+from rig.driver_contract.card_subject import RATE_S, CardSubject
 from rig.driver_contract.check import Check, CheckResult
 from rig.driver_contract.runner import Unplug, bench_of, card_subjects
 

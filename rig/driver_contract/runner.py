@@ -10,7 +10,8 @@ from pathlib import Path
 
 from rig.config.schema import RigConfig
 from rig.driver_contract.camera_checks import CAMERA_CHECKS, CameraSubject
-from rig.driver_contract.card_checks import CARD_CHECKS, CardSubject
+from rig.driver_contract.card_checks import CARD_CHECKS
+from rig.driver_contract.card_subject import CardSubject
 from rig.driver_contract.check import CheckResult
 from rig.driver_contract.tracker_checks import TRACKER_CHECKS, TrackerSubject
 from rig.hardware.lock import cards_locked

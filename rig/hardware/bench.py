@@ -14,6 +14,7 @@ from rig.config.sections import Sensor
 from rig.hardware.cards.base import Card, CardError, DigitalInputCard, Scans, SelfClockedCard
 from rig.hardware.cards.registry import open_card
 from rig.hardware.cards.setup import card_setup
+from rig.hardware.release import release
 from rig.hardware.safe_state import SafeOutputs
 
 
@@ -181,8 +182,7 @@ class Bench:
 
     def close(self) -> None:
         """Release every card; the outputs keep their voltages."""
-        for card in self._cards.values():
-            card.close()
+        release(self._cards.values())
 
 
 def open_bench(config: RigConfig, *, by_instruction: bool = False) -> Bench:
@@ -197,8 +197,7 @@ def open_bench(config: RigConfig, *, by_instruction: bool = False) -> Bench:
             setup = card_setup(config, name)
             cards[name] = open_card(card, replace(setup, acquisition="instruction") if by_instruction else setup)
     except BaseException:
-        for opened in cards.values():
-            opened.close()
+        release(cards.values())
         raise
     return Bench(config, cards)
 
@@ -224,7 +223,7 @@ class _Pending:
     """Scans of one card that wait for scans of the other cards."""
 
     def __init__(self, inputs: int) -> None:
-        self._scans = Scans(np.empty(0, np.int64), np.empty((0, inputs)))
+        self._scans = Scans.none(inputs)
 
     def with_new(self, new: Scans) -> Scans:
         old = self._scans

@@ -18,6 +18,7 @@ from rig.config.schema import RigConfig
 from rig.hardware.cards.base import Card, CardBusyError, CardError, DigitalOutputCard
 from rig.hardware.cards.registry import open_card
 from rig.hardware.cards.setup import card_setup
+from rig.hardware.release import release
 
 UNSAFE = "the safe state could not be written, shut the air off by hand"
 """Begin of the message of a failed safe state."""
@@ -111,7 +112,12 @@ class SafeOutputs:
         """The output voltages (V,), NaN where a card has no read-back."""
         volts = np.full(len(self._valves), np.nan)
         for name, column in self.columns.items():
-            volts[column] = self._cards[name].readback()
+            try:
+                volts[column] = self._cards[name].readback()
+            except CardError:
+                raise
+            except Exception as error:  # the code of another package may raise anything
+                raise CardError(f"card {name} cannot be read back: {type(error).__name__}: {error}") from error
         return volts
 
     def unsafe_output(self) -> str:
@@ -129,8 +135,7 @@ class SafeOutputs:
 
     def close(self) -> None:
         """Release every card; the outputs keep their voltages."""
-        for card in self._cards.values():
-            card.close()
+        release(self._cards.values())
 
 
 def open_outputs(config: RigConfig, *names: str) -> SafeOutputs:
@@ -144,8 +149,7 @@ def open_outputs(config: RigConfig, *names: str) -> SafeOutputs:
         for name in names:
             cards[name] = open_card(config.cards[name], replace(card_setup(config, name), inputs=(), digital_inputs=()))
     except BaseException:
-        for opened in cards.values():
-            opened.close()
+        release(cards.values())
         raise
     return SafeOutputs(config, cards)
 
@@ -183,8 +187,6 @@ def make_safe(config: RigConfig, *, vent: bool) -> None:
                 outputs.make_safe(vent=vent)
         except CardError as error:
             failures.append(error)
-        except Exception as error:
-            failures.append(CardError(f"card {name}: {type(error).__name__}: {error}"))
     if len(failures) == 1:
         raise failures[0]
     if failures:

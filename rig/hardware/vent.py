@@ -131,8 +131,6 @@ def _open(config: RigConfig, opened: list[SafeOutputs], failures: list[str], uns
                 failures.append(str(busy))
             except CardError as error:
                 failures.append(str(error))
-            except Exception as error:  # a card must not keep the others from being vented
-                failures.append(f"card {card}: {type(error).__name__}: {error}")
             closed.remove(card)
         _vent_repeatedly(opened, 0.0)
         if closed:

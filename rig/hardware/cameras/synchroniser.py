@@ -15,6 +15,7 @@ from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import Camera, CameraError, Frame, FrameSet
 from rig.hardware.cameras.registry import open_camera
 from rig.hardware.cameras.trigger import PulseRows, TriggeredCamera
+from rig.hardware.release import release
 
 KEPT = 4
 """Buffered frames per camera."""
@@ -95,8 +96,7 @@ class CameraSynchroniser:
         """Release every camera."""
         for reader in self._readers:
             reader.stop()
-        for camera in self._cameras:
-            camera.close()
+        release(self._cameras)
 
     def _exclude_stall(self) -> None:
         """Exclude a stall of this process from the silence of the cameras."""

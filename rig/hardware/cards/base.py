@@ -62,6 +62,17 @@ class CardSetup:
     digital_inputs: tuple[int, ...] = ()
     digital_outputs: tuple[int, ...] = ()
 
+    def clipped(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Values of the outputs, each clipped to the range of its channel.
+
+        Raises:
+            CardError: one is not finite.
+        """
+        if not np.all(np.isfinite(values)):
+            raise CardError(f"card {self.device} cannot set its outputs to {values.tolist()}; nothing was written")
+        low, high = [one.low_v for one in self.outputs], [one.high_v for one in self.outputs]
+        return np.asarray(np.clip(values, low, high))
+
 
 @dataclass(frozen=True)
 class Scans:
@@ -74,6 +85,11 @@ class Scans:
     volts: NDArray[np.float64]
     lost: int = 0
     late_ns: int = 0
+
+    @classmethod
+    def none(cls, inputs: int) -> Scans:
+        """No scans of so many inputs."""
+        return cls(np.empty(0, np.int64), np.empty((0, inputs)))
 
 
 @runtime_checkable

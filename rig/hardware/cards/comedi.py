@@ -153,7 +153,7 @@ class ComediCard:
     def read(self) -> Scans:
         """Scans since the last call; none before `start`. After an overrun sampling continues, and `lost` counts."""
         if self._sampler is None:
-            return Scans(np.empty(0, np.int64), np.empty((0, len(self._inputs))))
+            return Scans.none(len(self._inputs))
         return self._sampler.read()
 
     def read_digital(self) -> NDArray[np.bool_]:
@@ -168,11 +168,8 @@ class ComediCard:
 
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the outputs, each clipped to its range, also if another output fails."""
-        if not np.all(np.isfinite(volts)):
-            raise CardError(f"{self.description}: an output was asked for {volts.tolist()} V; nothing was written")
         failures = []
-        for i, (line, channel, value) in enumerate(zip(self._outputs, self._setup.outputs, volts, strict=True)):
-            inside = np.clip(value, channel.low_v, channel.high_v)
+        for i, (line, inside) in enumerate(zip(self._outputs, self._setup.clipped(volts), strict=True)):
             raw = int(np.clip(np.rint(line.from_volts(inside)), 0, line.max_raw))
             try:
                 line.write(raw)

@@ -94,7 +94,7 @@ class NidaqmxCard:
         """Scans since the last call; none before `start`. After an overrun sampling starts again, and `lost` counts."""
         count = len(self._setup.inputs)
         if self._inputs is None:
-            return Scans(np.empty(0, np.int64), np.empty((0, count)))
+            return Scans.none(count)
         lost = 0
         with self._told("the inputs cannot be read"):
             try:
@@ -119,10 +119,7 @@ class NidaqmxCard:
 
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the outputs, each clipped to its range; again for a moment while another process is writing."""
-        if not np.all(np.isfinite(volts)):
-            raise CardError(f"card {self._setup.device} cannot set {volts.tolist()} V; nothing was written")
-        low, high = zip(*((one.low_v, one.high_v) for one in self._setup.outputs), strict=True)
-        inside = np.clip(volts, low, high).tolist()
+        inside = self._setup.clipped(volts).tolist()
         until = time.monotonic() + WRITE_AGAIN_S
         with self._told("the outputs cannot be written"):
             while True:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rig.config.card_sections import CARD_DRIVERS, CardConfig
-from rig.hardware.cards.base import Card, CardSetup
+from rig.hardware.cards.base import Card, CardError, CardSetup
 
 
 def card_type(card: CardConfig) -> Callable[[CardSetup], Card]:
@@ -21,6 +21,12 @@ def open_card(card: CardConfig, setup: CardSetup) -> Card:
     """Open a card.
 
     Raises:
-        CardError: the card cannot be opened.
+        CardError: the card cannot be opened, for any reason.
     """
-    return card_type(card)(setup)
+    driver = card_type(card)
+    try:
+        return driver(setup)
+    except CardError:
+        raise
+    except Exception as error:  # the code of another package may raise anything
+        raise CardError(f"card {setup.name}: {type(error).__name__}: {error}") from error

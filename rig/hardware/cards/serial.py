@@ -168,11 +168,9 @@ class SerialCard:
 
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the pressures [bar], each clipped to its range; also the heartbeat. Other channels are vented."""
-        if not np.all(np.isfinite(volts)):
-            raise CardError(f"{self.description} cannot set {volts.tolist()} bar; nothing was written")
         asked = [self._controller.vent_pa] * self._controller.channels
-        for channel, bar in zip(self._setup.outputs, volts.tolist(), strict=True):
-            asked[channel.number] = round(min(max(bar, channel.low_v), channel.high_v) * PA_PER_BAR)
+        for channel, bar in zip(self._setup.outputs, self._setup.clipped(volts).tolist(), strict=True):
+            asked[channel.number] = round(bar * PA_PER_BAR)
         self._asked_pa = tuple(asked)
         self._send()
 

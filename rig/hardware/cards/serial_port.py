@@ -85,8 +85,9 @@ class SerialPort:
 
     def close(self) -> None:
         """Release the port."""
+        file, self._file = self._file, -1  # another file may have the number later
         with suppress(OSError):
-            os.close(self._file)
+            os.close(file)
 
 
 def _locker(path: str) -> tuple[int, ...]:

@@ -165,18 +165,44 @@ def test_arming_without_read_back_does_not_claim_that_it_was_read_back() -> None
 def test_an_unexpected_error_of_one_card_does_not_stop_the_safe_state_of_others(
     bug: type[Exception], cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def opened(card: CardConfig, setup: CardSetup) -> FakeCard:
+    def opened(setup: CardSetup) -> FakeCard:
         if setup.name == "daq":
             raise bug("oddly broken")
         return cards[setup.name]
 
-    monkeypatch.setattr(rig.hardware.safe_state, "open_card", opened)
+    monkeypatch.setattr(rig.hardware.cards.registry, "card_type", lambda card: opened)
     with pytest.raises(CardError, match=f"card daq: {bug.__name__}: oddly broken"):
         make_safe(two_card_rig(), vent=False)
     assert cards["other"].outputs.tolist() == [5.0]
     with pytest.raises(CardError, match=f"card daq: {bug.__name__}: oddly broken"):
         vent(two_card_rig())
     assert cards["other"].outputs.tolist() == [0.0]
+
+
+def test_a_driver_that_fails_to_close_leaves_no_card_open_and_ends_no_vent(
+    cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unplugged() -> None:
+        raise OSError("cable pulled")
+
+    monkeypatch.setattr(cards["daq"], "close", unplugged)
+    monkeypatch.setattr(rig.hardware.safe_state, "open_card", lambda card, setup: cards[setup.name])
+    vent(two_card_rig())
+    assert cards["other"].closed
+    cards["other"].closed = False
+    Bench(two_card_rig(), cards).close()
+    assert cards["other"].closed
+
+
+def test_an_unexpected_error_of_a_read_back_is_an_error_of_the_card(
+    bench: Bench, cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unplugged() -> NDArray[np.float64]:
+        raise OSError("cable pulled")
+
+    monkeypatch.setattr(cards["other"], "readback", unplugged)
+    with pytest.raises(CardError, match="card other cannot be read back: OSError: cable pulled"):
+        bench.arm()
 
 
 def test_a_valve_may_stand_safe_or_vented_and_nowhere_else(bench: Bench, cards: dict[str, FakeCard]) -> None:

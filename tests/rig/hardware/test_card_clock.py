@@ -81,7 +81,7 @@ def test_rounded_period_and_drift_are_reported_for_a_card_with_a_clock(
         "other_scan_drift_ppb": -31_250,
     }
     assert sampling_clocks.descriptions(memory, two_cards) == [
-        "card other samples by its own clock every 999.900 us (asked for: 1000.000 us)"
+        "card other samples by its own clock every 999.900 us (requested: 1000.000 us)"
     ]
 
 

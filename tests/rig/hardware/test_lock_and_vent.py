@@ -29,6 +29,7 @@ from rig.realtime import control_process as control
 from rig.realtime.shared_state import SharedState, StateLayout, Stop
 from rig.simulator.mock_card import MockCard
 from rig.simulator.registers import Registers
+from tests.support.mock_registers import mock_registers
 
 HOLD = (
     "import sys, time\nimport rig.config.loader\nfrom rig.hardware.lock import cards_locked\n"
@@ -63,11 +64,8 @@ def run_that(program: str, file: Path) -> Iterator[subprocess.Popen[str]]:
 
 @pytest.fixture
 def registers() -> Iterator[Registers]:
-    registers = Registers.create(f"vented-{os.getpid()}", 2, 8)
-    yield registers
-    path = registers.path
-    registers.close()
-    path.unlink()
+    with mock_registers(f"vented-{os.getpid()}") as registers:
+        yield registers
 
 
 @pytest.fixture

@@ -17,14 +17,16 @@ import numpy as np
 import pytest
 
 from rig.config import loader
-from rig.driver_contract.card_checks import CARD_CHECKS, CardSubject
+from rig.driver_contract.card_checks import CARD_CHECKS
+from rig.driver_contract.card_subject import CardSubject
 from rig.driver_contract.check import CheckVerdict
 from rig.hardware.cards import ni
 from rig.hardware.cards.base import CardError, CardSetup, Channel
 
 STAND_IN = Path(__file__).parents[2] / "support" / "nidaqmx_stand_in"
 SAMPLE_S = 0.25
-VALVE = "  - {{type: pressure, actuators: [{}], card: daq, channel: {}, span_bar: [0, 2]}}\n"
+# The stand-in loops each output to the input of the same number: valve and sensor have one scale.
+VALVE = "  - {{type: pressure, actuators: [{}], card: daq, channel: {}, span_bar: [0, 10]}}\n"
 RSE_10V = (0.0, 10.0)
 
 

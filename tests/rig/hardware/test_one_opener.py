@@ -6,8 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -26,6 +25,8 @@ from rig.realtime.shared_state import SharedState, Stage, StateLayout
 from rig.simulator.registers import Registers, path_of
 from runs.records import Status
 from scripts.rig_process import BRIEF, SHORT, rig_run, with_one_opener
+from tests.support.mock_registers import mock_registers
+from tests.support.waiting import wait_until
 
 HOLD = (
     "import sys, time\nimport rig.config.loader\nfrom rig.hardware.bench import open_bench\n"
@@ -41,12 +42,9 @@ def rig_text(device: str, *, one_opener: bool = True) -> str:
 @pytest.fixture
 def device() -> Iterator[str]:
     name = f"door-{os.getpid()}"
-    registers = Registers.create(name, 2, 8)
-    registers.outputs["volts"] = 7.0
-    yield name
-    registers.close()
-    path_of(name).unlink()
-    path_of(name).with_suffix(".door").unlink(missing_ok=True)
+    with mock_registers(name, 7.0):
+        yield name
+    path_of(name).with_suffix(".open").unlink(missing_ok=True)
 
 
 @pytest.fixture
@@ -64,13 +62,6 @@ def holder(device: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
         assert process.stdout.readline() == "held\n"
         yield process
         process.kill()
-
-
-def until(condition: Callable[[], bool]) -> None:
-    limit = time.monotonic() + 30
-    while not condition():
-        assert time.monotonic() < limit
-        time.sleep(0.005)
 
 
 def volts(device: str) -> list[float]:
@@ -147,7 +138,7 @@ def test_a_hung_holder_of_the_card_is_ended_though_another_process_is_monitored(
     plan.rig_file.write_text(rig_text(device))
     watchdog = spawn("rig.realtime.watchdog_process", ChildJob(plan, memory.fd, os.getpid()))
     try:
-        until(lambda: memory.stage("watchdog") is Stage.READY)
+        wait_until(lambda: memory.stage("watchdog") is Stage.READY)
         program = [sys.executable, "-c", HOLD, str(plan.rig_file)]
         with (
             subprocess.Popen(program, stdout=subprocess.PIPE) as holder,
@@ -158,7 +149,7 @@ def test_a_hung_holder_of_the_card_is_ended_though_another_process_is_monitored(
             memory.card_holder_pid = holder.pid
             memory.control_pid = watched.pid
             memory.publish_stage("control", Stage.RUNNING)
-            until(lambda: bool(memory.watchdog_trip_ns))
+            wait_until(lambda: bool(memory.watchdog_trip_ns))
             assert volts(device) == [0.0, 0.0]
             assert holder.wait(10) == -signal.SIGKILL
             watched.kill()

@@ -127,7 +127,7 @@ PLACES: dict[str, tuple[Callable[[], Path], Callable[[], object]]] = {
     "lock": (lambda: lock_file(mock_rig().cards["daq"]), lambda: cards_locked(mock_rig(), "a test").__enter__()),
     "registers made": (lambda: path_of("mock0"), lambda: Registers.create("mock0", 2, 8)),
     "registers used": (lambda: path_of("mock0"), lambda: Registers.attach("mock0")),
-    "one opener": (lambda: path_of("mock0").with_suffix(".door"), lambda: _open_alone()),
+    "one opener": (lambda: path_of("mock0").with_suffix(".open"), lambda: _open_alone()),
 }
 
 

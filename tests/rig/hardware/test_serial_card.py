@@ -23,6 +23,7 @@ from rig.hardware.cards.serial import SerialCard
 from rig.hardware.cards.serial_protocol import LineReader, decoded, drive, encoded
 from scripts.pressure_controller import Controller, controller
 from tests.support.firmware import firmware
+from tests.support.waiting import wait_until
 
 CHANNELS = tuple(Channel(number, 0.0, 1.0) for number in (2, 0))
 SILENCE_US = 50_000
@@ -56,13 +57,6 @@ def strict_board(program: Path, tmp_path: Path) -> Iterator[Controller]:
 def setup(device: str, outputs: tuple[Channel, ...] = CHANNELS, inputs: tuple[Channel, ...] = CHANNELS) -> CardSetup:
     section = SerialCardConfig(driver="serial", device=device, inputs=4, outputs=4)
     return CardSetup("box", device, inputs, outputs, section.sampling_hz, section=section)
-
-
-def until(true: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.002)
 
 
 def driven(card: SerialCard, bar: list[float], *, reads: int) -> np.ndarray:
@@ -138,7 +132,7 @@ def test_the_controller_vents_by_itself_when_its_program_is_killed(strict_board:
             SerialCard(setup(strict_board.device))
         assert busy.value.holders == (process.pid,)
         process.kill()
-    until(lambda: len(strict_board.states()) == 2)
+    wait_until(lambda: len(strict_board.states()) == 2)
     (opened, _), (vented, silent_us) = strict_board.states()
     assert (opened, vented) == (1, 2)
     assert silent_us >= SILENCE_US
@@ -151,17 +145,17 @@ def test_the_controller_vents_by_itself_when_its_program_is_killed(strict_board:
 def test_the_controller_vents_within_100_ms_of_the_last_command(strict_board: Controller) -> None:
     with closing(SerialCard(setup(strict_board.device))) as card:
         driven(card, [0.5, 0.5], reads=20)
-        until(lambda: len(strict_board.states()) == 2)
+        wait_until(lambda: len(strict_board.states()) == 2)
     assert strict_board.states()[1][1] < 100_000
 
 
 def test_a_program_that_has_stalled_learns_that_the_controller_vented(strict_board: Controller) -> None:
     with closing(SerialCard(setup(strict_board.device))) as card:
         card.write(np.array([0.5, 0.5]))
-        until(lambda: len(strict_board.states()) == 2)
+        wait_until(lambda: len(strict_board.states()) == 2)
         card.write(np.array([0.5, 0.5]))
         with pytest.raises(CardError, match="vented by itself: no command reached it for 50 ms"):
-            until(lambda: card.read() is None)
+            wait_until(lambda: card.read() is None)
         assert card.readback().tolist() == [0.0, 0.0]
 
 
@@ -170,7 +164,7 @@ def test_silence_while_vented_ends_nothing(strict_board: Controller) -> None:
         card.write(np.zeros(2))
         time.sleep(3 * SILENCE_US * 1e-6)
         card.write(np.array([0.4, 0.4]))
-        until(lambda: len(strict_board.states()) > 0)
+        wait_until(lambda: len(strict_board.states()) > 0)
         assert strict_board.states()[0][0] == 1
 
 
@@ -179,7 +173,7 @@ def test_a_pulled_cable_is_an_error_of_read_and_write(board: Controller) -> None
         driven(card, [0.2, 0.2], reads=3)
         board.unplug()
         with pytest.raises(CardError, match="is the cable in"):
-            until(lambda: card.read() is None)
+            wait_until(lambda: card.read() is None)
         with pytest.raises(CardError, match="is the cable in"):
             card.write(np.zeros(2))
 
@@ -190,7 +184,7 @@ def test_a_mute_controller_is_an_error(board: Controller, monkeypatch: pytest.Mo
         monkeypatch.setattr("rig.hardware.cards.serial.SILENT_S", 0.05)
         board.process.send_signal(signal.SIGSTOP)
         with pytest.raises(CardError, match="has been silent for"):
-            until(lambda: card.read() is None)
+            wait_until(lambda: card.read() is None)
 
 
 def test_values_that_are_not_pressures_are_refused_and_others_clipped(board: Controller) -> None:
@@ -359,7 +353,7 @@ def test_the_firmware_obeys_no_damaged_old_or_impossible_command(board: Controll
                 return False
             return type(got[-1]).__name__ == "Identity" if got else False
 
-        until(answered)
+        wait_until(answered)
         return [type(answer).__name__ for answer in got[:-1]]
 
     good = drive(10, [100, 0, 0, 0])

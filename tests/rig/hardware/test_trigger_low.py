@@ -18,19 +18,16 @@ from rig.hardware.safe_state import SafeOutputs, WatchdogOutputs
 from rig.hardware.vent import vent
 from rig.simulator.mock_card import MockCard
 from rig.simulator.registers import Registers
+from tests.support.mock_registers import mock_registers
 from tests.support.triggered_bench import CHANNEL, triggered, triggered_rig
 
 
 @pytest.fixture
 def registers() -> Iterator[Registers]:
     """Two mock cards without a plant; the second one has no valves."""
-    devices = [f"lowered-{os.getpid()}{letter}" for letter in ("", "b")]
-    made = [Registers.create(device, 2, 8) for device in devices]
-    yield made[0]
-    for one in made:
-        path = one.path
-        one.close()
-        path.unlink()
+    device = f"lowered-{os.getpid()}"
+    with mock_registers(device) as first, mock_registers(f"{device}b"):
+        yield first
 
 
 def on_card(registers: Registers, second: bool = False) -> RigConfig:

@@ -1,0 +1,116 @@
+"""A card under test, and what the checks of cards share."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config.schema import RigConfig
+from rig.driver_contract.check import NotApplicableError
+from rig.driver_contract.device_time import timed
+from rig.hardware.cards.base import Card, CardError, CardSetup, Scans
+from rig.hardware.cards.registry import card_type
+from rig.hardware.cards.setup import card_setup
+from rig.hardware.safe_state import READBACK_TOLERANCE, open_outputs
+from rig.valves.base import ValveSection
+
+SETTLED_S = 0.1
+"""Time for the read-back of a device on a bus."""
+RATE_S = 1.0
+"""How long the inputs are sampled."""
+
+Volts = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CardSubject:
+    """A card under test.
+
+    `rig_file` is for processes that open it too; `vanish` makes the device disappear; inputs are sampled `sample_s`;
+    a read-back is awaited for `settled_s`.
+    """
+
+    config: RigConfig
+    name: str
+    rig_file: Path
+    vanish: Callable[[], None] | None = None
+    sample_s: float = RATE_S
+    settled_s: float = SETTLED_S
+
+    @property
+    def setup(self) -> CardSetup:
+        """Channels as the rig uses them."""
+        return card_setup(self.config, self.name)
+
+    @property
+    def period_s(self) -> float:
+        """Control period."""
+        return 1.0 / self.config.control.rate_hz
+
+    def open(self, *, inputs: bool = True) -> Card:
+        """Open the card as control does, or as the watchdog does."""
+        setup = self.setup if inputs else replace(self.setup, inputs=())
+        return card_type(self.config.cards[self.name])(setup)
+
+    def volts(self, fraction: float) -> Volts:
+        """A voltage for each output, all different, at about this share of the range."""
+        steps = enumerate(self.setup.outputs)
+        return np.array([c.low_v + (c.high_v - c.low_v) * min(1.0, fraction + 0.02 * i) for i, c in steps])
+
+    @property
+    def tolerance_v(self) -> Volts:
+        """Largest deviation of a read-back."""
+        return np.array([(c.high_v - c.low_v) * READBACK_TOLERANCE for c in self.setup.outputs])
+
+    def stated(self, outputs: Volts) -> str:
+        """Values of the outputs with their unit, for messages."""
+        units = {valve.output_unit for valve in self.valves} or {"V"}
+        return f"{', '.join(f'{value:.3f}' for value in outputs)} {'/'.join(sorted(units))}"
+
+    @property
+    def valves(self) -> list[ValveSection]:
+        """Valves of this card, in the order of its outputs."""
+        return [valve for valve in self.config.valves if valve.card == self.name]
+
+    @property
+    def safe_v(self) -> Volts:
+        """The safe voltage of each output."""
+        return np.array([valve.safe_v() for valve in self.valves])
+
+    def make_safe(self) -> None:
+        """Write the safe state, if the card can be opened."""
+        with suppress(CardError), closing(open_outputs(self.config, self.name)) as outputs:
+            outputs.make_safe()
+
+
+def needs_outputs(subject: CardSubject) -> None:
+    """Raise NotApplicableError for a card without valves."""
+    if not subject.setup.outputs:
+        raise NotApplicableError("the rig uses no output of this card")
+
+
+def settled_readback(card: Card, written: Volts, subject: CardSubject) -> Volts:
+    """The read-back, once it is what was written, or after `settled_s`."""
+    until = time.monotonic() + subject.settled_s
+    while True:
+        found = card.readback()
+        right = np.all(np.isnan(found) | (np.abs(found - written) <= subject.tolerance_v))
+        if right or time.monotonic() > until:
+            return found
+        time.sleep(0.002)
+
+
+def polled(card: Card, period_s: float, duration_s: float) -> Iterator[tuple[Scans, float]]:
+    """Read once in each control period; yields scans and the duration of each read."""
+    until = time.monotonic() + duration_s
+    due = time.monotonic()
+    while time.monotonic() < until:
+        yield timed(card.read)
+        due = max(due + period_s, time.monotonic())
+        time.sleep(max(0.0, due - time.monotonic()))
