@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 import protocols
 from benchmarks.random_tip_paths import SHAPES, drawn_rig, stated_rig, tip_step
-from benchmarks.virtual_tip_run import distances_m, perform
+from benchmarks.virtual_tip_run import SHARED_HORIZON, distances_m, perform
 from protocols import BadInputError, SetPointTrajectory
 from rig.config.schema import RigConfig
 from rig.experiment.preflight import check
@@ -71,9 +71,9 @@ def judged(k: int, seed: int, config: RigConfig, inverse: RigTipInverse) -> Row:
     return row | followed(drawn, trajectory, seed=k)
 
 
-def followed(config: RigConfig, trajectory: SetPointTrajectory, seed: int) -> Row:
+def followed(config: RigConfig, trajectory: SetPointTrajectory, seed: int, controller: str = SHARED_HORIZON) -> Row:
     """Run a trajectory on a simulated rig in virtual time; how it ended, and how far the tip was from its path."""
-    record, outcome = perform(config, trajectory, seed)
+    record, outcome = perform(config, trajectory, seed, controller)
     cycles = np.concatenate(record.cycles)
     (motion,) = trajectory.tip.motions
     setpoint = cycles["setpoint_pa"]

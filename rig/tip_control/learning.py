@@ -18,7 +18,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from model.inverse.static_map import StaticMap
 from protocols.tip_paths import smooth_weight
-from rig.tip_control.estimator import HARMONICS
+from rig.tip_control.estimation.state import HARMONICS
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.tip_dynamics import TipDynamics
 from runs.interpolation import interpolated

@@ -103,18 +103,21 @@ class TipControlSession:
         return stamped, row
 
     def warm_up(self) -> None:
-        """Step once on made-up data, so that imports and compilation are done before the start."""
+        """Step twice on made-up data, so that imports and compilation are done before the start."""
         motion, valves = self._trajectory.tip.motions[0], len(self._actuators)
-        measurement = ControllerMeasurement(
-            motion.start_s - self._settings.frame_s,
-            motion.position_m[0],
-            1e-8 * np.eye(3),
-            motion.start_s + np.array([-self._settings.frame_s, 0.0]),
-            np.zeros((2, valves)),
-            np.zeros((2, valves)),
-            motion.start_s,
-        )
-        self._controller.step(self._controller.start(), self._reference(motion, motion.start_s), measurement)
+        state, frame_s = self._controller.start(), self._settings.frame_s
+        # The second step begins with a state and a plan, which the first one has not.
+        for start_s in (motion.start_s, motion.start_s + frame_s):
+            measurement = ControllerMeasurement(
+                start_s - frame_s,
+                motion.position_m[0],
+                1e-8 * np.eye(3),
+                start_s + np.array([-frame_s, 0.0]),
+                np.zeros((2, valves)),
+                np.zeros((2, valves)),
+                start_s,
+            )
+            state = self._controller.step(state, self._reference(motion, start_s), measurement).state
 
     def _reference(self, motion: TipMotion, start_s: float) -> ReferenceTrajectory:
         times = self._settings.reference_times(start_s)

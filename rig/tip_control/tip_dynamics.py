@@ -5,8 +5,7 @@ tip + tau d(tip)/dt + d2(tip)/dt2 / omega^2 = static tip(pressures), in each coo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from scipy.optimize import least_squares
 
 import model
 from model.dynamics import Dynamics
+from rig.tip_control.kernels.modal_dynamics import modal_states, step_matrices
 
 Array = NDArray[np.float64]
 
@@ -21,17 +21,6 @@ _STEP_S = 0.005
 _SPAN_S = 0.6
 _SHARE = 0.35
 _KICK = 0.02
-
-
-class TipResponses(NamedTuple):
-    """States after k steps in each coordinate: sum over j of `tip` or `velocity` (3, K + 1, K + 1) times drive j.
-
-    And `free` (3, K + 1, 2, 2) times the first tip and velocity.
-    """
-
-    tip: Array
-    velocity: Array
-    free: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +32,6 @@ class TipDynamics:
 
     omega_rad_s: Array
     tau_s: Array
-    _kept: dict[float, TipResponses] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, arm: model.Arm, limit_pa: float) -> TipDynamics:
@@ -58,64 +46,14 @@ class TipDynamics:
         return cls(omega, tau)
 
     def matrices(self, step_s: float) -> tuple[Array, Array, Array]:
-        """A (3, 2, 2), b0, b1 (3, 2): (tip, velocity) after a step with a drive from u0 to u1, linear in between.
-
-        For each coordinate. Closed form: the tip that follows such a drive without swinging is u(t) - tau du/dt.
-        """
-        slow, fast = _roots(self.omega_rad_s, self.tau_s)
-        decay, quick = np.exp(slow * step_s), np.exp(fast * step_s)
-        between = (decay - quick) / (slow - fast)
-        rows = [
-            [slow * quick - fast * decay, (slow - fast) * between],
-            [-slow * fast * (decay - quick), slow * decay - fast * quick],
-        ]
-        transition = np.ascontiguousarray(np.moveaxis((np.array(rows) / (slow - fast)).real, -1, 0))
-        lag, rate = self.tau_s / step_s, np.full(3, 1 / step_s)
-        calm, one = np.stack([lag, -rate], axis=1), np.array([1.0, 0.0])
-        first = calm - _applied(transition, calm + one)
-        last = one - calm + _applied(transition, calm)
+        """A (3, 2, 2), b0, b1 (3, 2): (tip, velocity) after a step with a drive from u0 to u1, linear in between."""
+        transition, first, last = step_matrices(self.omega_rad_s, self.tau_s, step_s)
         return transition, first, last
 
     def advance(self, state: Array, drive: Array, step_s: float) -> Array:
         """States (K + 1, 2, 3) from the state (2, 3) on, for drives (K + 1, 3) [m] that are linear in between."""
-        transition, first, last = self.matrices(step_s)
-        forced = first.T * drive[:-1, None] + last.T * drive[1:, None]
-        states = np.empty((len(drive), 2, 3))
-        states[0] = state
-        from_tip, from_velocity = np.ascontiguousarray(transition.transpose(2, 1, 0))
-        for k in range(len(drive) - 1):
-            states[k + 1] = from_tip * states[k, 0] + from_velocity * states[k, 1] + forced[k]
+        states: Array = modal_states(*self.matrices(step_s), state, drive)
         return states
-
-    def responses(self, count: int, step_s: float) -> TipResponses:
-        """The states after up to `count` steps, as linear functions of the drive and of the first state."""
-        kept = self._kept.get(step_s)
-        if kept is None or len(kept.free[0]) <= count:
-            kept = self._kept[step_s] = self._responses(count, step_s)
-        # Later drives do not act on earlier states: a shorter response is a part of a longer one.
-        span = slice(0, count + 1)
-        return TipResponses(kept.tip[:, span, span], kept.velocity[:, span, span], kept.free[:, span])
-
-    def _responses(self, count: int, step_s: float) -> TipResponses:
-        transition, first, last = self.matrices(step_s)
-        free = np.zeros((3, count + 1, 2, 2))
-        begun, inner = np.zeros((count + 1, 3, 2)), np.zeros((count + 1, 3, 2))
-        free[:, 0], inner[0] = np.eye(2), last
-        for k in range(count):
-            free[:, k + 1] = transition @ free[:, k]
-            begun[k + 1] = first if k == 0 else _applied(transition, begun[k])
-            inner[k + 1] = _applied(transition, inner[k]) + (first if k == 0 else 0.0)
-        forced = np.zeros((2, 3, count + 1, count + 1))
-        forced[:, :, :, 0] = begun.T
-        for k in range(1, count + 1):
-            forced[:, :, k:, k] = inner[: count + 1 - k].T
-        return TipResponses(forced[0], forced[1], free)
-
-
-def _applied(transition: Array, state: Array) -> Array:
-    """Products (3, 2) of the transitions (3, 2, 2) and states (3, 2)."""
-    applied: Array = (transition @ state[:, :, None])[:, :, 0]
-    return applied
 
 
 def _roots(omega_rad_s: Array, tau_s: Array) -> tuple[Array, Array]:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-import runs
-from rig.execution.plan import NullOperator
-from rig.experiment import run as experiment
 from rig.tip_control.learned_inverse import EarlierRun, NotRepeatedError
 from runs.run import Run
+from tests.support.virtual_runs import virtual_run
 
 PROTOCOL = """\
 title: a circle
@@ -31,10 +28,7 @@ def followed(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("earlier")
     protocol = folder / "circle.yaml"
     protocol.write_text(PROTOCOL, encoding="utf-8")
-    request = experiment.request(str(protocol), "mock-3", folder=folder, fast=True, seed=1, report=False)
-    result = experiment.run(request, experiment.plan(request), NullOperator())
-    assert result.archive is not None
-    return runs.open(Path(result.archive))
+    return virtual_run(protocol, "mock-3", folder=folder)
 
 
 def held(run: Run, at_s: float) -> Any:

@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from typer.testing import CliRunner
 
 import protocols
 import runs
 from benchmarks import virtual_tip_run
 from benchmarks.random_tip_paths import stated_rig
-from rig.cli.app import app
 from rig.config import loader
 from rig.config.schema import RigConfig
 from rig.live.archived_run import ArchivedRun
@@ -26,6 +24,7 @@ from runs.records import Status, observation_dtype
 from runs.report.comparison import reference_distances
 from runs.report.page import page
 from runs.run import Run
+from tests.support.command_line import invoke
 from tests.support.report_text import without_figures
 
 PROTOCOL = """\
@@ -47,7 +46,7 @@ def controlled(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Run]:
         out = folder / name
         command = ["run", str(folder / "circle.yaml"), "--rig", "mock-3", "--fast", "--yes", "--no-report"]
         earlier = ["--learn-from", str(found["horizon"].path)] if name.endswith("learns") else []
-        result = CliRunner().invoke(app, [*command, "--out", str(out), "--controller", name.split()[0], *earlier])
+        result = invoke(*command, "--out", out, "--controller", name.split()[0], *earlier)
         assert result.exit_code == 0, result.output
         (archive,) = out.glob("*.h5")
         found[name] = runs.open(archive)
@@ -109,21 +108,19 @@ def test_the_controller_gets_the_protocol_time_at_which_a_tracker_saw_the_tip(mo
 
 
 def test_an_unknown_controller_is_one_message(tmp_path: Path) -> None:
-    result = CliRunner().invoke(
-        app, ["run", "tip-circle", "--rig", "mock-3", "--fast", "--yes", "--controller", "no_such_module:C"]
-    )
+    result = invoke("run", "tip-circle", "--rig", "mock-3", "--fast", "--yes", "--controller", "no_such_module:C")
     assert result.exit_code == 2
     assert "no_such_module:C" in result.output
     text = loader.text("mock-3").replace("controller: horizon", "controller: horizn")
     (tmp_path / "rig.yaml").write_text(text, encoding="utf-8")
-    wrong = CliRunner().invoke(app, ["run", "tip-circle", "--rig", str(tmp_path / "rig.yaml"), "--fast", "--yes"])
+    wrong = invoke("run", "tip-circle", "--rig", tmp_path / "rig.yaml", "--fast", "--yes")
     assert wrong.exit_code == 2
     assert re.search(r"rig\.yaml:\d+", wrong.output)
     assert "feed-forward, horizon" in wrong.output
 
 
 def test_a_controller_for_a_protocol_without_a_tip_path_is_refused() -> None:
-    found = CliRunner().invoke(app, ["run", "ramp-a", "--fast", "--yes", "--controller", "horizon"])
+    found = invoke("run", "ramp-a", "--fast", "--yes", "--controller", "horizon")
     assert found.exit_code == 2
     assert "a protocol with a tip path" in found.output
 
@@ -204,7 +201,7 @@ def test_the_summary_counts_the_plans(controlled: dict[str, Run]) -> None:
     assert plans is not None
     assert plans.count == len(run.tip_control.time_s)
     assert (plans.not_solved, plans.refused) == (0, 0)
-    shown = CliRunner().invoke(app, ["show", str(run.path)]).output
+    shown = invoke("show", run.path).output
     assert "plans of the tip controller" in shown
     # In virtual time no time is measured.
     assert "solver time" not in shown
@@ -225,7 +222,7 @@ def test_a_run_learns_only_from_runs_of_the_same_experiment(
 ) -> None:
     (tmp_path / "circle.yaml").write_text(protocol, encoding="utf-8")
     command = ["run", str(tmp_path / "circle.yaml"), "--rig", "mock-3", "--yes", *arguments]
-    result = CliRunner().invoke(app, [*command, "--learn-from", str(controlled["horizon"].path)])
+    result = invoke(*command, "--learn-from", controlled["horizon"].path)
     assert result.exit_code == 2
     assert "--learn-from" in result.output
     assert expected in " ".join(result.output.split())
@@ -251,7 +248,7 @@ def test_a_run_goes_on_without_a_controller_that_raises_as_in_real_time(
     (tmp_path / "circle.yaml").write_text(PROTOCOL, encoding="utf-8")
     command = ["run", str(tmp_path / "circle.yaml"), "--rig", "mock-3", "--fast", "--yes", "--no-report"]
     command += ["--out", str(tmp_path), "--controller", "raising_controller:Raises"]
-    result = CliRunner().invoke(app, command)
+    result = invoke(*command)
     assert result.exit_code == 1, result.output
     (archive,) = tmp_path.glob("*.h5")
     run = runs.open(archive)
@@ -268,7 +265,7 @@ def test_a_controller_that_raises_at_once_does_not_start_a_run(tmp_path: Path, m
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "circle.yaml").write_text(PROTOCOL, encoding="utf-8")
     command = ["run", str(tmp_path / "circle.yaml"), "--rig", "mock-3", "--fast", "--yes", "--no-report"]
-    result = CliRunner().invoke(app, [*command, "--out", str(tmp_path), "--controller", "failing_controller:Raises"])
+    result = invoke(*command, "--out", tmp_path, "--controller", "failing_controller:Raises")
     assert result.exit_code == 1
     assert "the tip controller failed: RuntimeError: no idea" in result.output
     assert not list(tmp_path.glob("*.h5"))

@@ -1,0 +1,1 @@
+"""The estimator of tip control: an extended Kalman filter with detection of sudden changes."""

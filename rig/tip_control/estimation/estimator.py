@@ -1,0 +1,181 @@
+"""Extended Kalman filter of what the model does not know of the arm: strengths, lag, payload and disturbance.
+
+measured = model tip(set-points) + [static(Q, 0) - static(P, 0)] + (1 + softness) [static(Q, payload) - static(Q, 0)]
+               - lag * velocity + disturbance                             with Q = P (1 + strength + softness)
+disturbance(t) = d + sum over k of (a_k cos(2 pi k t / period) + b_k sin(2 pi k t / period))
+
+The harmonics are the observer of a periodic reference: they have no phase lag, because they are predicted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.inverse.static_map import StaticMap
+from rig.tip_control.estimation.change_detection import (
+    Change,
+    Innovation,
+    before_change,
+    detected,
+    matched_variance,
+)
+from rig.tip_control.estimation.measurement_map import tip_map_of
+from rig.tip_control.estimation.state import (
+    HARMONICS,
+    ClonedPayload,
+    DetectorState,
+    EstimateLayout,
+    EstimatorState,
+)
+from rig.tip_control.estimation.tuning import EstimatorTuning
+from rig.tip_control.interface import PayloadEstimate
+from rig.tip_control.kernels.kalman import innovation, joseph_update
+from rig.tip_control.kernels.measurement import predicted_measurement
+
+Array = NDArray[np.float64]
+
+
+class TipEstimator:
+    """The filter of an arm with V valves."""
+
+    def __init__(self, static_map: StaticMap, *, learned: bool = False) -> None:
+        """`learned`: the tips that it is given are without the disturbance that earlier runs have shown."""
+        self._tuning = EstimatorTuning()
+        self._tip_map, self.layout = tip_map_of(static_map), EstimateLayout(static_map.valves)
+        known, own = self._tuning.filter, self.layout
+        order = np.arange(1, HARMONICS + 1)
+        self._prior_std = own.vector(
+            known.strength_std, known.softness_std, known.lag_std_s, known.payload_std_kg, known.offset_std_m,
+            known.harmonic_std_m / order,
+        )  # fmt: skip
+        self._first_std = (known.learned_factor if learned else 1.0) * self._prior_std
+        walks = (known.strength_walk, 0.0, known.lag_walk_s, known.payload_walk_kg, known.offset_walk_m)
+        still, moving = np.zeros(HARMONICS), np.full(HARMONICS, known.harmonic_walk_m)
+        self._walk_variance = own.vector(*walks, still) ** 2
+        self._periodic_walk_variance = own.vector(*walks, moving) ** 2
+        self._all_move = np.ones(own.size)
+        self._payload_moves = own.vector(0.0, 0.0, 0.0, 1.0, 1.0, still)
+        self._no_clone = np.zeros(own.size)
+
+    def start(self) -> EstimatorState:
+        """The prior."""
+        return EstimatorState(np.zeros(self.layout.size), np.diag(self._first_std**2))
+
+    def estimate(self, state: EstimatorState, nis: float) -> PayloadEstimate:
+        """What is recorded."""
+        own = self.layout.payload
+        payload, variance = float(state.z[own]), float(state.covariance[own, own])
+        change, change_std = np.nan, np.nan
+        if (before := state.cloned) is not None:
+            change = payload - before.payload_kg
+            unlike = (self._tuning.payload.response_std * change) ** 2
+            shared = before.covariance[own]
+            change_std = float(np.sqrt(max(0.0, variance + before.variance - 2 * shared) + unlike))
+            variance = variance + unlike
+        return PayloadEstimate(payload, float(np.sqrt(variance)), nis, change, change_std)
+
+    def predict(
+        self, state: EstimatorState, tip_m: Array, velocity_m_s: Array, pressure_pa: Array, time_s: float,
+        period_s: float | None,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """Predicted measurement (3,) and its Jacobian (3, n) by z, for the model's tip, velocity and pressures (V,)."""
+        predicted, jacobian = predicted_measurement(
+            self._tip_map, state.z, tip_m, velocity_m_s, pressure_pa, time_s, float(period_s or 0.0)
+        )
+        return predicted, jacobian
+
+    def update(
+        self, state: EstimatorState, measured_m: Array, covariance_m2: Array, prediction: tuple[Array, Array],
+        passed_s: float, period_s: float | None,
+    ) -> tuple[EstimatorState, float]:  # fmt: skip
+        """The state after one frame, and the NIS of its innovation."""
+        predicted, jacobian = prediction
+        covariance = state.covariance.copy()
+        # What has just changed is the payload: the frames after it show its mass, not a drift of the others.
+        if not state.confirming:
+            walk = self._periodic_walk_variance if period_s else self._walk_variance
+            covariance.flat[:: self.layout.size + 1] += passed_s * walk
+        noise = covariance_m2 + (self._tuning.filter.model_std_m**2 + state.unmodelled_m2) * np.eye(3)
+        gap = measured_m - predicted
+        expected, nis = innovation(covariance, jacobian, noise, gap)
+        state = self._adapted(state._replace(covariance=covariance), gap, expected)
+        change, cusum = detected(state, Innovation(gap, jacobian, noise, nis), self.layout.payload, self._tuning)
+        last, state = state, _counted(state)
+        if change is Change.OUTLIER:
+            return state._replace(detector=DetectorState(cusum, 1, state.detector.kept)), nis
+        if change is Change.PAYLOAD:
+            state = self._payload_changed(state)
+        elif change is Change.OTHER:
+            state = self._widened(state, gap)
+        if change is not Change.NONE:
+            gap = gap - jacobian @ (state.z - last.z)
+        if state.settling:
+            swing = self._tuning.payload
+            since_s = (swing.settling_frames - state.settling) * passed_s
+            noise = noise + (swing.swing_std_m * np.exp(-since_s / swing.swing_decay_s)) ** 2 * np.eye(3)
+        moves = self._payload_moves if state.settling else self._all_move
+        clone = state.cloned.covariance if state.cloned is not None else self._no_clone
+        z, covariance, clone = joseph_update(state.z, state.covariance, jacobian, noise, gap, moves, clone)
+        rising = cusum > self._tuning.detection.rising
+        detector = DetectorState(cusum, last.detector.rising_frames + 1 if rising else 0, last.detector.kept)
+        return state._replace(
+            z=z,
+            covariance=covariance,
+            detector=detector if rising else detector._replace(kept=(z, covariance)),
+            cloned=state.cloned._replace(covariance=clone) if state.cloned is not None else None,
+        ), nis
+
+    def _adapted(self, state: EstimatorState, gap: Array, expected: Array) -> EstimatorState:
+        """The state with the variance of what the estimates cannot follow, while it may grow."""
+        detection, widening = self._tuning.detection, self._tuning.widening
+        if not state.adapting or state.frames > detection.first_frames:
+            return state
+        variance = matched_variance(state.unmodelled_m2, gap, expected, detection, widening.tolerated, widening.gain)
+        return state._replace(unmodelled_m2=variance)
+
+    def _payload_changed(self, state: EstimatorState) -> EstimatorState:
+        """The state before the change, so that no other estimate keeps a part of it, with an unknown payload."""
+        own, tuning = self.layout.payload, self._tuning.payload
+        z, covariance = before_change(state)
+        column = covariance[:, own].copy()
+        covariance = covariance.copy()
+        covariance[own, own] += tuning.std_kg**2
+        return state._replace(
+            z=z,
+            covariance=covariance,
+            cloned=ClonedPayload(float(z[own]), float(column[own]), column),
+            settling=tuning.settling_frames,
+            confirming=tuning.confirming_frames,
+        )
+
+    def _widened(self, state: EstimatorState, gap: Array) -> EstimatorState:
+        """The state that learns again: wider priors or, if that was tried just before, more measurement noise."""
+        own, tuning = self.layout.payload, self._tuning
+        z, covariance, unmodelled_m2 = state.z.copy(), state.covariance.copy(), state.unmodelled_m2
+        if state.adapting:
+            unmodelled_m2 += float(gap @ gap) / 3
+        else:
+            covariance.flat[:: self.layout.size + 1] += (tuning.widening.factor * self._prior_std) ** 2
+        if state.cloned is not None:
+            covariance[own, own] += (z[own] - state.cloned.payload_kg) ** 2
+            z[own] = state.cloned.payload_kg
+        return state._replace(
+            z=z,
+            covariance=covariance,
+            cloned=None,
+            unmodelled_m2=unmodelled_m2,
+            frames=tuning.detection.first_frames - tuning.detection.repeated_frames,
+            confirming=0,
+            adapting=tuning.widening.adapting_frames,
+        )
+
+
+def _counted(state: EstimatorState) -> EstimatorState:
+    """The state one frame later."""
+    return state._replace(
+        frames=state.frames + 1,
+        settling=max(0, state.settling - 1),
+        confirming=max(0, state.confirming - 1),
+        adapting=max(0, state.adapting - 1),
+    )

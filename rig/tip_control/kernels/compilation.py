@@ -1,0 +1,19 @@
+"""Compilation of the kernels of tip control. A change of any of their files compiles all of them again."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.kernels.jit import kernel
+
+Array = NDArray[np.float64]
+
+_SOURCES = tuple(str(file) for file in sorted(Path(__file__).parent.glob("*.py")))
+
+compiled = partial(kernel, sources=_SOURCES)
+internal = partial(kernel, sources=_SOURCES, called=False)
+"""For a kernel that only other kernels call."""

@@ -1,0 +1,73 @@
+"""The arm's first modes, one in each coordinate: tip + tau d(tip)/dt + d2(tip)/dt2 / omega^2 = drive."""
+
+from __future__ import annotations
+
+import cmath
+
+import numpy as np
+
+from rig.tip_control.kernels.compilation import Array, compiled, internal
+
+
+@compiled
+def step_matrices(omega_rad_s: Array, tau_s: Array, step_s: float) -> tuple[Array, Array, Array]:
+    """A (3, 2, 2), b0, b1 (3, 2): (tip, velocity) after a step is A (tip, velocity) + b0 u0 + b1 u1.
+
+    For a drive from u0 to u1, linear in between. Closed form: the tip that follows such a drive without swinging is
+    u(t) - tau du/dt, and what differs from it swings freely.
+    """
+    transition, first, last = np.empty((3, 2, 2)), np.empty((3, 2)), np.empty((3, 2))
+    for axis in range(3):
+        decay = 0.5 * omega_rad_s[axis] ** 2 * tau_s[axis]
+        apart = cmath.sqrt(complex(decay**2 - omega_rad_s[axis] ** 2 + 1e-6, 0.0))  # equal roots are moved apart
+        slow, fast = -decay + apart, -decay - apart
+        slowly, quickly = cmath.exp(slow * step_s), cmath.exp(fast * step_s)
+        apart = slow - fast
+        transition[axis, 0, 0] = ((slow * quickly - fast * slowly) / apart).real
+        transition[axis, 0, 1] = ((slowly - quickly) / apart).real
+        transition[axis, 1, 0] = (-slow * fast * (slowly - quickly) / apart).real
+        transition[axis, 1, 1] = ((slow * slowly - fast * quickly) / apart).real
+        lag, rate = tau_s[axis] / step_s, -1 / step_s
+        for row in range(2):
+            from_lag, from_rate = transition[axis, row, 0], transition[axis, row, 1]
+            calm, one = (lag, 1.0) if row == 0 else (rate, 0.0)
+            first[axis, row] = calm - from_lag * (lag + 1.0) - from_rate * rate
+            last[axis, row] = one - calm + from_lag * lag + from_rate * rate
+    return transition, first, last
+
+
+@internal
+def modal_step(
+    transition: Array, first: Array, last: Array, axis: int, tip: float, velocity: float, before: float, after: float
+) -> tuple[float, float]:
+    """Tip and velocity of one coordinate after a step with a drive from `before` to `after`."""
+    return (
+        transition[axis, 0, 0] * tip
+        + transition[axis, 0, 1] * velocity
+        + first[axis, 0] * before
+        + last[axis, 0] * after,
+        transition[axis, 1, 0] * tip
+        + transition[axis, 1, 1] * velocity
+        + first[axis, 1] * before
+        + last[axis, 1] * after,
+    )
+
+
+@compiled
+def modal_states(transition: Array, first: Array, last: Array, state: Array, drive: Array) -> Array:
+    """States (K + 1, 2, 3) from the state (2, 3) on, for drives (K + 1, 3) that are linear in between."""
+    states = np.empty((drive.shape[0], 2, 3))
+    states[0] = state
+    for k in range(drive.shape[0] - 1):
+        for axis in range(3):
+            states[k + 1, 0, axis], states[k + 1, 1, axis] = modal_step(
+                transition,
+                first,
+                last,
+                axis,
+                states[k, 0, axis],
+                states[k, 1, axis],
+                drive[k, axis],
+                drive[k + 1, axis],
+            )
+    return states
