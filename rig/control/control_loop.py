@@ -67,7 +67,7 @@ class ControlLoop:
                 limits.lowest_pressure_bar * PA_PER_BAR,
             )
         self._stream = StreamFollower(config, plan.trajectory) if plan.trajectory.streams else None
-        self._held = False
+        self._stopped = False
         self._valve_of = [0] * config.actuators
         for index, valve in enumerate(config.valves):
             for actuator in valve.actuators:
@@ -113,17 +113,17 @@ class ControlLoop:
     def take_setpoint(self, row: NDArray[np.void] | np.void, now_ns: int) -> NDArray[np.void] | np.void:
         """Follow a set-point of another program, or refuse it; return its row for the record, completed."""
         assert self._stream is not None
-        return self._stream.take(row, now_ns, self.position.protocol_s, held=self._held)
+        return self._stream.take(row, now_ns, self.position.protocol_s, stopped=self._stopped)
 
     def _followed(
-        self, protocol_s: float, periods: int, feed_pa: NDArray[np.float64], feed_rate_pa_s: NDArray[np.float64]
+        self, protocol_s: float, periods: int, protocol_pa: NDArray[np.float64], protocol_rate_pa_s: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The set-points and rates (N,) of the plan, or of the protocol where the tip has no reference."""
         assert self._follower is not None
         if self._trajectory.tip.motion_at(protocol_s) is None:
             self._follower.drop()
         first, dt_s = self._first_actuators, periods * self.period_ns * 1e-9
-        point = self._follower.follow(protocol_s, dt_s, feed_pa[first], feed_rate_pa_s[first])
+        point = self._follower.follow(protocol_s, dt_s, protocol_pa[first], protocol_rate_pa_s[first])
         return point.pressure_pa[self._valve_of], point.rate_pa_s[self._valve_of]
 
     def skip(self) -> None:
@@ -152,7 +152,7 @@ class ControlLoop:
         return len(scans.t_ns)
 
     def cycle(
-        self, number: int, now_ns: int, periods: int, answered: int, held: bool, lateness_ns: int, missed: int
+        self, number: int, now_ns: int, periods: int, prompts_answered: int, paused: bool, lateness_ns: int, missed: int
     ) -> tuple[NDArray[np.void], control.Trip | None]:
         """Run one cycle; return its row (reused: copy it to keep it) and why the run must stop, else None.
 
@@ -161,14 +161,14 @@ class ControlLoop:
         taken = self.read_scans()
         if number > 0:
             dt_s = periods * self.period_ns * 1e-9
-            self.position = advance(self.position, dt_s, self._prompts_s, answered, held)
+            self.position = advance(self.position, dt_s, self._prompts_s, prompts_answered, paused)
         protocol_s = min(self.position.protocol_s, self._trajectory.duration_s)
-        still = self._held = held or self.position.waiting
+        stopped = self._stopped = paused or self.position.waiting
         setpoint_pa = self._trajectory.setpoint_pa(protocol_s)
-        rate_pa_s = np.zeros_like(setpoint_pa) if still else self._trajectory.rate_pa_s(protocol_s)
+        rate_pa_s = np.zeros_like(setpoint_pa) if stopped else self._trajectory.rate_pa_s(protocol_s)
         if self._stream is not None:
             dt_s = periods * self.period_ns * 1e-9
-            setpoint_pa, rate_pa_s = self._stream.follow(protocol_s, dt_s, setpoint_pa, rate_pa_s, held=still)
+            setpoint_pa, rate_pa_s = self._stream.follow(protocol_s, dt_s, setpoint_pa, rate_pa_s, stopped=stopped)
         if self._follower is not None:
             setpoint_pa, rate_pa_s = self._followed(protocol_s, periods, setpoint_pa, rate_pa_s)
         sample = control.Sample(

@@ -16,19 +16,19 @@ class ProtocolPosition:
 
 
 def advance(
-    position: ProtocolPosition, dt_s: float, prompts_s: Sequence[float], answered: int, held: bool
+    position: ProtocolPosition, dt_s: float, prompts_s: Sequence[float], prompts_answered: int, paused: bool
 ) -> ProtocolPosition:
     """Advance by `dt_s`, at most to the next unanswered prompt.
 
-    `prompts_s` are the prompts' times in ascending order, `answered` is the number of answered prompts,
-    `held` whether the run is paused.
+    `prompts_s` are the prompts' times in ascending order, `prompts_answered` is the number of answered prompts,
+    `paused` whether the run is paused.
     """
-    if held:
+    if paused:
         return ProtocolPosition(position.protocol_s, position.prompts_passed, position.waiting)
     target = position.protocol_s + dt_s
     passed = position.prompts_passed
     while passed < len(prompts_s) and prompts_s[passed] <= target:
-        if answered <= passed:
+        if prompts_answered <= passed:
             return ProtocolPosition(prompts_s[passed], passed, waiting=True)
         passed += 1
     return ProtocolPosition(target, passed, waiting=False)

@@ -12,14 +12,14 @@ from rig.valves.base import Regulator, RegulatorState
 
 
 def step(
-    s: Regulator, state: RegulatorState, dt_s: float, measured_pa: float, setpoint_pa: float, rate_pa_s: float
+    regulator: Regulator, state: RegulatorState, dt_s: float, measured_pa: float, setpoint_pa: float, rate_pa_s: float
 ) -> RegulatorState:
     """Advance one valve by `dt_s`: the set-point and its rate of change belong to the new instant."""
     before = state.reference_pa
     if math.isnan(before):
-        before = max(measured_pa, s.lowest_pa)
-    reference = _follow(before, setpoint_pa, rate_pa_s, s.filter_per_s, s.rate_limit_pa_s, dt_s)
-    return s.command(state.integral_pa_s, dt_s, measured_pa, reference, (reference - before) / dt_s)
+        before = max(measured_pa, regulator.lowest_pa)
+    reference = _follow(before, setpoint_pa, rate_pa_s, regulator.filter_per_s, regulator.rate_limit_pa_s, dt_s)
+    return regulator.command(state.integral_pa_s, dt_s, measured_pa, reference, (reference - before) / dt_s)
 
 
 def _follow(reference: float, setpoint: float, rate: float, bandwidth: float, limit: float, dt: float) -> float:

@@ -33,21 +33,22 @@ class SensorSettings:
 class SensorState(NamedTuple):
     """State of one actuator's interlocks after a step; a named tuple for speed, six per cycle.
 
-    `anchor_*`: since the last change of the reading by at least one count; `expected_pa` is the pressure change that
-    the valve should have caused since. `left_*`: since the last change by more than noise.
+    `changed_*`, `unchanged_s`: last change of the reading by at least one count, and the time since; the valve should
+    have changed the pressure by `expected_change_pa` since. `moved_*`, `unmoved_s`: last change by more than noise.
+    `settled_s`: time since the last change of the set-point; `off_reference_s`: time with a tracking error.
     """
 
     pressure_pa: float = math.nan
     rate_pa_s: float = 0.0
-    anchor_v: float = math.nan
-    anchor_s: float = 0.0
-    anchor_integral_pa_s: float = 0.0
-    expected_pa: float = 0.0
-    left_pa: float = math.nan
-    left_reference_pa: float = math.nan
-    left_s: float = 0.0
+    changed_v: float = math.nan
+    unchanged_s: float = 0.0
+    changed_integral_pa_s: float = 0.0
+    expected_change_pa: float = 0.0
+    moved_pa: float = math.nan
+    moved_reference_pa: float = math.nan
+    unmoved_s: float = 0.0
     setpoint_pa: float = math.nan
-    still_s: float = 0.0
+    settled_s: float = 0.0
     off_reference_s: float = 0.0
 
 
@@ -65,22 +66,22 @@ def lsb_v(sensor: Sensor) -> float:
     return (sensor.signal_range[1] - sensor.signal_range[0]) / SIXTEEN_BITS
 
 
-def started(watch: SensorState, volts: float, pressure_pa: float, demand: RegulatorDemand) -> SensorState:
+def started(state: SensorState, volts: float, pressure_pa: float, demand: RegulatorDemand) -> SensorState:
     """The state; the initial one at the first scan."""
-    if not math.isnan(watch.pressure_pa):
-        return watch
+    if not math.isnan(state.pressure_pa):
+        return state
     return SensorState(
         pressure_pa=pressure_pa,
-        anchor_v=volts,
-        left_pa=pressure_pa,
-        left_reference_pa=demand.reference_pa,
+        changed_v=volts,
+        moved_pa=pressure_pa,
+        moved_reference_pa=demand.reference_pa,
         setpoint_pa=demand.setpoint_pa,
     )
 
 
 def updated(
-    s: SensorSettings,
-    watch: SensorState,
+    settings: SensorSettings,
+    state: SensorState,
     dt: float,
     volts: float,
     pressure: float,
@@ -88,38 +89,40 @@ def updated(
     counted: float,
 ) -> SensorState:
     """The state after a scan `dt` after the last one; `counted` is the part of `dt` that counts for the timers."""
-    slope = (pressure - watch.pressure_pa) / dt
-    rate = watch.rate_pa_s + (slope - watch.rate_pa_s) * dt / (RATE_FILTER_S + dt)
-    if abs(volts - watch.anchor_v) >= s.lsb_v:
-        anchor, still, expected, held = volts, 0.0, 0.0, demand.integral_pa_s
+    slope = (pressure - state.pressure_pa) / dt
+    rate = state.rate_pa_s + (slope - state.rate_pa_s) * dt / (RATE_FILTER_S + dt)
+    if abs(volts - state.changed_v) >= settings.lsb_v:
+        changed, unchanged, expected, integral = volts, 0.0, 0.0, demand.integral_pa_s
     else:
-        anchor, still, held = watch.anchor_v, watch.anchor_s + counted, watch.anchor_integral_pa_s
-        # A chamber cannot be emptied below the lowest pressure, whatever the valve does.
-        expected = max(watch.expected_pa + (demand.rate_pa_s - held) * counted, -max(pressure - s.lowest_pa, 0.0))
-    left, left_reference, left_s = watch.left_pa, watch.left_reference_pa, watch.left_s + counted
-    if abs(pressure - left) > NOISE_SHARE * s.accuracy_pa:
-        left, left_reference, left_s = pressure, demand.reference_pa, 0.0
-    settled = demand.setpoint_pa == watch.setpoint_pa
-    off_reference = abs(demand.reference_pa - pressure) > s.tracking_pa
+        changed, unchanged, integral = state.changed_v, state.unchanged_s + counted, state.changed_integral_pa_s
+        # No valve position can empty a chamber below the lowest pressure.
+        expected = max(
+            state.expected_change_pa + (demand.rate_pa_s - integral) * counted, -max(pressure - settings.lowest_pa, 0.0)
+        )
+    moved, moved_reference, unmoved_s = state.moved_pa, state.moved_reference_pa, state.unmoved_s + counted
+    if abs(pressure - moved) > NOISE_SHARE * settings.accuracy_pa:
+        moved, moved_reference, unmoved_s = pressure, demand.reference_pa, 0.0
+    settled = demand.setpoint_pa == state.setpoint_pa
+    off_reference = abs(demand.reference_pa - pressure) > settings.tracking_pa
     # Positional, because keyword arguments would double the time of this function.
     return SensorState(
         pressure,
         rate,
-        anchor,
-        still,
-        held,
+        changed,
+        unchanged,
+        integral,
         expected,
-        left,
-        left_reference,
-        left_s,
+        moved,
+        moved_reference,
+        unmoved_s,
         demand.setpoint_pa,
-        watch.still_s + counted if settled else 0.0,
-        watch.off_reference_s + counted if off_reference else 0.0,
+        state.settled_s + counted if settled else 0.0,
+        state.off_reference_s + counted if off_reference else 0.0,
     )
 
 
-def reset(watch: SensorState, pressure_pa: float) -> SensorState:
+def reset(state: SensorState, pressure_pa: float) -> SensorState:
     """Restart the tracking timers after a stall without control; the pressure and its rate are kept."""
-    return watch._replace(
-        left_pa=pressure_pa, left_reference_pa=pressure_pa, left_s=0.0, still_s=0.0, off_reference_s=0.0
+    return state._replace(
+        moved_pa=pressure_pa, moved_reference_pa=pressure_pa, unmoved_s=0.0, settled_s=0.0, off_reference_s=0.0
     )

@@ -18,7 +18,7 @@ from rig.valves.base import Regulator, RegulatorState
 
 __all__ = ["ControlOutput", "ControlSettings", "ControlState", "Sample", "Trip", "initial", "prepare", "step"]
 
-BLIND_PERIODS = 3.0
+UNMEASURED_PERIODS = 3.0
 """Periods without a scan after which a flow-metering valve is closed, because its flow is no longer measured."""
 
 SHORTEST_STEP_PERIODS, LONGEST_STEP_PERIODS = 0.25, 4.0
@@ -41,21 +41,21 @@ class ControlSettings:
     tracking_s: float
 
 
-REJOIN_S = 0.1
+RESTART_S = 0.1
 """How long scans may be late after a stall, while a card or its simulator catches up."""
 
 
 class ControlState(NamedTuple):
     """State between control steps. Once `trip` is set every command is the safe one, or vents as the trip says.
 
-    `rejoined_ns` is the end of the last stall after which the timers of the interlocks were reset.
+    `restarted_ns` is the end of the last stall after which the timers of the interlocks were reset.
     """
 
     scan_t_ns: int | None
     valves: tuple[RegulatorState, ...]
-    watches: tuple[SensorState, ...]
+    sensors: tuple[SensorState, ...]
     trip: Trip | None = None
-    rejoined_ns: int | None = None
+    restarted_ns: int | None = None
 
 
 class ControlOutput(NamedTuple):
@@ -103,11 +103,11 @@ def step(
     if state.trip is not None:
         ending_v = settings.vent_v if state.trip.vent else settings.safe_v
         return state, ControlOutput(np.array(ending_v), state.trip)
-    blind = sample.t_ns - sample.scan_t_ns > BLIND_PERIODS * settings.period_s * 1e9
+    unmeasured = sample.t_ns - sample.scan_t_ns > UNMEASURED_PERIODS * settings.period_s * 1e9
     voltages = []
     for valve, safe, closed in zip(state.valves, settings.safe_v, settings.closed_v, strict=True):
         voltage = safe if math.isnan(valve.valve_v) else valve.valve_v
-        voltages.append(closed if blind and closed is not None else voltage)
+        voltages.append(closed if unmeasured and closed is not None else voltage)
     return state, ControlOutput(np.array(voltages), None)
 
 
@@ -120,15 +120,15 @@ def _step(
     dt = min(max(passed, SHORTEST_STEP_PERIODS * settings.period_s), LONGEST_STEP_PERIODS * settings.period_s)
     counted = max(dt, passed)
     if sample.stalled_ns and passed >= LONGEST_STEP_PERIODS * settings.period_s:
-        state = _rejoin(settings, state, sample.t_ns, pressure, every_time=sample.time_stopped)
+        state = _restart_references(settings, state, sample.t_ns, pressure, every_time=sample.time_stopped)
         counted = dt if sample.time_stopped else counted
     demands = []
     for i, valve_index in enumerate(settings.valve_of):
         valve = state.valves[valve_index]
         reference = pressure[i] if math.isnan(valve.reference_pa) else valve.reference_pa
         demands.append(RegulatorDemand(setpoint[i], reference, valve.demand_pa_s, valve.integral_pa_s))
-    watches, trip = evaluation.evaluate(
-        limits, state.watches, sample, demands, max(dt, passed), new=new, counted_s=counted
+    sensors, trip = evaluation.evaluate(
+        limits, state.sensors, sample, demands, max(dt, passed), new=new, counted_s=counted
     )
     if trip is not None or not new:
         return before._replace(trip=trip)
@@ -140,10 +140,10 @@ def _step(
         target = sum(setpoint[a] for a in s.actuators) / n
         slope = sum(rate[a] for a in s.actuators) / n
         valves.append(regulator.step(s, valve, dt, mean, target, slope))
-    return ControlState(sample.scan_t_ns, tuple(valves), watches, None, state.rejoined_ns)
+    return ControlState(sample.scan_t_ns, tuple(valves), sensors, None, state.restarted_ns)
 
 
-def _rejoin(
+def _restart_references(
     settings: ControlSettings, state: ControlState, t_ns: int, pressure: list[float], *, every_time: bool
 ) -> ControlState:
     """Restart the references at the measured pressures after a stall.
@@ -152,8 +152,8 @@ def _rejoin(
     stalls repeatedly still trips. With `every_time` (the time of the simulation stopped, too) they are always reset.
     """
     state = state._replace(valves=tuple(valve._replace(reference_pa=math.nan) for valve in state.valves))
-    since_s = math.inf if state.rejoined_ns is None else (t_ns - state.rejoined_ns) * 1e-9
-    if not every_time and REJOIN_S < since_s < 2 * settings.tracking_s:
+    since_s = math.inf if state.restarted_ns is None else (t_ns - state.restarted_ns) * 1e-9
+    if not every_time and RESTART_S < since_s < 2 * settings.tracking_s:
         return state
-    watches = tuple(sensor_state.reset(watch, pa) for watch, pa in zip(state.watches, pressure, strict=True))
-    return state._replace(watches=watches, rejoined_ns=t_ns if since_s > REJOIN_S else state.rejoined_ns)
+    sensors = tuple(sensor_state.reset(sensor, pa) for sensor, pa in zip(state.sensors, pressure, strict=True))
+    return state._replace(sensors=sensors, restarted_ns=t_ns if since_s > RESTART_S else state.restarted_ns)

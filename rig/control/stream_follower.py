@@ -1,4 +1,4 @@
-"""Follows the set-points of another program in the control loop, within the limits of the rig whatever it sends."""
+"""Follows the set-points of another program in the control loop, always within the limits of the rig."""
 
 from __future__ import annotations
 
@@ -86,10 +86,10 @@ class StreamFollower:
         self._silent_s = 0.0
 
     def take(
-        self, row: NDArray[np.void] | np.void, now_ns: int, protocol_s: float, *, held: bool
+        self, row: NDArray[np.void] | np.void, now_ns: int, protocol_s: float, *, stopped: bool
     ) -> NDArray[np.void] | np.void:
         """Follow a set-point from now on, or refuse it; return its row for the record, completed."""
-        interval = None if held else self._trajectory.stream_at(protocol_s)
+        interval = None if stopped else self._trajectory.stream_at(protocol_s)
         row["status"] = stream_status(row, interval, self._newest, self._limits)
         row["protocol_s"], row["late_s"] = protocol_s, (now_ns - row["t_ns"]) * 1e-9
         if row["status"] == StreamStatus.FOLLOWED:
@@ -99,26 +99,28 @@ class StreamFollower:
         return row
 
     def follow(
-        self, protocol_s: float, dt_s: float, feed_pa: Array, feed_rate_pa_s: Array, *, held: bool
+        self, protocol_s: float, dt_s: float, protocol_pa: Array, protocol_rate_pa_s: Array, *, stopped: bool
     ) -> tuple[Array, Array]:
-        """Set-points and rates (N,) at a protocol time, `dt_s` after those before; `feed_pa` are the protocol's."""
+        """Set-points and rates (N,) at a protocol time, `dt_s` after those before; `protocol_pa` are the protocol's."""
         self._enter(self._trajectory.stream_at(protocol_s))
         if self._interval is None and self._last_pa is None:
-            return feed_pa, feed_rate_pa_s
-        if not held:
+            return protocol_pa, protocol_rate_pa_s
+        if not stopped:
             self._silent_s += dt_s
-        last = feed_pa if self._last_pa is None else self._last_pa
-        wanted = feed_pa
+        last = protocol_pa if self._last_pa is None else self._last_pa
+        wanted = protocol_pa
         if self._interval is not None and self._setpoint_pa is not None:
-            wanted = np.where(np.isfinite(self._setpoint_pa), self._setpoint_pa, feed_pa)
+            wanted = np.where(np.isfinite(self._setpoint_pa), self._setpoint_pa, protocol_pa)
         elif self._interval is not None:
             wanted = last  # no set-point has come: the pressures stay
-        room = 0.0 if held else self._rate_pa_s * dt_s
-        given = np.clip(np.clip(wanted, self._limits.lowest_pa, self._limits.pressure_pa), last - room, last + room)
-        returned = self._interval is None and bool((given == feed_pa).all())
+        largest_step = 0.0 if stopped else self._rate_pa_s * dt_s
+        given = np.clip(
+            np.clip(wanted, self._limits.lowest_pa, self._limits.pressure_pa), last - largest_step, last + largest_step
+        )
+        returned = self._interval is None and bool((given == protocol_pa).all())
         self._last_pa = None if returned else given
         # What comes next is not known, so a streamed set-point has no rate, as a jump.
-        return given, feed_rate_pa_s if returned else np.zeros_like(given)
+        return given, protocol_rate_pa_s if returned else np.zeros_like(given)
 
     @property
     def silence(self) -> StreamSilence | None:

@@ -69,6 +69,6 @@ class TriggerPulses:
         return row
 
     def restart(self) -> None:
-        """Count the cycles anew; the next pulse begins PAUSE_FRAMES frame periods after the last."""
+        """Restart the count of cycles; the next pulse begins PAUSE_FRAMES frame periods after the last."""
         self._due, self._falls = None, 0
         self._quiet_until_ns = self._rise_ns + PAUSE_FRAMES * self._cycles * self._cycle_ns

@@ -15,6 +15,9 @@ from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from runs.records import AuxiliaryChannel, Event, Picture, Quantity, Status
 
+UNRECORDED = "the record could not be written"
+"""Begin of the message of a run that ends because its journal fails."""
+
 
 @dataclass(frozen=True)
 class RunPlan:
@@ -67,7 +70,7 @@ class Progress:
     missed: int
     dropped: int | None
     prompt: str | None
-    held: bool = False
+    paused: bool = False
     adapted: tuple[Quantity, ...] = ()
     adaptation: NDArray[np.void] | None = None
     """The newest row of the recursive estimator, in the order of `adapted`."""

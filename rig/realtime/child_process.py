@@ -18,7 +18,7 @@ from rig.hardware.vent_verification import VentOutcome
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.shared_state import SharedState, StateLayout, Stop
 
-TURN_S = 0.002
+POLL_S = 0.002
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def ended_within(process: subprocess.Popen[bytes], timeout_s: float) -> bool:
     return process.poll() is not None
 
 
-def receive(*, tip_controller: bool = False) -> tuple[ChildJob, SharedState]:
+def receive_job(*, tip_controller: bool = False) -> tuple[ChildJob, SharedState]:
     """In the child: the job and the shared memory, of which the tip controller can write its own pages only."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     job: ChildJob = pickle.load(sys.stdin.buffer)  # written by the parent process
@@ -83,7 +83,7 @@ def supervisor_monitor(job: ChildJob) -> ProcessMonitor:
     return monitor
 
 
-def await_turn(memory: SharedState, supervisor: ProcessMonitor, ready: Callable[[], bool]) -> bool:
+def await_device_access(memory: SharedState, supervisor: ProcessMonitor, ready: Callable[[], bool]) -> bool:
     """Wait until this process may open the devices; False if the run ends before that.
 
     Loading takes longest in a start, so all processes load in parallel and then open the devices in a fixed order.
@@ -91,11 +91,16 @@ def await_turn(memory: SharedState, supervisor: ProcessMonitor, ready: Callable[
     while not ready():
         if memory.stop_request != Stop.NONE or supervisor.exited:
             return False
-        time.sleep(TURN_S)
+        time.sleep(POLL_S)
     return True
 
 
-def report_unconfirmed(outcome: VentOutcome) -> None:
-    """Print what is not confirmed on stderr: for a process whose supervisor has exited."""
-    if not outcome.confirmed:
-        print(outcome.sentence, file=sys.stderr, flush=True)
+def report_end(failure: str, verify: Callable[[], VentOutcome]) -> None:
+    """Print why the safe state could not be written, else what `verify` does not confirm; nothing if all is well.
+
+    For a process whose supervisor has exited.
+    """
+    if not failure and not (outcome := verify()).confirmed:
+        failure = outcome.sentence
+    if failure:
+        print(failure, file=sys.stderr, flush=True)

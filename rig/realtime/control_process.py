@@ -18,10 +18,10 @@ from rig.hardware.vent_verification import VentOutcome, VentVerification, real_t
 from rig.realtime import sampling_clocks
 from rig.realtime.child_process import (
     ChildJob,
-    await_turn,
+    await_device_access,
     exit_process,
-    receive,
-    report_unconfirmed,
+    receive_job,
+    report_end,
     supervisor_monitor,
 )
 from rig.realtime.process_monitor import ProcessMonitor
@@ -36,7 +36,7 @@ from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import timing_limits
 from rig.tip_control.plan_record import StampedPlan
 
-LEAD_IN_NS = 5_000_000
+BEFORE_START_NS = 5_000_000
 WARM_UP_S = 0.05
 FIRST_SCAN_S = 0.2
 CLOCKS_PUBLISHED_S = 1.0
@@ -44,11 +44,11 @@ CLOCKS_PUBLISHED_S = 1.0
 
 def main() -> int:
     """Arm, run, write the safe state; the valves are safe before anything is reported."""
-    job, memory = receive()
+    job, memory = receive_job()
     signal.signal(signal.SIGTERM, lambda *_: memory.request_stop(Stop.TERMINATED))
     supervisor = supervisor_monitor(job)
     # The watchdog opens the cards first, to find out whether a card allows one process only.
-    if not await_turn(memory, supervisor, lambda: memory.stage("watchdog") is Stage.READY):
+    if not await_device_access(memory, supervisor, lambda: memory.stage("watchdog") is Stage.READY):
         memory.publish_stage("control", Stage.DONE)
         return 0
     memory.heartbeat("control", time.monotonic_ns())
@@ -82,8 +82,8 @@ def main() -> int:
                 fault = f"{fault}; then {bench.trigger_failure}".removeprefix("; then ")
             vented = _verify_venting(job, memory, bench)
             if supervisor.exited:
-                report_unconfirmed(vented)
-            # Pressures that cannot be read here may be readable by the supervisor, which opens the cards anew.
+                report_end("", lambda: vented)
+            # Pressures that cannot be read here may be readable by the supervisor, which opens the cards again.
             if not vented.confirmed and vented.answered and not memory.watchdog_trip_ns:
                 fault = f"{fault}; then {vented.sentence}".removeprefix("; then ")
     memory.publish_stage("control", Stage.FAILED if fault else Stage.DONE, fault)
@@ -135,7 +135,7 @@ class GuardedOutputs:
             self._bench.write(valve_v)
 
     def undisturbed(self) -> bool:
-        """True if the valves stand where this run has put them; False if its own watchdog has moved them.
+        """True if the outputs have the voltages that this run wrote; False if its own watchdog has written others.
 
         Raises:
             CardError: another program has moved them; if that vented them, the run ends vented.
@@ -171,7 +171,7 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
     ended = _await_start(memory, loop, trigger, supervisor)
     if ended is not None:
         return ended
-    go = memory.start_ns
+    start_ns = memory.start_ns
     memory.heartbeat("control", time.monotonic_ns())
     memory.publish_stage("control", Stage.RUNNING)
     if trigger is not None:
@@ -179,7 +179,7 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
     cycle = skipped = skips = 0
     watchdogs = HeartbeatMonitor(period, timing.watchdog_silent_ns // 10)
     while True:
-        deadline = go + cycle * period
+        deadline = start_ns + cycle * period
         now = wait_until(deadline)
         if memory.stop_request != Stop.NONE:
             valves.undisturbed()  # `rig vent` requests a stop, too: its writes are reported and kept
@@ -215,7 +215,7 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
         if loop.finished:
             return ""
         # A deadline is missed if its cycle has not begun before the next one is due.
-        following = max(cycle + 1, (time.monotonic_ns() - go) // period)
+        following = max(cycle + 1, (time.monotonic_ns() - start_ns) // period)
         skipped = following - cycle - 1
         cycle = following
 
@@ -225,10 +225,10 @@ def _await_start(
 ) -> str | None:
     """Read scans until the run is about to begin; return the fault if it does not begin, empty for a requested stop."""
     began = time.monotonic_ns()
-    while not (go := memory.start_ns) or time.monotonic_ns() < go - LEAD_IN_NS:
+    while not (start_ns := memory.start_ns) or time.monotonic_ns() < start_ns - BEFORE_START_NS:
         loop.read_scans()
         memory.heartbeat("control", time.monotonic_ns())
-        if trigger is not None and not go:
+        if trigger is not None and not start_ns:
             # The observer needs pictures before the run begins.
             _pulse(trigger, (time.monotonic_ns() - began) // loop.period_ns, memory)
         time.sleep(0.002)

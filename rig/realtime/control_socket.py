@@ -4,7 +4,7 @@ Packets are JSON objects. `{"do": "attach"}` is answered with two file descripto
 pickle of its plan. `{"do": "watch"}` reports that a viewer is present. `{"do": "stream", ..}` is a set-point of another
 program, `{"do": "state"}` asks for what that program needs (`rig.realtime.stream_receiver`). Any other `do` is a
 `CommandKind`; `via` names the client program, `who` its user, if known. The record names the account of the connection,
-which the kernel reports (SO_PEERCRED), whatever `who` contains. Only the user of the run and root may connect.
+which the kernel reports (SO_PEERCRED), independent of `who`. Only the user of the run and root may connect.
 The supervisor never waits for a client: one that does not read its answer, or sends no valid packet, is disconnected.
 """
 

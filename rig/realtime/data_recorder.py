@@ -3,24 +3,36 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.execution.plan import OperatorInterface, Recorder
+from rig.execution.plan import UNRECORDED, OperatorInterface, Recorder
 from rig.realtime.health_monitor import HealthMonitor
+from rig.realtime.scheduling import suspended_ns
 from rig.realtime.shared_state import SharedState
+from runs.journal.append_only_file import JournalError
 from runs.records import Event, Level
+
+Record = TypeVar("Record")
 
 
 class DataRecorder:
-    """Moves rows, pictures and events into a journal; keeps the latest rows, counts losses and reports poor health."""
+    """Moves rows, pictures and events into a journal; keeps the latest rows, counts losses and reports poor health.
+
+    A journal that fails raises no error here: `failure` has its reason, and the run must end. Nothing is recorded after
+    that, but events still reach the operator.
+    """
 
     def __init__(self, config: RigConfig, memory: SharedState, journal: Recorder, operator: OperatorInterface) -> None:
         self._config, self._memory, self._journal, self._operator = config, memory, journal, operator
         self._health = HealthMonitor(config)
         self._lost_scans = self._missed = self._dropped = self._lost_pulses = 0
+        self.failure = ""
+        """Why the record could not be written; empty if it could."""
         self.sample: NDArray[np.void] | None = None
         self.observation: NDArray[np.void] | None = None
         self.adaptation: NDArray[np.void] | None = None
@@ -36,8 +48,9 @@ class DataRecorder:
         return self._dropped if self._config.measures_tip else None
 
     def poll(self) -> None:
-        """Record what the processes have written since the last call, and check the supervisor and the disk."""
+        """Record what the processes have written since the last call, and check supervisor, computer and disk."""
         self.report(*self._health.supervisor_stall(time.monotonic_ns()))
+        self.report(*self._health.suspension(time.monotonic_ns(), suspended_ns()))
         self.drain()
         self.report(*self._health.disk(time.monotonic_ns(), self._journal.stalled_s))
 
@@ -46,7 +59,7 @@ class DataRecorder:
         memory, journal = self._memory, self._journal
         samples = memory.samples.read()
         if len(samples):
-            journal.samples(samples)
+            self._write(journal.samples, samples)
             self._missed += int(samples["missed"].sum())
             self.sample = samples[-1]
             self.report(*self._health.samples(samples))
@@ -54,29 +67,29 @@ class DataRecorder:
         self.report(*self._health.lost(time.monotonic_ns(), lost))
         observations = memory.observations.read()
         if len(observations):
-            journal.observations(observations)
+            self._write(journal.observations, observations)
             self._dropped += int(observations["dropped"].sum())
             self.observation = observations[-1]
             self.report(*self._health.observations(observations))
         adaptations = memory.adaptations.read()
         if len(adaptations):
-            journal.adaptations(adaptations)
+            self._write(journal.adaptations, adaptations)
             self.adaptation = adaptations[-1]
         plans = memory.plans.read()
         if len(plans):
-            journal.plans(plans)
+            self._write(journal.plans, plans)
             self.report(*self._health.plans(plans))
         streamed = memory.streamed.read()
         if len(streamed):
-            journal.streamed(streamed)
+            self._write(journal.streamed, streamed)
         pulses = memory.pulses.read()
         # Those before the start have warmed the observer up.
         if len(pulses := pulses[pulses["t_ns"] >= memory.start_ns]):
-            journal.pulses(pulses)
+            self._write(journal.pulses, pulses)
             self._lost_pulses += int(pulses["skipped"].sum())
             self.report(*self._health.pulses(pulses))
         for picture in memory.pictures.read(list(self._config.cameras), self._config.recording.encoding):
-            journal.picture(picture)
+            self._write(journal.picture, picture)
 
     def counters(self) -> dict[str, int]:
         """Losses of the run by name."""
@@ -97,6 +110,15 @@ class DataRecorder:
     def report(self, *events: Event) -> None:
         """Record events and show them to the operator and to attached pages."""
         for event in events:
-            self._journal.event(event)
+            self._write(self._journal.event, event)
             self._memory.push_event(event)
             self._operator.report(event)
+
+    def _write(self, write: Callable[[Record], None], record: Record) -> None:
+        """Write a record into the journal, if it has not failed."""
+        if self.failure:
+            return
+        try:
+            write(record)
+        except JournalError as error:
+            self.failure = f"{UNRECORDED}: {error}"

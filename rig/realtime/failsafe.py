@@ -13,20 +13,13 @@ from rig.hardware.cards.base import CardError
 from rig.hardware.cards.registry import card_type
 from rig.hardware.safe_state import failure_of, make_safe
 from rig.hardware.vent_verification import verify_venting
-from rig.realtime.child_process import ChildJob, report_unconfirmed, supervisor_monitor
+from rig.realtime.child_process import ChildJob, report_end, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import timing_limits
 
-LOOK_S = 0.02
-FREED_S = 0.5
-
-
-def is_safe(memory: SharedState) -> bool:
-    """True once a process has written the safe state, or has reported why it cannot."""
-    ended = (Stage.DONE, Stage.FAILED)
-    written = memory.safe_ns or memory.watchdog_trip_ns
-    return bool(written) or any(memory.stage(name) in ended for name in ("control", "watchdog"))
+POLL_S = 0.02
+RELEASE_S = 0.5
 
 
 class FailsafeThread:
@@ -39,7 +32,7 @@ class FailsafeThread:
         self._config, self._memory = job.plan.config, memory
         self._supervisor = supervisor_monitor(job)
         self._monitors: dict[str, ProcessMonitor] = {}
-        self._looks = 0
+        self._checks = 0
         self._thread = threading.Thread(target=self._watch, name="failsafe", daemon=True)
         self._thread.start()
 
@@ -51,13 +44,23 @@ class FailsafeThread:
         for card in self._config.cards.values():
             with contextlib.suppress(CardError):
                 card_type(card)  # loaded in advance: an emergency leaves no time for imports
-        while not is_safe(self._memory):
+        while not self._is_safe():
             if self._is_last():
                 self._memory.request_stop(Stop.SILENT)
-                if not force_safe_state(self._config, self._memory):
-                    report_unconfirmed(verify_venting(self._config, vent=self._memory.vents))
+                failure = force_safe_state(self._config, self._memory)
+                if (
+                    not failure or self._memory.stage("watchdog") is not Stage.FAILED
+                ):  # else the watchdog has reported it
+                    report_end(failure, lambda: verify_venting(self._config, vent=self._memory.vents))
                 return
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
+
+    def _is_safe(self) -> bool:
+        """True once a process has written the safe state, or the supervisor has ended the run."""
+        memory = self._memory
+        written = memory.safe_ns or memory.watchdog_trip_ns
+        # A process that could not write the safe state leaves it to the supervisor, which may die before it writes.
+        return bool(written) or Stage.DONE in map(memory.stage, ("control", "watchdog", "supervisor"))
 
     def _is_last(self) -> bool:
         """True where neither the supervisor nor control nor the watchdog can write the safe state.
@@ -73,8 +76,8 @@ class FailsafeThread:
         silent_ns = min(now - memory.heartbeat_ns(name) for name in ("control", "watchdog"))
         forsaken = orphaned or now - memory.heartbeat_ns("supervisor") > timing.failsafe_supervisor_ns
         alone = memory.start_ns and forsaken and silent_ns > timing.failsafe_silent_ns
-        self._looks = self._looks + 1 if alone else 0
-        return self._looks > timing.failsafe_looks
+        self._checks = self._checks + 1 if alone else 0
+        return self._checks > timing.failsafe_checks
 
     def _dead(self, name: str, pid: int) -> bool:
         """True where a process has died, or a dead supervisor has never started it (`pid` 0)."""
@@ -96,7 +99,7 @@ def force_safe_state(config: RigConfig, memory: SharedState) -> str:
     time.sleep(0.005)
     # A card with exclusive access is free only once its process has released its memory; and a killed process may have
     # written once more before it died.
-    trouble = failure_of(lambda: make_safe(config, vent=memory.vents), FREED_S)
+    trouble = failure_of(lambda: make_safe(config, vent=memory.vents), RELEASE_S)
     # Set only after the second write: other processes stop checking when it is set.
     memory.safe_ns = 0 if trouble else time.monotonic_ns()
     return trouble

@@ -14,20 +14,21 @@ from numpy.typing import NDArray
 from rig.config.schema import RigConfig
 from runs.records import DATAGRAM_COUNTS, DetectionStatus, Event, Level, SolveStatus
 
-MEMORY_S = 1.0
+SHARE_TIME_CONSTANT_S = 1.0
 """Time constant of the share of affected rows."""
 CLEARED = 0.2
 """A condition ends once its share falls below this part of its threshold (hysteresis)."""
 LATE_S = 0.25
-OFF_PACE = 0.05
+RATE_TOLERANCE = 0.05
 """Largest relative error of the camera rate."""
 DRIFTING = 0.99
 """At the start a jitter takes the drift to its limit for a few seconds; longer, the clock drifts so fast."""
 STALL_S = 0.5
+SUSPENSION_S = 0.1
 CONTROL_STALL_S = 0.1
 DISK_S = 2.0
 
-_SEEN = {
+_CAUSES = {
     DetectionStatus.NO_BOARD: "no board in the picture: light, lens cap, something before the camera?",
     DetectionStatus.AMBIGUOUS: "the board's orientation is ambiguous (half a turn), or the board is cut off",
     DetectionStatus.POOR_FIT: "the board's corners do not fit a plane board",
@@ -39,14 +40,14 @@ _SEEN = {
 
 
 @dataclass(frozen=True)
-class _Words:
+class _TipSource:
     """What measures the tip, and what it gives."""
 
     source: str
     items: str
 
 
-_CAMERA, _TRACKER = _Words("the camera", "pictures"), _Words("the tracker", "poses")
+_CAMERA, _TRACKER = _TipSource("the camera", "pictures"), _TipSource("the tracker", "poses")
 
 
 @dataclass
@@ -58,33 +59,35 @@ class _Condition:
     since_ns: int = 0
     reported: bool = False
 
-    def events(self, t_ns: int, period_s: float, part: float, source: str, wrong: str, well: str) -> Iterator[Event]:
-        """Take one row, of which `part` (0 to 1) is affected; say `wrong` when the condition begins, `well` at its end.
+    def events(
+        self, t_ns: int, period_s: float, part: float, source: str, warning: str, recovery: str
+    ) -> Iterator[Event]:
+        """Take one row, of which `part` (0 to 1) is affected; report when the condition begins and when it ends.
 
-        `{share}` in `wrong` is the share of affected rows.
+        `{share}` in `warning` is the share of affected rows.
         """
         if self.share < self.above * CLEARED:
             self.since_ns = t_ns
-        self.share += (part - self.share) * min(1.0, period_s / MEMORY_S)
+        self.share += (part - self.share) * min(1.0, period_s / SHARE_TIME_CONSTANT_S)
         if not self.reported and self.share > self.above:
             self.reported = True
-            yield _warning(t_ns, source, wrong.replace("{share}", f"{self.share:.0%}"))
+            yield _warning(t_ns, source, warning.replace("{share}", f"{self.share:.0%}"))
         elif self.reported and self.share < self.above * CLEARED:
             self.reported = False
-            yield _over(self, t_ns, source, well)
+            yield _recovered(self, t_ns, source, recovery)
 
 
 class HealthMonitor:
     """Monitors the recorded rows and reports when a condition begins and when it ends."""
 
     def __init__(self, config: RigConfig) -> None:
-        self._tick_s = 1 / config.control.rate_hz
+        self._cycle_s = 1 / config.control.rate_hz
         self._frame_s = 1 / config.observation_hz
         self._unmeasured, self._unsolved = _Condition(0.3), _Condition(0.3)
         self._dropping, self._late, self._missing = _Condition(0.3), _Condition(0.3), _Condition(0.05)
-        self._off_pace, self._apart_s, self._frame_t_ns = _Condition(0.5), self._frame_s, 0
+        self._wrong_rate, self._interval_s, self._frame_t_ns = _Condition(0.5), self._frame_s, 0
         self._cameras = [(name, _Condition(0.3)) for name in config.cameras] if len(config.cameras) > 1 else []
-        self._words = _TRACKER if config.trackers else _CAMERA
+        self._tip_source = _TRACKER if config.trackers else _CAMERA
         self._counted = dict.fromkeys(DATAGRAM_COUNTS, 0)
         self._drifting = _Condition(DRIFTING)
         self._largest_drift = config.tracker.largest_drift_ppm * 1e-6 if config.tracker is not None else np.inf
@@ -92,7 +95,8 @@ class HealthMonitor:
         self._triggered = {name: 0 for name, camera in config.cameras.items() if camera.trigger is not None}
         self._disk = _Condition(DISK_S)
         self._refused, self._not_solved = _Condition(0.3), _Condition(0.3)
-        self._looked_ns = 0
+        self._checked_ns = 0
+        self._suspended_ns: int | None = None
 
     def samples(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of control cycles (n,) of `runs.records.sample_dtype`, in order of time."""
@@ -107,7 +111,7 @@ class HealthMonitor:
                 )
             yield from self._missing.events(
                 t_ns,
-                self._tick_s * (missed + 1),
+                self._cycle_s * (missed + 1),
                 missed / (missed + 1),
                 "control",
                 "{share} of the deadlines are missed: the machine is too busy",
@@ -118,11 +122,11 @@ class HealthMonitor:
         """Events of camera frames (n,) of `runs.records.observation_dtype`, in order of time."""
         for row in rows:
             t_ns, seen, dropped = int(row["t_ns"]), DetectionStatus(int(row["seen"])), int(row["dropped"])
-            words = self._words
+            tip_source = self._tip_source
             camera = seen is not DetectionStatus.NO_CAMERA
             age_s = row["age_ns"] * 1e-9
             old = (
-                f"{words.items} are {age_s:.2f} s old when they are measured"
+                f"{tip_source.items} are {age_s:.2f} s old when they are measured"
                 if camera
                 else f"predictions are {age_s:.2f} s late"
             )
@@ -130,7 +134,7 @@ class HealthMonitor:
                 (
                     self._unmeasured,
                     float(camera and seen is not DetectionStatus.MEASURED),
-                    f"the tip is not measured: {_SEEN.get(seen, seen.name)}",
+                    f"the tip is not measured: {_CAUSES.get(seen, seen.name)}",
                     "the tip is measured again",
                 ),
                 (
@@ -142,21 +146,21 @@ class HealthMonitor:
                 (
                     self._dropping,
                     dropped / (dropped + 1),
-                    f"{words.source} drops {words.items}",
-                    f"all {words.items} of {words.source} come again",
+                    f"{tip_source.source} drops {tip_source.items}",
+                    f"all {tip_source.items} of {tip_source.source} come again",
                 ),
                 (
                     self._late,
                     float(age_s > LATE_S),
                     old,
-                    f"{words.items} come in time again" if camera else "predictions come in time again",
+                    f"{tip_source.items} come in time again" if camera else "predictions come in time again",
                 ),
             )
-            for condition, part, wrong, well in judged:
-                yield from condition.events(t_ns, self._frame_s * (dropped + 1), part, "observer", wrong, well)
+            for condition, part, warning, recovery in judged:
+                yield from condition.events(t_ns, self._frame_s * (dropped + 1), part, "observer", warning, recovery)
             if camera:
-                yield from self._paced(t_ns, dropped)
-            if self._words is _TRACKER and seen is DetectionStatus.MEASURED:
+                yield from self._camera_rate(t_ns, dropped)
+            if self._tip_source is _TRACKER and seen is DetectionStatus.MEASURED:
                 yield from self._unused_messages(row)
             if self._cameras:
                 yield from self._idle_camera(row)
@@ -165,21 +169,21 @@ class HealthMonitor:
             if self._triggered:
                 yield from self._untriggered(row)
 
-    def _paced(self, t_ns: int, dropped: int) -> Iterator[Event]:
+    def _camera_rate(self, t_ns: int, dropped: int) -> Iterator[Event]:
         """Check the camera rate: a driver may set another rate than requested."""
         before_ns, self._frame_t_ns = self._frame_t_ns, t_ns
         if dropped or not before_ns:
             return
-        apart_s = (t_ns - before_ns) * 1e-9
-        self._apart_s += (apart_s - self._apart_s) * min(1.0, apart_s / MEMORY_S)
-        off = abs(self._apart_s / self._frame_s - 1) > OFF_PACE
-        source = self._words.source
-        yield from self._off_pace.events(
+        interval_s = (t_ns - before_ns) * 1e-9
+        self._interval_s += (interval_s - self._interval_s) * min(1.0, interval_s / SHARE_TIME_CONSTANT_S)
+        off = abs(self._interval_s / self._frame_s - 1) > RATE_TOLERANCE
+        source = self._tip_source.source
+        yield from self._wrong_rate.events(
             t_ns,
             self._frame_s,
             float(off),
             "observer",
-            f"{source} gives {1 / self._apart_s:.1f} {self._words.items} a second and the rig says "
+            f"{source} gives {1 / self._interval_s:.1f} {self._tip_source.items} a second and the rig says "
             f"{1 / self._frame_s:g}: set `rate_hz` to what {source} can do",
             f"{source} keeps its pace again",
         )
@@ -189,9 +193,7 @@ class HealthMonitor:
         counts = dict(zip(DATAGRAM_COUNTS, row["datagrams"].tolist(), strict=True))
         before, self._counted = self._counted, counts
         if counts["clock_steps"] > before["clock_steps"]:
-            yield _warning(
-                int(row["t_ns"]), "observer", "the clock of the tracker's sender was set, or it started anew"
-            )
+            yield _warning(int(row["t_ns"]), "observer", "the clock of the tracker's sender was set, or it restarted")
         yield from self._drifting.events(
             int(row["t_ns"]),
             self._frame_s,
@@ -210,10 +212,10 @@ class HealthMonitor:
         t_ns, dropped = int(row["t_ns"]), int(row["dropped"])
         period_s = self._frame_s * (dropped + 1)
         for (name, condition), seen in zip(self._sections, row["section_seen"], strict=True):
-            why = _SEEN.get(DetectionStatus(seen), DetectionStatus(seen).words)
+            why = _CAUSES.get(DetectionStatus(seen), DetectionStatus(seen).words)
             unmeasured = float(seen != DetectionStatus.MEASURED)
-            wrong, well = f"section {name} is not measured: {why}", f"section {name} is measured again"
-            yield from condition.events(t_ns, period_s, unmeasured, "observer", wrong, well)
+            warning, recovery = f"section {name} is not measured: {why}", f"section {name} is measured again"
+            yield from condition.events(t_ns, period_s, unmeasured, "observer", warning, recovery)
 
     def _untriggered(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report the first picture of each camera that no pulse of the trigger began."""
@@ -233,10 +235,13 @@ class HealthMonitor:
             elif seen == DetectionStatus.NO_FRAME:
                 why = "adds nothing: its pictures repeat, or too many are dropped to estimate motion"
             else:
-                why = f"adds nothing: {_SEEN.get(DetectionStatus(seen), DetectionStatus(seen).name)}"
+                why = f"adds nothing: {_CAUSES.get(DetectionStatus(seen), DetectionStatus(seen).name)}"
             unmeasured = float(seen != DetectionStatus.MEASURED)
-            wrong, well = f"camera {name} {why}; the tip is measured without it", f"camera {name} sees the board again"
-            yield from condition.events(t_ns, period_s, unmeasured, "observer", wrong, well)
+            warning, recovery = (
+                f"camera {name} {why}; the tip is measured without it",
+                f"camera {name} sees the board again",
+            )
+            yield from condition.events(t_ns, period_s, unmeasured, "observer", warning, recovery)
 
     def plans(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of plans (n,) of `runs.records.tip_control_dtype`, in order of time."""
@@ -250,8 +255,8 @@ class HealthMonitor:
                 ),
                 (self._not_solved, SolveStatus.NOT_SOLVED, "the solver finds no plan: the ones before are continued"),
             )
-            for condition, wrong, message in judged:
-                part = float(status == wrong)
+            for condition, counted, message in judged:
+                part = float(status == counted)
                 yield from condition.events(
                     t_ns, self._frame_s, part, "tip controller", message, "plans are followed again"
                 )
@@ -274,13 +279,24 @@ class HealthMonitor:
 
     def supervisor_stall(self, t_ns: int) -> Iterator[Event]:
         """Report when the last call was long ago; called in every cycle of the supervisor."""
-        before, self._looked_ns = self._looked_ns, t_ns
+        before, self._checked_ns = self._checked_ns, t_ns
         still_s = (t_ns - before) * 1e-9
         if before and still_s > STALL_S:
             yield _warning(
                 t_ns,
                 "supervisor",
                 f"nothing was recorded for {still_s:.2f} s, all measurements were kept: the machine may have stalled",
+            )
+
+    def suspension(self, t_ns: int, suspended_ns: int) -> Iterator[Event]:
+        """Report a suspension of the computer since the last call; `suspended_ns` is the time in suspension so far."""
+        before, self._suspended_ns = self._suspended_ns, suspended_ns
+        if before is not None and suspended_ns - before > SUSPENSION_S * 1e9:
+            yield _warning(
+                t_ns,
+                "supervisor",
+                f"the computer was suspended for {(suspended_ns - before) * 1e-9:.1f} s, the valves at their last "
+                "voltages; times of the record do not count this",
             )
 
     def disk(self, t_ns: int, standing_s: float) -> Iterator[Event]:
@@ -296,12 +312,12 @@ class HealthMonitor:
                 )
         elif self._disk.reported:
             self._disk.reported = False
-            yield _over(self._disk, t_ns, "supervisor", "the disk takes the record again")
+            yield _recovered(self._disk, t_ns, "supervisor", "the disk takes the record again")
 
 
 def _warning(t_ns: int, source: str, message: str) -> Event:
     return Event(t_ns, Level.WARNING, source, f"{message}; the run continues")
 
 
-def _over(trouble: _Condition, t_ns: int, source: str, message: str) -> Event:
-    return Event(t_ns, Level.INFO, source, f"{message}, after {(t_ns - trouble.since_ns) * 1e-9:.2f} s")
+def _recovered(condition: _Condition, t_ns: int, source: str, message: str) -> Event:
+    return Event(t_ns, Level.INFO, source, f"{message}, after {(t_ns - condition.since_ns) * 1e-9:.2f} s")

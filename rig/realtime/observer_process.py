@@ -20,13 +20,13 @@ from rig.observation.picture_recorder import PictureRecorder
 from rig.observation.prediction_clock import PredictionClock
 from rig.observation.tip_force import auxiliary_values
 from rig.observation.tracker_source import TrackerSource
-from rig.realtime.child_process import ChildJob, await_turn, exit_process, receive, supervisor_monitor
+from rig.realtime.child_process import ChildJob, await_device_access, exit_process, receive_job, supervisor_monitor
 from rig.realtime.failsafe import FailsafeThread
 from rig.realtime.preview import PreviewPublisher
 from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import timing_limits
 
-REHEARSED_FRAMES = 3
+WARM_UP_FRAMES = 3
 FIRST_PICTURE_S = 5.0
 RECENT_PULSES = 64
 """Pulses of the camera trigger among which that of a frame is looked for."""
@@ -37,7 +37,7 @@ HISTORY_S = 2.0
 def main() -> int:
     """Observe until a stop is requested; end once the bench is safe."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    job, memory = receive()
+    job, memory = receive_job()
     failsafe = FailsafeThread(job, memory)
     try:
         _observe(job, memory)
@@ -58,15 +58,15 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
     frame_s = timing_limits(config, memory.granted).frame_s
     observer = _observer(job)
     preview = PreviewPublisher(config, memory)
-    album, names = PictureRecorder(config), list(config.cameras)
+    recorder, names = PictureRecorder(config), list(config.cameras)
     supervisor = supervisor_monitor(job)
-    if not await_turn(memory, supervisor, lambda: _may_open(config, memory)):
+    if not await_device_access(memory, supervisor, lambda: _may_open(config, memory)):
         return
     source = _source(config, job.plan.seed, memory)
     try:
         # A camera without pictures or a silent tracker is detected before the run is armed.
         source.await_all(max(FIRST_PICTURE_S, frame_s))
-        _warm_up(job, [source.read(FIRST_PICTURE_S) for _ in range(REHEARSED_FRAMES)])
+        _warm_up(job, [source.read(FIRST_PICTURE_S) for _ in range(WARM_UP_FRAMES)])
         memory.publish_stage("observer", Stage.READY)
         previous: int | None = None
         while memory.stop_request == Stop.NONE and not supervisor.exited:
@@ -84,7 +84,7 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
             previous = frame_set.index
             _record(job, observer, memory, frame_set, dropped)
             preview.publish(frame_set, observer)
-            for picture in album.pictures(frame_set, observer):
+            for picture in recorder.pictures(frame_set, observer):
                 memory.pictures.push(picture, names.index(picture.camera))
     finally:
         source.close()

@@ -106,7 +106,7 @@ class OperatorSession:
             missed=record.missed,
             dropped=record.dropped,
             prompt=self._prompt_text(waiting) if waiting >= 0 else None,
-            held=self._memory.paused,
+            paused=self._memory.paused,
             adapted=self._plan.adapted,
             adaptation=record.adaptation,
             auxiliary=self._plan.auxiliary,

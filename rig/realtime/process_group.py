@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import time
@@ -11,17 +12,17 @@ from typing import NamedTuple
 from rig.execution.plan import RunPlan
 from rig.realtime.child_process import ChildJob, ended_within, spawn
 from rig.realtime.process_monitor import ProcessMonitor
-from rig.realtime.scheduling import HeartbeatMonitor
+from rig.realtime.scheduling import HeartbeatMonitor, set_niceness
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage
 from rig.realtime.timing_limits import TimingLimits
 from rig.simulator.plant_launcher import Simulation
 
 PROCESSES = ("watchdog", "control", "observer")
 """The processes without which a run ends, in the order of their start."""
-TAKEN_OVER = "the watchdog took the bench over, and exited before it could report why"
-STATUS_S = 1.0
+WATCHDOG_TRIPPED = "the watchdog took the bench over, and exited before it could report why"
+EXIT_STATUS_S = 1.0
 """Time for an exiting process to release its memory: its exit status is known only then."""
-OVERSLEPT_NS = 200_000_000
+LATE_NS = 200_000_000
 
 
 class ProcessFault(NamedTuple):
@@ -40,7 +41,7 @@ class ProcessGroup:
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._monitors: dict[str, ProcessMonitor] = {}
         # After a stall of the whole machine every process gets time to send a heartbeat.
-        self._heartbeats = {name: HeartbeatMonitor(round(period_s * 1e9), OVERSLEPT_NS) for name in PROCESSES}
+        self._heartbeats = {name: HeartbeatMonitor(round(period_s * 1e9), LATE_NS) for name in PROCESSES}
 
     def start(self, name: str) -> None:
         """Start one of PROCESSES, or TIP_CONTROLLER, and monitor it."""
@@ -61,6 +62,12 @@ class ProcessGroup:
             return self._plant is None or self._plant.ready()
         return self._memory.stage(name) is not Stage.STARTING
 
+    def set_niceness(self, name: str, niceness: int) -> int | None:
+        """Request a niceness for a process; return the one that it has, None once it has exited."""
+        with contextlib.suppress(ProcessLookupError):
+            return set_niceness(self._children[name].pid, niceness)
+        return None
+
     def stopped(self, name: str) -> bool:
         """True while a process is stopped by a signal or a debugger."""
         return name in self._monitors and self._monitors[name].stopped
@@ -79,7 +86,7 @@ class ProcessGroup:
 
     def exit_status(self, name: str) -> str:
         """Exit status of a process that has died, as a suffix of its message; empty if it is not known."""
-        return f" (exit status {self._children[name].returncode})" if self.await_exit(name, STATUS_S) else ""
+        return f" (exit status {self._children[name].returncode})" if self.await_exit(name, EXIT_STATUS_S) else ""
 
     def failure(self, names: Iterable[str] = (*PROCESSES, TIP_CONTROLLER)) -> ProcessFault | None:
         """The first of the started processes `names` that has failed or died; None if there is none."""
@@ -97,7 +104,7 @@ class ProcessGroup:
         """A process of a running experiment that has failed, died or been silent for too long, else None."""
         memory = self._memory
         if memory.watchdog_trip_ns:
-            return ProcessFault("watchdog", TAKEN_OVER)
+            return ProcessFault("watchdog", WATCHDOG_TRIPPED)
         if failure := self.failure(PROCESSES):
             return failure
         if self._plant is not None and self._plant.exit_status is not None:
@@ -147,7 +154,7 @@ class ProcessGroup:
             if not ended_within(process, timeout_s):
                 process.kill()
                 # A time-out, because the exit of a traced process is hidden until its debugger collects it.
-                ended_within(process, STATUS_S)
+                ended_within(process, EXIT_STATUS_S)
                 killed.add(name)
         for monitor in self._monitors.values():
             monitor.close()

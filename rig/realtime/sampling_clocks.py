@@ -11,7 +11,7 @@ def publish(memory: SharedState, bench: Bench) -> None:
     """Publish period and drift of the clock of each card, of at most CLOCKS cards."""
     for number, name in list(enumerate(bench.card_names))[:CLOCKS]:
         if (clock := bench.clock(name)) is not None:
-            memory.board["scan_period_ns"][0, number], memory.board["scan_drift_ppm"][0, number] = clock
+            memory.flags["scan_period_ns"][0, number], memory.flags["scan_drift_ppm"][0, number] = clock
 
 
 def clock_counters(memory: SharedState, config: RigConfig) -> dict[str, int]:
@@ -31,12 +31,12 @@ def descriptions(memory: SharedState, config: RigConfig) -> list[str]:
     """A sentence for each card with its own sampling clock."""
     return [
         f"card {name} samples by its own clock every {period_ns * 1e-3:.3f} us "
-        f"(asked for: {1e6 / config.cards[name].sampling_hz:.3f} us)"
+        f"(requested: {1e6 / config.cards[name].sampling_hz:.3f} us)"
         for name, period_ns, _ in _clocks(memory, config)
     ]
 
 
 def _clocks(memory: SharedState, config: RigConfig) -> list[tuple[str, float, float]]:
-    board = memory.board[0]
-    rows = zip(config.cards, board["scan_period_ns"].tolist(), board["scan_drift_ppm"].tolist(), strict=False)
+    flags = memory.flags[0]
+    rows = zip(config.cards, flags["scan_period_ns"].tolist(), flags["scan_drift_ppm"].tolist(), strict=False)
     return [row for row in rows if row[1] > 0]

@@ -1,4 +1,4 @@
-"""Real-time scheduling, precise waiting, heartbeat monitors and stolen CPU time."""
+"""Real-time scheduling, precise waiting, heartbeat monitors; stolen and suspended time of the computer."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ SLICE_NS = 100_000
 _SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}
 _ATTRIBUTES_BYTES = 48
 WATCHDOG_PRIORITY, CONTROL_PRIORITY = 60, 50
+PLANNING_NICENESS = -10
+"""Of the tip controller: above ordinary processes, below every process with SCHED_FIFO."""
 
 
 class Scheduling(IntFlag):
@@ -126,6 +128,19 @@ def raise_priority() -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
 
 
+def set_niceness(pid: int, niceness: int) -> int:
+    """Request a niceness for a process of this user; return the one that it has.
+
+    Where Linux shares the processor among sessions (autogroup), the niceness of a process counts within its session
+    only. The session of a process that leads one gets the same niceness.
+    """
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, pid, niceness)
+        if os.getsid(pid) == pid:
+            Path(f"/proc/{pid}/autogroup").write_text(str(niceness), encoding="ascii")
+    return os.getpriority(os.PRIO_PROCESS, pid)
+
+
 def disable_realtime_scheduling() -> None:
     """Return to ordinary scheduling before the exit, because releasing locked memory is slow and not urgent."""
     with contextlib.suppress(OSError, AttributeError):
@@ -149,17 +164,17 @@ class HeartbeatMonitor:
     Consecutive late intervals mean a busy machine and count in full.
     """
 
-    def __init__(self, period_ns: int, overslept_ns: int) -> None:
-        """It is sampled every `period_ns`; a sample at least `overslept_ns` after the previous one counts as late."""
-        self._period_ns, self._overslept_ns = period_ns, overslept_ns
-        self._looked_ns = self._heartbeat_ns = 0
+    def __init__(self, period_ns: int, late_ns: int) -> None:
+        """It is sampled every `period_ns`; a sample at least `late_ns` after the previous one counts as late."""
+        self._period_ns, self._late_ns = period_ns, late_ns
+        self._checked_ns = self._heartbeat_ns = 0
         self._silent_ns = 0
         self._late = False
 
     def silent_ns(self, now_ns: int, heartbeat_ns: int) -> int:
         """Sample the monitor: return the silence [ns]; `heartbeat_ns` is the time of the last heartbeat."""
-        since, self._looked_ns = now_ns - (self._looked_ns or now_ns), now_ns
-        late = since >= self._overslept_ns
+        since, self._checked_ns = now_ns - (self._checked_ns or now_ns), now_ns
+        late = since >= self._late_ns
         watched = self._period_ns if late and not self._late else since
         self._late = late
         if heartbeat_ns != self._heartbeat_ns:
@@ -168,6 +183,11 @@ class HeartbeatMonitor:
         else:
             self._silent_ns += watched
         return self._silent_ns
+
+
+def suspended_ns() -> int:
+    """Time that this computer has been suspended since boot [ns], which CLOCK_BOOTTIME alone counts."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) - time.monotonic_ns()
 
 
 def steal_time_ms() -> int:

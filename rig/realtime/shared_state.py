@@ -68,7 +68,7 @@ class Stop(IntEnum):
 
 
 _PROCESS = np.dtype([("stage", "<i8"), ("heartbeat_ns", "<i8"), ("message", f"S{MESSAGE_BYTES}")], align=True)
-_BOARD = np.dtype(
+_FLAGS = np.dtype(
     [
         ("control", _PROCESS),
         ("observer", _PROCESS),
@@ -139,8 +139,8 @@ class StateLayout:
         )
 
 
-class _BoardField(Generic[T]):
-    """A typed property of `SharedState` over the field of the same name of its board."""
+class _Flag(Generic[T]):
+    """A typed property of `SharedState` over the field of `flags` of the same name."""
 
     def __init__(self, kind: Callable[[Any], T]) -> None:
         """`kind` makes the value of type T from the stored number."""
@@ -150,16 +150,16 @@ class _BoardField(Generic[T]):
         self._name = name
 
     def __get__(self, state: SharedState, owner: type[SharedState]) -> T:
-        return self._kind(state.board[self._name].item())
+        return self._kind(state.flags[self._name].item())
 
     def __set__(self, state: SharedState, value: T) -> None:
-        state.board[self._name][0] = value
+        state.flags[self._name][0] = value
 
 
 class SharedState:
     """A view of the shared memory of one run. It exists as long as a process holds its file descriptor.
 
-    `board` is one structured row of flags; each flag has one writer and is read and written through the property of
+    `flags` is one structured row; each flag has one writer and is read and written through the property of
     the same name. Times are CLOCK_MONOTONIC [ns], 0 before the event; a process id is 0 before the process exists.
     `samples`, `observations`, `adaptations`, `plans`, `streamed` and `pulses` are rings of the records of
     `runs.records`;
@@ -172,33 +172,33 @@ class SharedState:
     A write through a read-only mapping raises ValueError.
     """
 
-    control_pid = _BoardField(int)
-    watchdog_pid = _BoardField(int)
-    card_holder_pid = _BoardField(int)
+    control_pid = _Flag(int)
+    watchdog_pid = _Flag(int)
+    card_holder_pid = _Flag(int)
     """The process that has the cards open, where that is not the process that the watchdog monitors as control."""
-    control_granted = _BoardField(Scheduling)
-    watchdog_granted = _BoardField(Scheduling)
-    simulator_starting = _BoardField(bool)
-    start_ns = _BoardField(int)
-    stop_request = _BoardField(Stop)
-    vented = _BoardField(bool)
+    control_granted = _Flag(Scheduling)
+    watchdog_granted = _Flag(Scheduling)
+    simulator_starting = _Flag(bool)
+    start_ns = _Flag(int)
+    stop_request = _Flag(Stop)
+    vented = _Flag(bool)
     """True where valves that the safe state would hold are vented: by another program, or for an emergency stop."""
-    paused = _BoardField(bool)
-    skips = _BoardField(int)
+    paused = _Flag(bool)
+    skips = _Flag(int)
     """Requests to skip the rest of a segment, since the start."""
-    viewer_ns = _BoardField(int)
+    viewer_ns = _Flag(int)
     """When a viewer last requested data."""
-    prompts_answered = _BoardField(int)
-    waiting_prompt = _BoardField(int)
+    prompts_answered = _Flag(int)
+    waiting_prompt = _Flag(int)
     """Index of the prompt that the protocol waits for; -1 when it waits for none."""
-    protocol_s = _BoardField(float)
-    safe_ns = _BoardField(int)
+    protocol_s = _Flag(float)
+    safe_ns = _Flag(int)
     """When the safe state was written by another process than the watchdog."""
-    watchdog_trip_ns = _BoardField(int)
+    watchdog_trip_ns = _Flag(int)
     """When the watchdog wrote the safe state because control had died or hung."""
-    lost_scans = _BoardField(int)
-    setpoint_source = _BoardField(SetPointSource)
-    unverified_cards = _BoardField(int)
+    lost_scans = _Flag(int)
+    setpoint_source = _Flag(SetPointSource)
+    unverified_cards = _Flag(int)
     """Cards without read-back, found when the bench was armed."""
 
     def __init__(self, fd: int, layout: StateLayout, *, readonly: bool = False, tip_controller: bool = False) -> None:
@@ -215,7 +215,7 @@ class SharedState:
         streamed = streamed_dtype(layout.actuators)
         view = view_dtype(layout.corners, layout.actuators)
         sizes = (
-            -(-_BOARD.itemsize // 64) * 64,
+            -(-_FLAGS.itemsize // 64) * 64,
             ring_bytes(sample, SAMPLES),
             ring_bytes(observation, OBSERVATIONS),
             PictureRing.row_bytes(),
@@ -239,7 +239,7 @@ class SharedState:
         own_access = mmap.ACCESS_READ if readonly else mmap.ACCESS_WRITE
         own = memoryview(mmap.mmap(fd, own_size, access=own_access, offset=own_start))
         parts = [memory[a:b] for a, b in itertools.pairwise(edges)]
-        self.board: NDArray[np.void] = np.frombuffer(parts[0], _BOARD, 1)
+        self.flags: NDArray[np.void] = np.frombuffer(parts[0], _FLAGS, 1)
         self.samples: RingBuffer[np.void] = RingBuffer(parts[1], sample, SAMPLES)
         self.observations: RingBuffer[np.void] = RingBuffer(parts[2], observation, OBSERVATIONS)
         self.pictures = PictureRing(parts[3], parts[4], layout.picture_bytes)
@@ -263,11 +263,11 @@ class SharedState:
     @property
     def confirmation(self) -> str:
         """How control's pressures confirm the safe state; empty before they do."""
-        return bytes(self.board["confirmation"][0]).decode(errors="replace")
+        return bytes(self.flags["confirmation"][0]).decode(errors="replace")
 
     @confirmation.setter
     def confirmation(self, sentence: str) -> None:
-        self.board["confirmation"][0] = sentence.encode()[:MESSAGE_BYTES]
+        self.flags["confirmation"][0] = sentence.encode()[:MESSAGE_BYTES]
 
     def request_stop(self, reason: Stop) -> None:
         """Request that every process ends with the valves safe. The first stop reason is kept; VENT overrides it."""
@@ -308,7 +308,7 @@ class SharedState:
 
     def _process(self, name: str) -> NDArray[np.void]:
         """Row (1,) of a process: stage, heartbeat and message."""
-        return self._tip_controller if name == TIP_CONTROLLER else self.board[name]
+        return self._tip_controller if name == TIP_CONTROLLER else self.flags[name]
 
     def push_event(self, event: Event) -> None:
         """Publish an event to viewers."""

@@ -12,7 +12,7 @@ from rig.realtime.process_group import ProcessGroup
 from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import TimingLimits
 
-LOOK_S = 0.001
+POLL_S = 0.001
 
 
 class Shutdown:
@@ -45,7 +45,7 @@ class Shutdown:
                 return
             if all(self._processes.silent(name, timing.failsafe_silent_ns) for name in ("control", "watchdog")):
                 break
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
         if self._written_message or memory.safe_ns:
             return
         failure = force_safe_state(self._config, memory)

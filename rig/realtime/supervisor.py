@@ -13,24 +13,25 @@ from rig.hardware.vent_verification import UNCONFIRMED
 from rig.realtime import sampling_clocks
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.operator_session import OperatorSession
-from rig.realtime.process_group import PROCESSES, TAKEN_OVER, ProcessGroup
-from rig.realtime.scheduling import REAL_TIME, Scheduling, obtainable, steal_time_ms
+from rig.realtime.process_group import PROCESSES, WATCHDOG_TRIPPED, ProcessGroup
+from rig.realtime.scheduling import PLANNING_NICENESS, REAL_TIME, Scheduling, obtainable, steal_time_ms
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, StateLayout, Stop
 from rig.realtime.shutdown import Shutdown
 from rig.realtime.timing_limits import TimingProfile, remedies, timing_limits, timing_sentence
 from rig.realtime.tip_controller_monitor import TipControllerMonitor
 from rig.simulator.plant_launcher import Simulation, started
+from rig.tip_control.monitor import SOURCE as TIP_CONTROLLER_SOURCE
 from runs.records import Event, Level, Status
 
 SLOW_START_S = 4.0
 START_TIMEOUT_S = 300.0
 """Long, because a cold compiler cache or a busy machine is not a fault."""
-LEAD_NS = 60_000_000
-START_LOOK_S = 0.005
+START_DELAY_NS = 60_000_000
+START_POLL_S = 0.005
 PERIOD_S = 0.02
-LAST_FRAME_S = 0.5
+LAST_FRAME_TIMEOUT_S = 0.5
 
-STOPPED = {
+STOP_MESSAGES = {
     Stop.SAFE: "a stop of the run was requested",
     Stop.SILENT: "the supervisor had been silent, and the other processes were requested to make the bench safe",
     Stop.TERMINATED: "the control process received SIGTERM",
@@ -58,9 +59,14 @@ def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> 
                 raise CardError(f"{error}; {failure}") from error
             raise
         if failure := supervisor.end():
-            message = f"{outcome.message}; {failure}".removeprefix("; ")
-            return replace(outcome, status=Status.ABORTED, message=message)
+            status, message = _aborted(outcome.message, failure)
+            return replace(outcome, status=status, message=message)
         return outcome
+
+
+def _aborted(message: str, failure: str) -> tuple[Status, str]:
+    """The status of a run with a failure, and its message with the failure after what it already says."""
+    return Status.ABORTED, "; ".join(filter(None, (message, failure)))
 
 
 class Supervisor:
@@ -97,7 +103,7 @@ class Supervisor:
         finally:
             self.shutdown.make_safe(self.timing)
         # The last frame is still being measured, and the live page may have shown it already: it belongs in the record.
-        self.processes.await_exit("observer", LAST_FRAME_S)
+        self.processes.await_exit("observer", LAST_FRAME_TIMEOUT_S)
         self.record.drain()
         outcome = self._outcome(status, message, steal_time_ms() - stolen)
         self.memory.publish_stage("supervisor", Stage.DONE, f"{outcome.status}: {outcome.message}".removesuffix(": "))
@@ -130,8 +136,8 @@ class Supervisor:
             if ending := self._session.end_requested():
                 return ending
             if (stop := memory.stop_request) != Stop.NONE:
-                self._event(Level.FAULT, "supervisor", STOPPED[stop])
-                return Status.ABORTED, STOPPED[stop]
+                self._event(Level.FAULT, "supervisor", STOP_MESSAGES[stop])
+                return Status.ABORTED, STOP_MESSAGES[stop]
             if fault := self.processes.fault(self.timing):
                 # Evaluated before a silent process is killed: its exit status would not show the cause.
                 died = self.processes.died(fault.source)
@@ -140,6 +146,8 @@ class Supervisor:
                 fault = self.processes.completed(fault, self.timing, died=died)
                 self._event(Level.FAULT, *fault)
                 return Status.ABORTED, fault.message
+            if failure := self.record.failure:
+                return Status.ABORTED, failure
             self.record.report(*self._tip_controller.events(time.monotonic_ns()))
             if done:
                 return Status.FINISHED, self._tip_controller.message
@@ -168,7 +176,7 @@ class Supervisor:
                 self._operator.report(Event(time.monotonic_ns(), Level.INFO, "supervisor", message))
             if waited > START_TIMEOUT_S:
                 raise StartError(f"the {name} process was not ready within {START_TIMEOUT_S:.0f} s")
-            self._session.serve(START_LOOK_S)
+            self._session.serve(START_POLL_S)
         self._check_start()
 
     def _check_start(self) -> None:
@@ -179,7 +187,7 @@ class Supervisor:
             status = self.processes.exit_status(fault.source) if self.processes.died(fault.source) else ""
             raise StartError(fault.message.replace("process died", "process died while it started") + status)
         if (stop := self.memory.stop_request) != Stop.NONE:
-            raise StartError(f"before the run began, {STOPPED[stop]}")
+            raise StartError(f"before the run began, {STOP_MESSAGES[stop]}")
 
     def _start(self, open_record: OpenRecord) -> None:
         """Start every process, open the record, and set the time of the first control cycle."""
@@ -196,16 +204,17 @@ class Supervisor:
         for name in self._started:
             self.await_ready(name)
         self.timing = timing_limits(config, memory.granted)
-        go = time.monotonic_ns() + LEAD_NS
-        self.record = DataRecorder(config, memory, open_record(go), self._operator)
+        start_ns = time.monotonic_ns() + START_DELAY_NS
+        self.record = DataRecorder(config, memory, open_record(start_ns), self._operator)
         self._event(Level.INFO, "control", armed_sentence(memory.unverified_cards))
         for sentence in sampling_clocks.descriptions(memory, config):
             self._event(Level.INFO, "card", sentence)
         self._report_timing()
+        self._raise_controller_priority()
         if unattachable:
             self._event(Level.WARNING, "supervisor", unattachable)
         memory.heartbeat("supervisor", time.monotonic_ns())
-        memory.start_ns = max(go, time.monotonic_ns() + LEAD_NS // 10)
+        memory.start_ns = max(start_ns, time.monotonic_ns() + START_DELAY_NS // 10)
 
     def _report_timing(self) -> None:
         """Record the granted scheduling and the resulting time limits."""
@@ -216,22 +225,33 @@ class Supervisor:
         if self.timing.profile is not TimingProfile.STRICT or REAL_TIME not in granted:
             self._event(level, "supervisor", timing_sentence(self._plan.config, granted))
 
+    def _raise_controller_priority(self) -> None:
+        """Raise the tip controller's priority, where control is above it and it is permitted; record what it has.
+
+        Without SCHED_FIFO for control and watchdog the controller, which may run code of the user, stays beside them.
+        """
+        if TIP_CONTROLLER not in self._started or Scheduling.FIFO not in self.memory.granted:
+            return
+        niceness = self.processes.set_niceness(TIP_CONTROLLER, PLANNING_NICENESS)
+        if niceness is not None:
+            late = "" if niceness <= PLANNING_NICENESS else ": on a busy machine its plans may be late"
+            self._event(Level.INFO, TIP_CONTROLLER_SOURCE, f"the tip controller runs with niceness {niceness}{late}")
+
     def _outcome(self, status: Status, message: str, stolen: int) -> Outcome:
         """Verify the safe state and return the outcome of the run, which a failure of the end aborts."""
         memory = self.memory
         # Also after another fault: a chamber that does not vent is always reported.
         if self.control_failure not in message:
-            status, message = Status.ABORTED, f"{message}; {self.control_failure}".removeprefix("; ")
+            status, message = _aborted(message, self.control_failure)
             self._event(Level.FAULT, "control", self.control_failure)
         if memory.watchdog_trip_ns and status is not Status.ABORTED:
-            status, message = Status.ABORTED, memory.message("watchdog") or TAKEN_OVER
+            status, message = _aborted(message, memory.message("watchdog") or WATCHDOG_TRIPPED)
         safe_ns = memory.safe_ns or memory.watchdog_trip_ns
         failure = self.shutdown.verify(self.timing)
         if written := self.shutdown.written_message:
             self._event(Level.FAULT, "supervisor", written)
         if failure:
-            status = Status.ABORTED
-            message = message if UNSAFE in message else f"{message}; {failure}".removeprefix("; ")
+            status, message = _aborted(message, "" if UNSAFE in message else failure)
             self._event(Level.FAULT, "watchdog", failure)
         elif UNCONFIRMED not in message:
             writer = "supervisor" if written else "control" if memory.safe_ns else "watchdog"
@@ -239,8 +259,10 @@ class Supervisor:
             if vented.confirmed:
                 self._event(Level.INFO, writer, f"the valves are in their safe state; {vented.sentence}")
             else:
-                status, message = Status.ABORTED, f"{message}; {vented.sentence}".removeprefix("; ")
+                status, message = _aborted(message, vented.sentence)
                 self._event(Level.FAULT, "supervisor", vented.sentence)
+        if self.record.failure not in message:
+            status, message = _aborted(message, self.record.failure)
         counters = {
             **self.record.counters(),
             "stolen_cpu_ms": stolen,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from rig.config.schema import RigConfig
-from rig.control.step import BLIND_PERIODS
+from rig.control.step import UNMEASURED_PERIODS
 from rig.realtime.scheduling import REAL_TIME, Scheduling, refusals
 
 MS = 1_000_000
@@ -34,7 +34,7 @@ class TimingProfile(StrEnum):
 class TimingLimits:
     """Thresholds of the processes that monitor each other, in real time.
 
-    `late_look_ns`: a watchdog interval that counts as late (see `HeartbeatMonitor`). `grace_ns`: time for control to
+    `late_check_ns`: a watchdog interval that counts as late (see `HeartbeatMonitor`). `grace_ns`: time for control to
     write the safe state after the supervisor has gone. `failsafe_*`: the observer's failsafe thread. `supervised_*`:
     the supervisor. `frame_s`, `disk_s`, `vented_s`: longest wait for a picture, for the disk, for a chamber to vent.
     `ending_s`: time for each process to exit. `simulator_ns`: largest delay of the simulator; `simulation_waits_ns`:
@@ -43,13 +43,13 @@ class TimingLimits:
 
     profile: TimingProfile
     control_hung_ns: int
-    late_look_ns: int = 8 * MS
+    late_check_ns: int = 8 * MS
     watchdog_silent_ns: int = 1000 * MS
     supervisor_silent_ns: int = 2000 * MS
     grace_ns: int = 100 * MS
     failsafe_silent_ns: int = 200 * MS
     failsafe_supervisor_ns: int = 500 * MS
-    failsafe_looks: int = 25
+    failsafe_checks: int = 25
     supervised_control_s: float = 0.5
     supervised_watchdog_s: float = 1.2
     frame_s: float = 1.0
@@ -89,7 +89,7 @@ def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
     return TimingLimits(
         TimingProfile.SIMULATED,
         control_hung_ns=silent_ns,
-        late_look_ns=50 * MS,
+        late_check_ns=50 * MS,
         watchdog_silent_ns=2 * silent_ns,
         supervisor_silent_ns=2 * silent_ns,
         grace_ns=silent_ns,
@@ -102,7 +102,7 @@ def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
         vented_s=10.0,
         ending_s=20.0,
         simulator_ns=2 * silent_ns,
-        simulation_waits_ns=round(BLIND_PERIODS / config.control.rate_hz * 1e9),
+        simulation_waits_ns=round(UNMEASURED_PERIODS / config.control.rate_hz * 1e9),
     )
 
 

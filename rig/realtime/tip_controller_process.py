@@ -12,19 +12,19 @@ import time
 
 import numpy as np
 
-from rig.realtime.child_process import ChildJob, exit_process, receive, supervisor_monitor
+from rig.realtime.child_process import ChildJob, exit_process, receive_job, supervisor_monitor
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, Stop
 from rig.tip_control.monitor import failure_message
 from rig.tip_control.plan_record import record_of
 from rig.tip_control.session import HISTORY_S, TipControlSession
 
-LOOK_S = 0.001
+POLL_S = 0.001
 
 
 def main() -> int:
     """Send plans until a stop is requested."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    job, memory = receive(tip_controller=True)
+    job, memory = receive_job(tip_controller=True)
     try:
         _send_plans(job, memory)
     except Exception as error:
@@ -45,7 +45,7 @@ def _send_plans(job: ChildJob, memory: SharedState) -> None:
         # Of several frames that wait, only the newest is of use: a plan from an old one would be replaced at once.
         frames, samples = memory.observations.read()[-1:], memory.samples.last(cycles)
         if not len(frames) or not len(samples):
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
             continue
         begun_ns, frame = time.monotonic_ns(), frames[0]
         since_ns = samples["t_ns"] - frame["t_ns"]

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import WatchdogOutputs, failure_of
 from rig.hardware.vent_verification import LONGEST_VENTING_S, verify_venting
-from rig.realtime.child_process import await_turn, exit_process, receive, report_unconfirmed, supervisor_monitor
+from rig.realtime.child_process import await_device_access, exit_process, receive_job, report_end, supervisor_monitor
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
     WATCHDOG_PRIORITY,
@@ -28,7 +28,7 @@ from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import TimingLimits, timing_limits
 
 PERIOD_MS = 2
-PATIENCE_S = 0.5
+RETRY_S = 0.5
 EXIT_S = 0.25
 """How long a killed process may take to begin to exit, on a busy machine."""
 
@@ -36,9 +36,9 @@ EXIT_S = 0.25
 def main() -> int:
     """Monitor control until it has exited; write the safe state if control has not."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    job, memory = receive()
+    job, memory = receive_job()
     supervisor = supervisor_monitor(job)
-    if not await_turn(memory, supervisor, lambda: not memory.simulator_starting):
+    if not await_device_access(memory, supervisor, lambda: not memory.simulator_starting):
         memory.publish_stage("watchdog", Stage.DONE)
         return 0
     try:
@@ -70,15 +70,15 @@ def main() -> int:
     memory.publish_stage("watchdog", Stage.FAILED if trouble else Stage.DONE, message)
     if ended:
         # No other process is left to report it.
-        print(f"{message}: the process that held the card was ended to make the valves safe", file=sys.stderr)
+        print(f"{reason}: the process that held the card was ended to make the valves safe", file=sys.stderr)
     outputs.close()
     disable_realtime_scheduling()
-    if reason and not trouble and _supervisor_exits(memory, supervisor):
-        report_unconfirmed(verify_venting(job.plan.config, vent=memory.vents))
+    if (reason and _supervisor_exits(memory, supervisor)) or (not memory.safe_ns and supervisor.exited):
+        report_end(trouble and message, lambda: verify_venting(job.plan.config, vent=memory.vents))
     return 1 if trouble else 0
 
 
-def _make_safe(outputs: WatchdogOutputs, memory: SharedState, patience_s: float = PATIENCE_S) -> str:
+def _make_safe(outputs: WatchdogOutputs, memory: SharedState, patience_s: float = RETRY_S) -> str:
     """Write the safe state; retry a failing card for `patience_s`. Returns the reason of a failure, else empty."""
     return failure_of(lambda: outputs.make_safe(vent=memory.vents), patience_s)
 
@@ -120,7 +120,7 @@ def _watch(
         if control in exited or monitor.exited:
             return "" if memory.stage("control") in (Stage.DONE, Stage.FAILED) else "the control process died"
         if not vented and memory.vents:
-            # At once, whatever control is doing; control does the same in its next cycle.
+            # At once: control does the same, but in its next cycle only.
             _make_safe(outputs, memory, patience_s=0.0)
             vented = True
         running = memory.stage("control") == Stage.RUNNING
@@ -148,7 +148,7 @@ def _watch(
 
 def _heartbeat_monitors(timing: TimingLimits) -> tuple[HeartbeatMonitor, HeartbeatMonitor]:
     """A heartbeat monitor for control and one for the supervisor."""
-    first, second = (HeartbeatMonitor(PERIOD_MS * 1_000_000, timing.late_look_ns) for _ in range(2))
+    first, second = (HeartbeatMonitor(PERIOD_MS * 1_000_000, timing.late_check_ns) for _ in range(2))
     return first, second
 
 

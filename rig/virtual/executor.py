@@ -112,12 +112,12 @@ class _VirtualRun:
         self._unseen = 0
         rate_hz = config.control.rate_hz
         self._batch_cycles = max(1, round(BATCH_S * rate_hz))
-        self._history_ticks = max(1, round(HISTORY_S * rate_hz))
+        self._history_cycles = max(1, round(HISTORY_S * rate_hz))
         self._sample_rows = sample_dtype(config.actuators, len(config.valves), len(config.inputs))
-        self._samples = RecentRows(self._sample_rows, self._history_ticks)
-        self._observations = RecentRows(observations_of(config), self._history_ticks)
-        self._adaptations = RecentRows(adaptation_dtype(len(plan.adapted)), self._history_ticks)
-        self._plans = RecentRows(tip_control_dtype(len(config.valves)), self._history_ticks)
+        self._samples = RecentRows(self._sample_rows, self._history_cycles)
+        self._observations = RecentRows(observations_of(config), self._history_cycles)
+        self._adaptations = RecentRows(adaptation_dtype(len(plan.adapted)), self._history_cycles)
+        self._plans = RecentRows(tip_control_dtype(len(config.valves)), self._history_cycles)
         self._tip_control = _tip_control(plan)
         self._tip_monitor, self._tip_failure = TipControlMonitor(), ""
         self._exposed: deque[tuple[int, float]] = deque()
@@ -200,7 +200,7 @@ class _VirtualRun:
             self._trigger.cycle(cycle)
         row, trip = self._loop.cycle(cycle, now, 1, self._answered, False, 0, 0)
         self._samples.add(row)
-        self._unseen = min(self._unseen + 1, self._history_ticks)
+        self._unseen = min(self._unseen + 1, self._history_cycles)
         if self._tracker is not None:
             self._follow(self._tracker, now)
         for exposed in () if self._tracker is not None else self._exposures(now):
@@ -254,7 +254,7 @@ class _VirtualRun:
         dropped = max(0, frame_set.index - self._frame - 1)
         self._dropped += dropped
         self._frame = frame_set.index
-        history = self._samples.recent(self._history_ticks)
+        history = self._samples.recent(self._history_cycles)
         latest = history[max(0, int(history["t_ns"].searchsorted(frame_set.t_ns, side="right")) - 1)]
         protocol_s = float(latest["protocol_s"])
         while self._pipeline.in_flight >= MOST_IN_FLIGHT:

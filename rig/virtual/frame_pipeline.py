@@ -29,7 +29,7 @@ from rig.simulator.mock_camera import Exposure, MockCamera
 from runs.records import Picture
 
 MOST_IN_FLIGHT = 40
-"""Frame sets for which the shared memory has room."""
+"""Frame sets that fit in the shared memory."""
 _BATCH = 3
 """Frame sets in one message: a message costs several times what its content does."""
 
@@ -271,12 +271,12 @@ def _render(stages: FrameStages, exposures: Connection, pictures: NDArray[np.uin
         rendered.send(batch)
 
 
-def _copied(room: NDArray[np.uint8], frame: Frame | None) -> _RenderedFrame | None:
+def _copied(slot: NDArray[np.uint8], frame: Frame | None) -> _RenderedFrame | None:
     """Copy the picture of a frame into the shared memory."""
     if frame is None:
         return None
     height, width = frame.image.shape
-    room[:height, :width] = frame.image
+    slot[:height, :width] = frame.image
     return _RenderedFrame(frame.index, frame.t_ns, (height, width), frame.truth_m, frame.trigger)
 
 
@@ -303,12 +303,12 @@ def _measure(
         results.send(batch)
 
 
-def _in_memory(head: _RenderedFrame | None, room: NDArray[np.uint8]) -> Frame | None:
+def _in_memory(head: _RenderedFrame | None, slot: NDArray[np.uint8]) -> Frame | None:
     """A frame whose picture stays in the shared memory."""
     if head is None:
         return None
     height, width = head.shape
-    return Frame(head.index, head.t_ns, room[:height, :width], head.truth_m, head.trigger)
+    return Frame(head.index, head.t_ns, slot[:height, :width], head.truth_m, head.trigger)
 
 
 def _failure(error: Exception) -> _Failure:

@@ -11,7 +11,7 @@ from rig.control.interlocks.base import ActuatorInterlock, Trip
 from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.sections.quantities import PA_PER_BAR
 
-EVIDENCE = 2.0
+FROZEN_FACTOR = 2.0
 """A constant reading counts as frozen once the valve should have moved it by this multiple of the accuracy."""
 
 
@@ -30,12 +30,12 @@ class PressureRange(ActuatorInterlock):
         lowest_bar, highest_bar = limits.lowest_pressure_bar - margin_bar, limits.pressure_bar + margin_bar
         return cls(sensor.actuator, lowest_bar * PA_PER_BAR, highest_bar * PA_PER_BAR)
 
-    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
-        if self.lowest_pa <= w.pressure_pa <= self.highest_pa:
+    def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
+        if self.lowest_pa <= state.pressure_pa <= self.highest_pa:
             return None
-        below = w.pressure_pa < self.lowest_pa
+        below = state.pressure_pa < self.lowest_pa
         source, limit_pa = ("under-pressure", self.lowest_pa) if below else ("over-pressure", self.highest_pa)
-        return _trip_bar(t_ns, source, f"actuator {self.actuator} is at", w.pressure_pa, limit_pa)
+        return _trip_bar(t_ns, source, f"actuator {self.actuator} is at", state.pressure_pa, limit_pa)
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,11 @@ class PressureRate(ActuatorInterlock):
         limits = config.limits
         return cls(sensor.actuator, (limits.rate_bar_per_s + limits.rate_margin_bar_per_s) * PA_PER_BAR)
 
-    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
-        if not abs(w.rate_pa_s) > self.limit_pa_s:
+    def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
+        if not abs(state.rate_pa_s) > self.limit_pa_s:
             return None
         what = f"actuator {self.actuator} changes by"
-        return _trip_bar(t_ns, "pressure rate", what, w.rate_pa_s, self.limit_pa_s, "bar/s")
+        return _trip_bar(t_ns, "pressure rate", what, state.rate_pa_s, self.limit_pa_s, "bar/s")
 
 
 @dataclass(frozen=True)
@@ -71,17 +71,17 @@ class FrozenReading(ActuatorInterlock):
         """The limit of the rig file."""
         return cls(sensor.actuator, config.limits.frozen_s, sensor.accuracy_bar * PA_PER_BAR)
 
-    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
+    def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
         """Compare the time without a change, and the change that should have come."""
-        expected = abs(w.expected_pa)
-        if not (w.anchor_s >= self.frozen_s and expected > EVIDENCE * self.accuracy_pa):
+        expected = abs(state.expected_change_pa)
+        if not (state.unchanged_s >= self.frozen_s and expected > FROZEN_FACTOR * self.accuracy_pa):
             return None
         name = f"sensor {self.actuator}"
         message = (
-            f"{name} has not moved by one count for {w.anchor_s:.3f} s (limit {self.frozen_s:.3f} s) while its "
-            f"valve asked for {expected / PA_PER_BAR:.3f} bar: the sensor is frozen, or there is no air"
+            f"{name} has not moved by one count for {state.unchanged_s:.3f} s (limit {self.frozen_s:.3f} s) while its "
+            f"valve should have changed it by {expected / PA_PER_BAR:.3f} bar: the sensor is frozen, or there is no air"
         )
-        return Trip(t_ns, name, message, w.anchor_s, self.frozen_s, "s")
+        return Trip(t_ns, name, message, state.unchanged_s, self.frozen_s, "s")
 
 
 @dataclass(frozen=True)
@@ -103,14 +103,14 @@ class UnresponsiveSensor(ActuatorInterlock):
         response_s = 0.0 if valve.closed_v is not None else config.limits.frozen_s
         return cls(sensor.actuator, config.limits.tracking_bar * PA_PER_BAR, response_s)
 
-    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
+    def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
         """Compare the way of the reference since the reading last moved."""
-        reference_change = demand.reference_pa - w.left_reference_pa
-        if not (abs(reference_change) > self.tracking_pa and w.left_s > self.response_s):
+        reference_change = demand.reference_pa - state.moved_reference_pa
+        if not (abs(reference_change) > self.tracking_pa and state.unmoved_s > self.response_s):
             return None
         name = f"sensor {self.actuator}"
         message = (
-            f"{name} stays at {w.pressure_pa / PA_PER_BAR:.3f} bar: frozen, or no air, while its reference moved by"
+            f"{name} stays at {state.pressure_pa / PA_PER_BAR:.3f} bar: frozen, or no air, while its reference moved by"
         )
         return _trip_bar(t_ns, name, message, reference_change, self.tracking_pa)
 
@@ -128,14 +128,14 @@ class Tracking(ActuatorInterlock):
         """The limits of the rig file."""
         return cls(sensor.actuator, config.limits.tracking_bar * PA_PER_BAR, config.limits.tracking_s)
 
-    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
+    def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
         """Compare the errors and how long they last."""
-        name, error = f"actuator {self.actuator}", w.pressure_pa - demand.setpoint_pa
-        if w.still_s >= self.tracking_s and abs(error) > self.tracking_pa:
+        name, error = f"actuator {self.actuator}", state.pressure_pa - demand.setpoint_pa
+        if state.settled_s >= self.tracking_s and abs(error) > self.tracking_pa:
             return _trip_bar(t_ns, "tracking", f"{name} is off its standing set-point by", error, self.tracking_pa)
-        if w.off_reference_s >= self.tracking_s:
-            error = w.pressure_pa - demand.reference_pa
-            message = f"{name} has strayed from its moving set-point for {w.off_reference_s:.2f} s, now by"
+        if state.off_reference_s >= self.tracking_s:
+            error = state.pressure_pa - demand.reference_pa
+            message = f"{name} has strayed from its moving set-point for {state.off_reference_s:.2f} s, now by"
             return _trip_bar(t_ns, "tracking", message, error, self.tracking_pa)
         return None
 

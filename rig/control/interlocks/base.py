@@ -88,5 +88,5 @@ class ActuatorInterlock(ABC):
         """The interlock with the limits of a rig, for the actuator of a sensor."""
 
     @abstractmethod
-    def trip(self, t_ns: int, w: SensorState, demand: RegulatorDemand) -> Trip | None:
+    def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
         """The trip by the state after a scan, None if the condition is not met."""

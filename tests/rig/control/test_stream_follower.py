@@ -43,17 +43,17 @@ class Loop:
         self.now_s = 0.0
         self.given = np.array(LEVEL)
 
-    def until(self, to_s: float, *, held: bool = False) -> None:
+    def until(self, to_s: float, *, stopped: bool = False) -> None:
         while self.now_s < to_s - 1e-9:
             self.now_s += CYCLE_S
             before = self.given
-            feed = TRAJECTORY.setpoint_pa(self.now_s)
-            self.given, _ = self.follower.follow(self.now_s, CYCLE_S, feed, np.zeros(3), held=held)
+            protocol_pa = TRAJECTORY.setpoint_pa(self.now_s)
+            self.given, _ = self.follower.follow(self.now_s, CYCLE_S, protocol_pa, np.zeros(3), stopped=stopped)
             assert (np.abs(self.given - before) <= RATE_PA_S * CYCLE_S * (1 + 1e-9)).all()
             assert ((self.given >= 0) & (self.given <= LIMIT_PA)).all()
 
-    def take(self, asked: NDArray[np.void], *, held: bool = False) -> StreamStatus:
-        return StreamStatus(int(self.follower.take(asked, 0, self.now_s, held=held)["status"]))
+    def take(self, asked: NDArray[np.void], *, stopped: bool = False) -> StreamStatus:
+        return StreamStatus(int(self.follower.take(asked, 0, self.now_s, stopped=stopped)["status"]))
 
 
 def test_a_set_point_is_followed_within_the_rate_limit_and_left_at_it_after_the_step() -> None:
@@ -95,7 +95,7 @@ def test_outside_of_the_step_and_in_a_pause_set_points_are_refused() -> None:
     loop.until(0.5)
     assert loop.take(row(0, 0.0, 0.0, 0.0)) is StreamStatus.NOT_NOW
     loop.until(1.0)
-    assert loop.take(row(1, 0.0, 0.0, 0.0), held=True) is StreamStatus.NOT_NOW
+    assert loop.take(row(1, 0.0, 0.0, 0.0), stopped=True) is StreamStatus.NOT_NOW
     loop.until(3.2)
     assert loop.take(row(2, 0.0, 0.0, 0.0)) is StreamStatus.NOT_NOW
     np.testing.assert_array_equal(loop.given, LEVEL)
@@ -126,7 +126,7 @@ def test_silence_trips_the_interlock_after_the_time_of_the_step_but_not_in_a_pau
     loop = Loop()
     loop.until(1.5)
     loop.take(row(7, *LEVEL))
-    loop.until(2.5, held=True)
+    loop.until(2.5, stopped=True)
     assert trip(loop) == ""
     loop.until(3.1)
     assert loop.follower.silence is None

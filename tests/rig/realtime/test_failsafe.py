@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
@@ -18,8 +18,9 @@ import rig.config.loader
 from protocols import SetPointTrajectory
 from rig.config.schema import RigConfig
 from rig.execution.plan import RunPlan
+from rig.hardware.safe_state import UNSAFE
 from rig.realtime import watchdog_process
-from rig.realtime.child_process import ChildJob, await_turn, ended_within, supervisor_monitor
+from rig.realtime.child_process import ChildJob, await_device_access, ended_within, supervisor_monitor
 from rig.realtime.failsafe import FailsafeThread, force_safe_state
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import Scheduling
@@ -28,6 +29,8 @@ from rig.realtime.timing_limits import TimingLimits, TimingProfile
 from rig.simulator import plant_launcher
 from rig.simulator.registers import Registers, path_of
 from scripts.rig_process import strict
+from tests.support.mock_registers import mock_registers
+from tests.support.waiting import wait_until
 
 OPEN_V, SAFE_V = 7.0, 0.0
 LENIENT = TimingLimits(TimingProfile.STRICT, control_hung_ns=10**10)
@@ -41,12 +44,8 @@ HOLD_STILL = (
 @pytest.fixture
 def registers() -> Iterator[Registers]:
     """A mock card with open valves and without a plant."""
-    registers = Registers.create(f"guarded-{os.getpid()}", 2, 8)
-    registers.outputs["volts"] = OPEN_V
-    yield registers
-    path = registers.path
-    registers.close()
-    path.unlink()
+    with mock_registers(f"guarded-{os.getpid()}", OPEN_V) as registers:
+        yield registers
 
 
 @pytest.fixture
@@ -83,13 +82,6 @@ def job(config: RigConfig, memory: SharedState, supervisor: int) -> ChildJob:
     return ChildJob(RunPlan(config, path_of("none"), nothing, config.model.variant, 0), memory.fd, supervisor)
 
 
-def until(condition: Callable[[], bool]) -> None:
-    limit = time.monotonic() + 30
-    while not condition():
-        assert time.monotonic() < limit
-        time.sleep(0.005)
-
-
 def volts(registers: Registers) -> list[float]:
     stand: list[float] = registers.outputs["volts"].tolist()
     return stand
@@ -102,10 +94,10 @@ def test_a_process_counts_as_exited_before_its_status_is_collected(
     assert not monitor.exited
     assert not monitor.stopped
     sleeper.send_signal(signal.SIGSTOP)
-    until(lambda: monitor.stopped)
+    wait_until(lambda: monitor.stopped)
     assert not monitor.exited
     sleeper.kill()
-    until(lambda: monitor.exited)
+    wait_until(lambda: monitor.exited)
     assert ended_within(sleeper, 30)
     assert monitor.exited
     assert not monitor.stopped
@@ -116,13 +108,13 @@ def test_a_process_held_by_a_debugger_counts_as_stalled_and_its_kill_does_not_bl
     sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The kernel hides the exit of a traced process from its parent until the debugger waits for it."""
-    monkeypatch.setattr(plant_launcher, "GONE_S", 0.2)
+    monkeypatch.setattr(plant_launcher, "EXIT_S", 0.2)
     monitor = ProcessMonitor(sleeper.pid)
     with subprocess.Popen([sys.executable, "-c", HOLD_STILL, str(sleeper.pid)], stdout=subprocess.PIPE) as debugger:
         assert debugger.stdout is not None
         if debugger.stdout.readline() != b"held\n":
             pytest.skip("this machine lets no process trace another")
-        until(lambda: monitor.stopped)
+        wait_until(lambda: monitor.stopped)
         assert not monitor.exited
         leaving = threading.Thread(
             target=plant_launcher.Simulation(sleeper, rig.config.loader.load("mock")).close, daemon=True
@@ -150,6 +142,40 @@ def test_where_all_others_are_dead_the_bench_is_made_safe_at_once(
     assert volts(registers) == [SAFE_V, SAFE_V]
     assert memory.safe_ns
     assert memory.stop_request == Stop.SILENT
+
+
+def test_the_last_process_reports_that_the_safe_state_could_not_be_written(
+    config: RigConfig, memory: SharedState, registers: Registers, capfd: pytest.CaptureFixture[str]
+) -> None:
+    registers.faults.inject(failing_writes=10**9)
+    memory.control_pid = dead()
+    memory.watchdog_pid = dead()
+    FailsafeThread(job(config, memory, dead()), memory).join()
+    assert UNSAFE in capfd.readouterr().err
+
+
+def test_the_failsafe_writes_what_the_last_control_process_could_not_write(
+    config: RigConfig, memory: SharedState, registers: Registers
+) -> None:
+    memory.control_pid = dead()
+    memory.watchdog_pid = dead()
+    memory.publish_stage("control", Stage.FAILED, UNSAFE)
+    FailsafeThread(job(config, memory, dead()), memory).join()
+    assert volts(registers) == [SAFE_V, SAFE_V]
+
+
+def test_the_failsafe_leaves_what_control_could_not_write_to_the_supervisor_as_long_as_it_lives(
+    config: RigConfig, memory: SharedState, registers: Registers
+) -> None:
+    memory.control_pid = dead()
+    memory.watchdog_pid = dead()
+    memory.publish_stage("control", Stage.FAILED, UNSAFE)
+    failsafe = FailsafeThread(job(config, memory, os.getppid()), memory)
+    time.sleep(0.1)
+    assert volts(registers) == [OPEN_V, OPEN_V]
+    failsafe._supervisor.close()  # counts as exited
+    failsafe.join()
+    assert volts(registers) == [SAFE_V, SAFE_V]
 
 
 def test_the_failsafe_acts_only_once_the_watchdog_is_killed(
@@ -189,6 +215,33 @@ def test_processes_that_stall_before_the_first_cycle_are_left_alone(
     failsafe.join()
 
 
+def watchdog_ends(monkeypatch: pytest.MonkeyPatch, job: ChildJob, memory: SharedState) -> int:
+    """Run the watchdog process in this process; its exit status."""
+    monkeypatch.setattr(watchdog_process, "receive_job", lambda: (job, memory))
+    monkeypatch.setattr(watchdog_process, "enable_realtime_scheduling", lambda priority: Scheduling.NONE)
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        return watchdog_process.main()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.parametrize("stage", [Stage.FAILED, Stage.RUNNING], ids=["control could not write", "control was killed"])
+def test_without_a_supervisor_the_watchdog_reports_that_the_safe_state_could_not_be_written(
+    config: RigConfig,
+    memory: SharedState,
+    registers: Registers,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    stage: Stage,
+) -> None:
+    registers.faults.inject(failing_writes=10**9)
+    memory.control_pid = dead()
+    memory.publish_stage("control", stage, UNSAFE)
+    assert watchdog_ends(monkeypatch, job(config, memory, dead()), memory) == 1
+    assert UNSAFE in capfd.readouterr().err
+
+
 @pytest.mark.parametrize(("safe_ns", "left_v"), [(1, OPEN_V), (0, SAFE_V)])
 def test_the_watchdog_writes_at_the_end_only_if_control_has_not(
     config: RigConfig,
@@ -202,13 +255,7 @@ def test_the_watchdog_writes_at_the_end_only_if_control_has_not(
     memory.control_pid = dead()
     memory.publish_stage("control", Stage.DONE)
     memory.safe_ns = safe_ns
-    monkeypatch.setattr(watchdog_process, "receive", lambda: (job(config, memory, os.getppid()), memory))
-    monkeypatch.setattr(watchdog_process, "enable_realtime_scheduling", lambda priority: Scheduling.NONE)
-    before = signal.getsignal(signal.SIGTERM)
-    try:
-        assert watchdog_process.main() == 0
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    assert watchdog_ends(monkeypatch, job(config, memory, os.getppid()), memory) == 0
     assert volts(registers) == [left_v, left_v]
     assert memory.stage("watchdog") is Stage.DONE
 
@@ -279,10 +326,10 @@ def test_a_process_waits_for_its_start_and_gives_up_once_the_run_is_over(
 ) -> None:
     supervisor = supervisor_monitor(job(config, memory, os.getppid()))
     looks = iter((False, False, True))
-    assert await_turn(memory, supervisor, lambda: next(looks))
-    assert not await_turn(memory, supervisor_monitor(job(config, memory, dead())), lambda: False)
+    assert await_device_access(memory, supervisor, lambda: next(looks))
+    assert not await_device_access(memory, supervisor_monitor(job(config, memory, dead())), lambda: False)
     memory.request_stop(Stop.SAFE)
-    assert not await_turn(memory, supervisor, lambda: False)
+    assert not await_device_access(memory, supervisor, lambda: False)
 
 
 def test_control_and_watchdog_of_a_mock_card_do_not_load_numba() -> None:

@@ -39,7 +39,7 @@ def test_a_page_shows_a_run_without_a_camera_and_a_killed_observer_ends_the_run(
             assert stream.about["measured"] is False
             stream.until("running")
             packets = [stream.packet() for _ in range(20)]
-        lines = [body["drawing"]["lines"] for body, _ in packets if "drawing" in body]
+        lines = [body["overlay"]["lines"] for body, _ in packets if "overlay" in body]
         assert lines
         assert np.isfinite(np.array(lines[-1], float)).all()
         assert not any(picture for _, picture in packets)

@@ -148,6 +148,24 @@ def test_a_stall_is_reported_once_with_its_length() -> None:
     assert "control stalled for 0.60 s" in told[0].message
 
 
+def test_a_suspension_of_the_computer_is_reported_once_with_its_length() -> None:
+    """The clock of the run does not advance meanwhile: only this report shows the suspension."""
+    monitor = HealthMonitor(mock_rig())
+    before_ns = 7_000 * MS  # suspended before the run
+    told = [
+        event
+        for t_ns, suspended_ns in (
+            (1, before_ns),
+            (2, before_ns),
+            (3, before_ns + 12_500 * MS),
+            (4, before_ns + 12_500 * MS),
+        )
+        for event in monitor.suspension(t_ns, suspended_ns)
+    ]
+    assert [(event.t_ns, event.level) for event in told] == [(3, Level.WARNING)]
+    assert "the computer was suspended for 12.5 s" in told[0].message
+
+
 class Clock:
     """Replaces the module `time`: every sleep returns 1.5 s late."""
 

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from rig.control import regulator
-from rig.execution.plan import NullOperator, Outcome, RunPlan, StartError
+from rig.execution.plan import NullOperator, Outcome, Recorder, RunPlan, StartError
 from rig.experiment import run as experiment
 from rig.hardware import runtime_folder
 from rig.hardware.bench import BenchScans
@@ -37,7 +37,8 @@ from rig.realtime.timing_limits import TimingLimits, TimingProfile
 from rig.simulator.plant_launcher import Simulation
 from rig.simulator.registers import Registers
 from runs.journal.append_only_file import JournalError
-from runs.records import Event, Picture, Status
+from runs.records import Event, Level, Picture, Status
+from tests.support.mock_registers import mock_registers
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +77,14 @@ class Unwritten:
 
     def event(self, event: Event) -> None:
         """Discard it."""
+
+
+class FullDisk(Unwritten):
+    """A recorder whose disk is full."""
+
+    def event(self, event: Event) -> None:
+        """Refuse it."""
+        raise JournalError("the disk is full")
 
 
 class SlowBench:
@@ -274,12 +283,8 @@ def test_control_that_stalls_before_its_first_cycle_ends_the_run(
 @pytest.fixture
 def registers() -> Iterator[Registers]:
     """A mock card with open valves and without a plant."""
-    registers = Registers.create(f"started-{os.getpid()}", 2, 8)
-    registers.outputs["volts"] = 7.0
-    yield registers
-    path = registers.path
-    registers.close()
-    path.unlink()
+    with mock_registers(f"started-{os.getpid()}", 7.0) as registers:
+        yield registers
 
 
 @pytest.fixture
@@ -301,7 +306,7 @@ def test_an_error_in_control_is_reported_by_name_and_the_valves_are_safe(
         registers.outputs["volts"] = 7.0
         raise ZeroDivisionError("of a warm-up")
 
-    monkeypatch.setattr(control_process, "receive", lambda: (ChildJob(own_plan, memory.fd, os.getppid()), memory))
+    monkeypatch.setattr(control_process, "receive_job", lambda: (ChildJob(own_plan, memory.fd, os.getppid()), memory))
     monkeypatch.setattr(control_process, "_warm_up", fails)
     monkeypatch.setattr(control_process, "enable_realtime_scheduling", lambda priority: Scheduling.NONE)
     monkeypatch.setattr(control_process, "_verify_venting", lambda *_: VentOutcome(True, ""))
@@ -370,9 +375,9 @@ def test_the_reason_for_the_end_is_reported_even_if_the_watchdog_has_to_be_kille
     assert outcome.counters == ended.counters
 
 
-def recorded(parent: supervisor.Supervisor, plan: RunPlan) -> None:
-    """Let a supervisor discard its records."""
-    parent.record = DataRecorder(plan.config, parent.memory, Unwritten(), NullOperator())
+def recorded(parent: supervisor.Supervisor, plan: RunPlan, journal: Recorder | None = None) -> None:
+    """Let a supervisor record into a journal; without one its records are discarded."""
+    parent.record = DataRecorder(plan.config, parent.memory, journal or Unwritten(), NullOperator())
 
 
 def test_a_run_stopped_while_its_supervisor_stalled_is_not_called_finished(
@@ -386,25 +391,65 @@ def test_a_run_stopped_while_its_supervisor_stalled_is_not_called_finished(
         parent.memory.publish_stage("control", Stage.DONE)
 
     monkeypatch.setattr(parent.processes, "fault", stalled)
-    assert parent.supervise() == (Status.ABORTED, supervisor.STOPPED[Stop.SILENT])
+    assert parent.supervise() == (Status.ABORTED, supervisor.STOP_MESSAGES[Stop.SILENT])
 
 
-def test_remaining_air_is_reported_beside_another_fault_that_ended_the_run(
-    own_parent: supervisor.Supervisor, monkeypatch: pytest.MonkeyPatch
+def test_a_full_disk_hides_no_fault_of_a_process(
+    parent: supervisor.Supervisor, plan: RunPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorded(parent, plan, FullDisk())
+    child(parent.processes, "observer", "").wait()
+    monkeypatch.setattr(parent.shutdown, "make_safe", lambda _: None)
+    assert parent.supervise() == (Status.ABORTED, "the observer process died (exit status 0)")
+
+
+def test_a_full_disk_ends_a_run_whose_processes_are_well(
+    parent: supervisor.Supervisor, plan: RunPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorded(parent, plan, FullDisk())
+    parent.record.event(Level.INFO, "control", "armed")
+    monkeypatch.setattr(parent.processes, "fault", lambda _: None)
+    assert parent.supervise() == (Status.ABORTED, "the record could not be written: the disk is full")
+
+
+OPERATOR = (Status.INTERRUPTED, "by the operator (Ctrl-C)")
+
+
+@pytest.mark.parametrize(
+    ("ending", "control", "watchdog", "journal", "told"),
+    [
+        ((Status.ABORTED, "the camera is gone"), UNCONFIRMED, "", Unwritten, f"the camera is gone; {UNCONFIRMED}"),
+        (OPERATOR, "", "the control process hung", Unwritten, f"{OPERATOR[1]}; the control process hung"),
+        (OPERATOR, "", "", FullDisk, f"{OPERATOR[1]}; the record could not be written: the disk is full"),
+    ],
+    ids=["air remains", "control hangs while it ends", "disk is full at the end"],
+)
+def test_the_first_reason_for_the_end_is_reported_with_the_faults_that_follow(
+    own_parent: supervisor.Supervisor,
+    monkeypatch: pytest.MonkeyPatch,
+    ending: tuple[Status, str],
+    control: str,
+    watchdog: str,
+    journal: type[Unwritten],
+    told: str,
 ) -> None:
     monkeypatch.setattr(own_parent, "await_ready", lambda name: None)
     monkeypatch.setattr(process_group, "spawn", lambda *_: subprocess.Popen([sys.executable, "-c", ""]))
     monkeypatch.setattr(own_parent.shutdown, "verify", lambda _: "")
+    monkeypatch.setattr(own_parent.shutdown, "confirm", lambda _: VentOutcome(True, ""))
 
     def supervise() -> tuple[Status, str]:
         own_parent.memory.safe_ns = 1
-        own_parent.memory.publish_stage("control", Stage.FAILED, UNCONFIRMED)
-        return Status.ABORTED, "the camera is gone"
+        own_parent.memory.publish_stage("control", Stage.FAILED if control else Stage.DONE, control)
+        if watchdog:
+            own_parent.memory.publish_stage("watchdog", Stage.DONE, watchdog)
+            own_parent.memory.watchdog_trip_ns = 1
+        return ending
 
     monkeypatch.setattr(own_parent, "supervise", supervise)
-    outcome = own_parent.run(lambda t_ns: Unwritten())
+    outcome = own_parent.run(lambda t_ns: journal())
     assert outcome.status is Status.ABORTED
-    assert outcome.message == f"the camera is gone; {UNCONFIRMED}"
+    assert outcome.message == told
     own_parent.end()
 
 

@@ -12,6 +12,7 @@ import pytest
 
 import runs
 from rig.config.loader import load
+from rig.realtime.scheduling import Scheduling, obtainable
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, StateLayout
 from rig.simulator.faults import CameraFault
 from rig.simulator.registers import Registers
@@ -102,6 +103,8 @@ def test_the_controller_of_the_rig_follows_the_path_and_the_archive_has_its_time
     assert (plans.solve_us > 0).all()
     assert (plans.late_ms >= 0).all()
     assert np.mean(plans.status == SolveStatus.SOLVED) > 0.95
+    # Only below control and watchdog may the controller, which may hang, be above other processes.
+    assert ("the tip controller runs with niceness" in messages(archive)) == (Scheduling.FIFO in obtainable())
     # The set-points are those of the plans.
     cycles = np.searchsorted(archive.pressure.protocol_s, plans.start_s[:-1] + 0.03)
     wanted = plans.plan_bar[:-1, 0]

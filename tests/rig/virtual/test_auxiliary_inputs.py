@@ -12,7 +12,6 @@ import pytest
 
 import rig.config.loader
 import runs
-from rig.cli.app import main
 from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import CardError
@@ -24,6 +23,7 @@ from scripts.faults import virtual
 from scripts.faults.catalogue import CATALOGUE
 from scripts.faults.injections import StopPressed
 from tests.support.plant_bench import mock_rig
+from tests.support.virtual_runs import virtual_run
 
 INPUTS = """
 inputs:
@@ -54,11 +54,7 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     text = text.replace("\nlimits:", f"{INPUTS}\nlimits:").replace("\nsimulator:", f"\nsimulator:{TRUTH}")
     (folder / "rig.yaml").write_text(re.sub(r"\n{2,}(?=    load:)", "\n", text))
     (folder / "protocol.yaml").write_text(PROTOCOL)
-    command = ["run", str(folder / "protocol.yaml"), "--rig", str(folder / "rig.yaml"), "--fast", "--yes"]
-    with pytest.raises(SystemExit) as ended:
-        main([*command, "--no-report", "--out", str(folder)])
-    assert ended.value.code in (0, None)
-    return next(folder.glob("*.h5"))
+    return virtual_run(folder / "protocol.yaml", folder / "rig.yaml", folder=folder, seed=0).path
 
 
 def test_inputs_are_archived_in_their_units_and_follow_their_simulated_truth(archive: Path) -> None:

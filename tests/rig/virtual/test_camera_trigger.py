@@ -10,7 +10,6 @@ import pytest
 
 import rig.config.loader
 import runs
-from rig.cli.app import main
 from rig.config.schema import RigConfig
 from rig.experiment.replay import replay
 from rig.simulator.faults import CameraFault
@@ -19,7 +18,9 @@ from runs.run import Run
 from scripts.faults import virtual
 from scripts.faults.catalogue import CATALOGUE
 from scripts.faults.injections import BenchFault
+from tests.support.command_line import status_of
 from tests.support.triggered_bench import triggered
+from tests.support.virtual_runs import virtual_run
 
 PROTOCOL = """
 title: One chamber
@@ -35,11 +36,7 @@ def ran(folder: Path, text: str) -> Run:
     folder.mkdir(exist_ok=True)
     (folder / "rig.yaml").write_text(text)
     (folder / "protocol.yaml").write_text(PROTOCOL)
-    command = ["run", str(folder / "protocol.yaml"), "--rig", str(folder / "rig.yaml"), "--fast", "--yes"]
-    with pytest.raises(SystemExit) as ended:
-        main([*command, "--no-report", "--seed", "3", "--out", str(folder)])
-    assert ended.value.code in (0, None)
-    return runs.open(next(folder.glob("*.h5")))
+    return virtual_run(folder / "protocol.yaml", folder / "rig.yaml", folder=folder, seed=3)
 
 
 @pytest.fixture(scope="module", params=["mock", "mock-stereo"])
@@ -156,6 +153,5 @@ def test_a_replay_and_a_simulation_have_no_pulses(run: Run, tmp_path: Path) -> N
     (tmp_path / "rig.yaml").write_text(run.header.rig_yaml)
     (tmp_path / "protocol.yaml").write_text(PROTOCOL)
     out = tmp_path / "simulated"
-    with pytest.raises(SystemExit):
-        main(["simulate", str(tmp_path / "protocol.yaml"), "--rig", str(tmp_path / "rig.yaml"), "--out", str(out)])
+    assert status_of("simulate", tmp_path / "protocol.yaml", "--rig", tmp_path / "rig.yaml", "--out", out) == 0
     assert runs.open(next(out.glob("*.h5"))).trigger is None

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 import rig.config.loader
 import runs
 from calibration.identify.data import in_motion
-from rig.cli.app import main
 from rig.experiment.replay import replay
 from rig.hardware.cameras.base import FrameSet
 from rig.live import view_state
@@ -25,7 +24,9 @@ from runs.records import SectionPlace
 from runs.report import drawing
 from runs.report.figure_specifications import figure_specifications
 from runs.run import Run
+from tests.support.command_line import status_of
 from tests.support.sectioned_bench import sectioned, sectioned_rig
+from tests.support.virtual_runs import virtual_run
 
 PROTOCOL = """
 title: One chamber
@@ -36,16 +37,12 @@ steps:
 POSES = 12
 
 
-def ran(folder: Path, text: str, *options: str) -> Run:
+def ran(folder: Path, text: str) -> Run:
     """A run in virtual time on this rig."""
     folder.mkdir(exist_ok=True)
     (folder / "rig.yaml").write_text(text)
     (folder / "protocol.yaml").write_text(PROTOCOL)
-    command = ["run", str(folder / "protocol.yaml"), "--rig", str(folder / "rig.yaml"), "--fast", "--yes"]
-    with pytest.raises(SystemExit) as ended:
-        main([*command, "--no-report", "--seed", "3", "--out", str(folder), *options])
-    assert ended.value.code in (0, None)
-    return runs.open(next(folder.glob("*.h5")))
+    return virtual_run(folder / "protocol.yaml", folder / "rig.yaml", folder=folder, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -109,8 +106,7 @@ def test_the_tip_of_a_rig_with_sections_is_measured_as_without(run: Run, tmp_pat
 def test_the_model_alone_gives_the_points_of_its_sections(tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text(sectioned(rig.config.loader.text("mock-charuco")))
     (tmp_path / "protocol.yaml").write_text(PROTOCOL)
-    with pytest.raises(SystemExit):
-        main(["simulate", str(tmp_path / "protocol.yaml"), "--rig", str(tmp_path / "rig.yaml"), "--out", str(tmp_path)])
+    assert status_of("simulate", tmp_path / "protocol.yaml", "--rig", tmp_path / "rig.yaml", "--out", tmp_path) == 0
     found = runs.open(next(tmp_path.glob("*.h5")))
     assert found.sections is not None
     assert found.backbone is not None
@@ -183,9 +179,7 @@ def test_identification_reads_the_sections_with_their_covariances(run: Run) -> N
 
 
 def test_rig_identify_says_which_sections_it_used(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["identify", "fit", str(run.path), "--free", "a1_per_n", "--starts", "1"])
-    assert ended.value.code in (0, None)
+    assert status_of("identify", "fit", run.path, "--free", "a1_per_n", "--starts", "1") == 0
     printed = capsys.readouterr().out
     assert "sections used: middle at 85 mm in " in printed
     assert "; lower at 125 mm in " in printed

@@ -7,18 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import runs
 from protocols.problems import BadInputError
 from rig.calibrate import inputs
 from rig.cli import archive_output
 from rig.config import loader
-from rig.experiment import run as experiment
 from rig.live.archived_run import ArchivedRun
 from runs import catalogue, table
 from runs.export import exporters
 from runs.records import DetectionStatus, Status
 from runs.run import Run
-from tests.rig.virtual.test_run import Silent, protocol_file
+from tests.support.virtual_runs import protocol_file, virtual_run
 
 STEPS = "  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 1}\n  - hold: {duration_s: 0.5}\n"
 MOCK = loader.path_of("mock").read_text(encoding="utf-8")
@@ -28,12 +26,7 @@ MOCK = loader.path_of("mock").read_text(encoding="utf-8")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A ramp of a rig without cameras, with its report."""
     folder = tmp_path_factory.mktemp("no-camera")
-    request = experiment.request(
-        protocol_file(folder, STEPS), "mock-no-camera", folder=folder / "data", fast=True, seed=2, report=True
-    )
-    result = experiment.run(request, experiment.plan(request), Silent())
-    assert result.archive is not None
-    return runs.open(result.archive)
+    return virtual_run(protocol_file(folder, STEPS), "mock-no-camera", folder=folder / "data", seed=2, report=True)
 
 
 def test_the_model_predicts_the_tip_from_the_pressures_of_a_rig_without_cameras(run: Run) -> None:
@@ -101,7 +94,7 @@ def test_a_board_without_a_camera_is_refused_and_a_camera_without_a_board() -> N
 
 def test_an_online_estimation_without_a_camera_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="a rig with a camera"):
-        experiment.request(protocol_file(tmp_path, STEPS), "mock-no-camera", folder=tmp_path, fast=True, adapt=[])
+        virtual_run(protocol_file(tmp_path, STEPS), "mock-no-camera", folder=tmp_path, adapt=[])
 
 
 def test_a_camera_calibration_of_a_rig_without_a_camera_is_refused() -> None:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import protocols
-import runs
 from protocols import BadInputError
 from rig.execution.plan import NullOperator, StartError
 from rig.experiment import run as experiment
@@ -19,36 +18,7 @@ from runs.journal.append_only_file import JournalError
 from runs.records import Event, Status
 from runs.run import Run
 from runs.summary import Summary, summarise
-
-
-class Silent(NullOperator):
-    """Stores the events and never stops the run."""
-
-    def __init__(self, stop_after: int = 10**9) -> None:
-        self.events: list[Event] = []
-        self._polls_left = stop_after
-
-    def report(self, event: Event) -> None:
-        """Remember."""
-        self.events.append(event)
-
-    def stop_requested(self) -> str | None:
-        """After some polls."""
-        self._polls_left -= 1
-        return "enough" if self._polls_left < 0 else None
-
-
-def run_fast(folder: Path, protocol: str, seed: int = 1, stop_after: int = 10**9) -> Run:
-    request = experiment.request(protocol, "mock", folder=folder, fast=True, seed=seed, report=False)
-    result = experiment.run(request, experiment.plan(request), Silent(stop_after))
-    assert result.archive is not None
-    return runs.open(result.archive)
-
-
-def protocol_file(folder: Path, steps: str) -> str:
-    path = folder / "protocol.yaml"
-    path.write_text(f"title: For a test\nsteps:\n{steps}")
-    return str(path)
+from tests.support.virtual_runs import protocol_file, virtual_run
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +26,7 @@ def ramp_a(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """The paper's staircase on actuator 1, each level held for a third as long; shared by all tests of this module."""
     folder = tmp_path_factory.mktemp("ramp-a")
     (folder / "ramp-a.yaml").write_text(protocols.load("ramp-a").text.replace("dwell_s: 4", "dwell_s: 1.3"))
-    return run_fast(folder, str(folder / "ramp-a.yaml"))
+    return virtual_run(folder / "ramp-a.yaml", folder=folder)
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +86,7 @@ def test_the_archive_names_every_number_that_the_model_used(ramp_a: Run) -> None
 
 def test_the_sinusoid_is_tracked_within_ten_millibar_rms(tmp_path: Path) -> None:
     (tmp_path / "sine-2.yaml").write_text(protocols.load("sine-2").text.replace("periods: 4", "periods: 1"))
-    run = run_fast(tmp_path, str(tmp_path / "sine-2.yaml"))
+    run = virtual_run(tmp_path / "sine-2.yaml", folder=tmp_path)
     (sine,) = [s for s in run.header.intervals if s.kind == "sine"]
     pressure = run.pressure
     during = (pressure.protocol_s >= sine.start_s) & (pressure.protocol_s < sine.stop_s)
@@ -126,7 +96,7 @@ def test_the_sinusoid_is_tracked_within_ten_millibar_rms(tmp_path: Path) -> None
 
 def test_the_same_seed_gives_the_same_arrays_bit_for_bit(tmp_path: Path) -> None:
     protocol = protocol_file(tmp_path, "  - ramp: {actuators: [1], to_bar: 0.4, duration_s: 1}\n")
-    one, two, other = (run_fast(tmp_path / str(n), protocol, seed) for n, seed in enumerate((7, 7, 8)))
+    one, two, other = (virtual_run(protocol, folder=tmp_path / str(n), seed=seed) for n, seed in enumerate((7, 7, 8)))
     for room in ("pressure", "tip", "timing"):
         first, second = getattr(one, room), getattr(two, room)
         for name in first.values:
@@ -137,8 +107,15 @@ def test_the_same_seed_gives_the_same_arrays_bit_for_bit(tmp_path: Path) -> None
 
 
 def test_a_stop_request_ends_in_an_interrupted_archive(tmp_path: Path) -> None:
+    class Impatient(NullOperator):
+        polls_left = 2
+
+        def stop_requested(self) -> str | None:
+            self.polls_left -= 1
+            return "enough" if self.polls_left < 0 else None
+
     protocol = protocol_file(tmp_path, "  - hold: {duration_s: 600}\n")
-    run = run_fast(tmp_path, protocol, stop_after=2)
+    run = virtual_run(protocol, folder=tmp_path, interface=Impatient())
     assert run.status is Status.INTERRUPTED
     assert run.message == "enough"
 
@@ -147,14 +124,14 @@ def test_prompts_are_answered_automatically_and_that_is_recorded(tmp_path: Path)
     protocol = protocol_file(
         tmp_path, "  - hold: {duration_s: 0.5}\n  - prompt: Hang 100 g\n  - hold: {duration_s: 0.5}\n"
     )
-    run = run_fast(tmp_path, protocol)
+    run = virtual_run(protocol, folder=tmp_path)
     assert run.status is Status.FINISHED
     assert any("Hang 100 g" in event.message and "virtual time" in event.message for event in run.events)
 
 
 def test_a_weight_stretches_both_the_simulated_arm_and_the_model(tmp_path: Path) -> None:
     steps = "  - hold: {duration_s: 1}\n  - prompt: {message: Hang 1 kg, weight_g: 1000}\n  - hold: {duration_s: 3}\n"
-    run = run_fast(tmp_path, protocol_file(tmp_path, steps))
+    run = virtual_run(protocol_file(tmp_path, steps), folder=tmp_path)
     before, after = run.tip.protocol_s < 0.9, run.tip.protocol_s > 3.0
     assert set(run.tip.weight_g[before]) == {0.0}
     assert set(run.tip.weight_g[after]) == {1000.0}
@@ -166,7 +143,7 @@ def test_a_weight_stretches_both_the_simulated_arm_and_the_model(tmp_path: Path)
 
 def test_a_level_above_the_limit_is_refused_before_anything_starts(tmp_path: Path) -> None:
     protocol = protocol_file(tmp_path, "  - ramp: {actuators: [1], to_bar: 0.8, duration_s: 2}\n")
-    request = experiment.request(protocol, "mock", folder=tmp_path / "out", fast=True)
+    request = experiment.request(str(protocol), "mock", folder=tmp_path / "out", fast=True)
     with pytest.raises(BadInputError, match=r"protocol\.yaml:3"):
         experiment.plan(request)
     assert not (tmp_path / "out").exists()
@@ -175,7 +152,7 @@ def test_a_level_above_the_limit_is_refused_before_anything_starts(tmp_path: Pat
 def test_virtual_time_refuses_a_real_rig(tmp_path: Path) -> None:
     request = experiment.request("ramp-a", "pci1716", folder=tmp_path, fast=True)
     with pytest.raises(StartError, match="simulated rig"):
-        experiment.run(request, experiment.plan(request), Silent())
+        experiment.run(request, experiment.plan(request), NullOperator())
     assert not list(tmp_path.glob("*.h5"))
 
 
@@ -199,10 +176,9 @@ def test_a_run_whose_id_another_run_takes_at_the_last_moment_gets_another(
         experiment, "free_id", lambda folder, stem: free_id(folder, stem) if next(looked, True) else "taken"
     )
     (tmp_path / "short.yaml").write_text("title: Short\nsteps:\n  - hold: {duration_s: 0.2}\n")
-    request = experiment.request(str(tmp_path / "short.yaml"), "mock", folder=tmp_path, fast=True, report=False)
-    result = experiment.run(request, experiment.plan(request), NullOperator())
-    assert result.archive == tmp_path / "taken-2.h5"
-    assert runs.open(result.archive).header.run_id == "taken-2"
+    run = virtual_run(tmp_path / "short.yaml", folder=tmp_path)
+    assert run.path == tmp_path / "taken-2.h5"
+    assert run.header.run_id == "taken-2"
     assert (tmp_path / "taken.mcap").read_bytes() == b"of another run"
 
 

@@ -14,7 +14,6 @@ from calibration.identify.data import at_rest, in_motion
 from calibration.identify.errors import NoDataError
 from model.statics import statics
 from protocols import BadInputError
-from rig.cli.app import main
 from rig.config.arm_model import GRAVITY_M_S2, TipLoad, model_arm
 from rig.config.loader import load, read, text
 from rig.experiment.replay import replay
@@ -22,7 +21,9 @@ from rig.hardware.cameras.base import FrameSet
 from rig.live.archived_run import ArchivedRun
 from rig.observation.observer import Observer
 from runs.run import Run
+from tests.support.command_line import status_of
 from tests.support.plant_bench import mock_rig
+from tests.support.virtual_runs import virtual_run
 
 WEIGHT_KG = 0.5
 LOAD = "load: {card: daq, channel: 4, unit: N, span: [-5, 45], tip_force_direction: [0, 0, 2]}"
@@ -51,10 +52,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         folder, f"inputs:\n  spare: {{card: daq, channel: 5, unit: V, span: [0, 1], span_V: [8, 9]}}\n  {LOAD}"
     )
     (folder / "protocol.yaml").write_text(PROTOCOL)
-    command = ["run", str(folder / "protocol.yaml"), "--rig", str(rig), "--fast", "--yes", "--no-report"]
-    with pytest.raises(SystemExit) as ended:
-        main([*command, "--out", str(folder)])
-    assert ended.value.code in (0, None)
+    virtual_run(folder / "protocol.yaml", rig, folder=folder, seed=0)
     return folder
 
 
@@ -140,7 +138,5 @@ def test_a_declaration_that_gives_no_force_is_refused(change: dict[str, object],
 def test_online_estimation_refuses_a_rig_that_measures_the_force(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["run", "sine-1", "--rig", str(folder / "rig.yaml"), "--fast", "--yes", "--adapt", "--out", str(folder)])
-    assert ended.value.code == 2
+    assert status_of("run", "sine-1", "--rig", folder / "rig.yaml", "--fast", "--yes", "--adapt", "--out", folder) == 2
     assert "the estimator does not use input load" in capsys.readouterr().err

@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import runs
 from rig.config import loader
-from rig.experiment import run as experiment
+from rig.simulator.faults import CameraFault, Faults
 from rig.simulator.mock_tracker import LEAD_S
 from runs.records import DATAGRAM_COUNTS, DetectionStatus, Status
 from runs.run import Run
-from tests.rig.virtual.test_run import Silent, protocol_file
+from tests.support.virtual_runs import protocol_file, virtual_run
 
 STEPS = "  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 1}\n  - hold: {duration_s: 0.5}\n"
 TEXT = loader.text("mock-tracker")
@@ -29,12 +28,7 @@ def run_tracked(folder: Path, tracker: str = "", steps: str = STEPS, adapt: tupl
         ),
         encoding="utf-8",
     )
-    request = experiment.request(
-        protocol_file(folder, steps), str(rig), folder=folder / "data", fast=True, seed=2, report=False, adapt=adapt
-    )
-    result = experiment.run(request, experiment.plan(request), Silent())
-    assert result.archive is not None
-    return runs.open(result.archive)
+    return virtual_run(protocol_file(folder, steps), rig, folder=folder / "data", seed=2, adapt=adapt)
 
 
 def messages(run: Run) -> dict[str, int]:
@@ -126,11 +120,6 @@ def test_a_clock_that_drifts_faster_than_stated_is_reported_and_its_times_are_le
 def test_silence_is_no_measurement_and_then_ends_the_run(tmp_path: Path) -> None:
     steps = "  - hold: {duration_s: 4}\n"
     (tmp_path / "rig.yaml").write_text(TEXT)
-    request = experiment.request(
-        protocol_file(tmp_path, steps), str(tmp_path / "rig.yaml"), folder=tmp_path / "data", fast=True, report=False
-    )
-    from rig.simulator.faults import CameraFault, Faults
-
     normal = Faults.camera
     calls = [0]
 
@@ -140,11 +129,9 @@ def test_silence_is_no_measurement_and_then_ends_the_run(tmp_path: Path) -> None
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Faults, "camera", silent_later)
-        result = experiment.run(request, experiment.plan(request), Silent())
-    assert result.archive is not None
-    run = runs.open(result.archive)
+        run = virtual_run(protocol_file(tmp_path, steps), tmp_path / "rig.yaml", folder=tmp_path / "data", seed=0)
     assert run.status is Status.ABORTED
-    assert "tracker pose: no pose within 1 s" in result.outcome.message
+    assert "tracker pose: no pose within 1 s" in run.message
     seen = run.tip.seen
     assert seen[-1] == DetectionStatus.NO_MESSAGE
     assert np.isnan(run.tip.measured_mm[seen == DetectionStatus.NO_MESSAGE]).all()

@@ -10,7 +10,6 @@ import pytest
 import runs
 from rig.config.loader import load
 from rig.config.schema import RigConfig
-from rig.experiment import run as experiment
 from rig.experiment.replay import replay
 from rig.hardware.cameras.base import Frame, FrameSet
 from rig.live.archived_run import ArchivedRun
@@ -19,7 +18,7 @@ from rig.realtime.health_monitor import HealthMonitor
 from rig.simulator.mock_camera import MockCamera
 from runs.records import DetectionStatus, Level, observation_dtype
 from runs.run import Run
-from tests.rig.virtual.test_run import Silent, protocol_file
+from tests.support.virtual_runs import protocol_file, virtual_run
 from tests.support.vision_bench import FRAME_NS, Sweep
 
 STEPS = "  - sine: {actuators: [1], mean_bar: 0.3, amplitude_bar: 0.2, omega_rad_s: 2, periods: 2, lead_in_s: 1}\n"
@@ -32,12 +31,7 @@ STARTS = "".join(
 
 
 def run_of(folder: Path, rig: str, steps: str = STEPS) -> Run:
-    request = experiment.request(
-        protocol_file(folder, steps), rig, folder=folder / rig, fast=True, seed=2, report=False
-    )
-    archive = experiment.run(request, experiment.plan(request), Silent()).archive
-    assert archive is not None
-    return runs.open(archive)
+    return virtual_run(protocol_file(folder, steps), rig, folder=folder / rig, seed=2)
 
 
 @pytest.fixture(scope="module")

@@ -14,12 +14,11 @@ import pytest
 
 import rig.config.loader
 import runs
-from rig.execution.plan import NullOperator
-from rig.experiment import run as experiment
 from rig.simulator.registers import Registers, path_of
 from runs.records import Status
 from runs.run import Run
 from scripts.rig_process import BRIEF, SHORT, RigProcess, rig_run
+from tests.support.virtual_runs import virtual_run
 
 CLIMB = "title: All of them\nsteps:\n  - ramp: {actuators: [1, 2, 3], to_bar: 0.2, duration_s: 0.3}\n"
 ON_THE_OTHER = (
@@ -44,12 +43,7 @@ def recorded(folder: Path, rig_text: str) -> Run:
     folder.mkdir()
     (folder / "rig.yaml").write_text(rig_text)
     (folder / "climb.yaml").write_text(CLIMB)
-    request = experiment.request(
-        str(folder / "climb.yaml"), str(folder / "rig.yaml"), folder=folder, fast=True, seed=5, report=False
-    )
-    archive = experiment.run(request, experiment.plan(request), NullOperator()).archive
-    assert archive is not None
-    return runs.open(archive)
+    return virtual_run(folder / "climb.yaml", folder / "rig.yaml", folder=folder, seed=5)
 
 
 def test_a_run_on_two_cards_equals_the_run_on_one(tmp_path: Path) -> None:
@@ -73,7 +67,7 @@ def two_card_run(folder: Path, protocol: str, *, one_opener: bool = False) -> It
         finally:
             for device in devices:
                 path_of(device).unlink(missing_ok=True)
-                path_of(device).with_suffix(".door").unlink(missing_ok=True)
+                path_of(device).with_suffix(".open").unlink(missing_ok=True)
 
 
 def stand_v(device: str) -> list[float]:
