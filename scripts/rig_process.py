@@ -30,24 +30,26 @@ steps:
   - hold: {duration_s: 0.4}
 """
 PATIENCE_S = 60.0
+HUNG_S = 0.2
+"""When control counts as hung in a test that is not about this time: longer than the stalls of a shared machine."""
 
 
 def write_rig(folder: Path, *, one_opener: bool = False, like: str = "mock", supervised: bool = True) -> Path:
     """Write a copy of a mock rig with a card of its own, which may admit one process only.
 
-    `supervised`: as strictly as a real bench.
+    `supervised`: with the limits of a real bench, and `HUNG_S`.
     """
     device = f"test-{os.getpid()}-{abs(hash(str(folder))) % 10**8}"
     text = with_one_opener(loader.text(like).replace("device: mock0", f"device: {device}"), one_opener=one_opener)
     path = folder / "rig.yaml"
-    path.write_text(strict(text) if supervised else text)
+    path.write_text(strict(text, HUNG_S) if supervised else text)
     return path
 
 
-def strict(text: str) -> str:
+def strict(text: str, hung_s: float = STRICT_HUNG_S) -> str:
     """The text of a rig with the strict timing limits of a real bench: it states `hung_s`."""
     assert text.count("\nlimits:\n") == 1
-    return text.replace("\nlimits:\n", f"\nlimits:\n  hung_s: {STRICT_HUNG_S:g}\n")
+    return text.replace("\nlimits:\n", f"\nlimits:\n  hung_s: {hung_s:g}\n")
 
 
 def with_one_opener(text: str, *, one_opener: bool) -> str:
@@ -56,17 +58,25 @@ def with_one_opener(text: str, *, one_opener: bool) -> str:
     return text.replace("{driver: mock, ", f"{{driver: mock, one_opener: {str(one_opener).lower()}, ")
 
 
-def child_of(pid: int, module: str) -> int:
-    """The child of a process that executes a module."""
+def children(pid: int) -> dict[str, int]:
+    """The children of a process that execute a module, by its name."""
+    found: dict[str, int] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             parent = int(stat.read_text().rsplit(")", 1)[1].split()[1])
-            arguments = (stat.parent / "cmdline").read_bytes().split(b"\0")
+            arguments = (stat.parent / "cmdline").read_text().split("\0")
         except (OSError, IndexError):
             continue
-        if parent == pid and module.encode() in arguments:
-            return int(stat.parent.name)
-    raise AssertionError(f"no process runs {module}")
+        if parent == pid and "-m" in arguments[:-1]:
+            found[arguments[arguments.index("-m") + 1]] = int(stat.parent.name)
+    return found
+
+
+def child_of(pid: int, module: str) -> int:
+    """The child of a process that executes a module."""
+    found = children(pid)
+    assert module in found, f"no process runs {module}"
+    return found[module]
 
 
 class RigProcess:
@@ -147,7 +157,9 @@ class RigProcess:
 
     def pid_of(self, module: str) -> int:
         """The process of the run that executes a module."""
-        return child_of(self.process.pid, module)
+        found = children(self.process.pid)
+        assert module in found, f"no process runs {module}:\n{self.output}"
+        return found[module]
 
     def end(self) -> int:
         """Wait for the run to end by itself; its exit status."""

@@ -22,7 +22,7 @@ eval "set -- $arguments"
 export PYTHONPATH=$checkout SOFTRIG_GUEST=1 SOFTRIG_GUEST_OUT=/out SOFTRIG_PICTURES=$cache/pictures.npz
 # What the host compiled for any processor of its kind serves the guest, which would take minutes.
 export SOFTRIG_CACHE=$cache/kernels NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=
-"$python" -m pytest -p no:cacheprovider -v --durations=10 "$@"
+"$python" -m pytest -p no:cacheprovider -v --durations=10 --reruns 1 -rfEsR "$@"
 echo $? >/out/status
 echo "guest: done after $(cut -d' ' -f1 /proc/uptime) s"
 sync

@@ -83,7 +83,7 @@ class Struck:
         """What is made of the journal that a killed supervisor left, when no process of the run is left."""
         self.wait_for_the_others()
         (outcome,) = recover(self.out)
-        assert outcome.fate is RecoveryStatus.RECOVERED, outcome.message
+        assert outcome.status is RecoveryStatus.RECOVERED, outcome.message
         return self.archive()
 
     def end(self) -> None:
