@@ -41,6 +41,7 @@ def board(monitor: Monitor) -> Iterator[Monitor]:
         monitor.set(fault, value=False)
     monitor.set("irq-storm-ms", 0)
     monitor.set("open-inputs", 0)
+    monitor.set("contacts", 0)
     for channel in range(16):
         monitor.set(f"ai{channel}", 0.0)
 

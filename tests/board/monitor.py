@@ -40,8 +40,19 @@ class Monitor:
         return self._execute("qom-get", path=PATH, property=name)["return"]
 
     def set(self, name: str, value: object) -> None:
-        """Set a voltage (`ai3`) or a fault (`hung`, `irq-lost`, `irq-stuck`, `irq-storm-ms`, `open-inputs`)."""
+        """Set a voltage (`ai3`), the closed `contacts` at the digital inputs (one bit each), or a fault.
+
+        Faults are `hung`, `irq-lost`, `irq-stuck`, `irq-storm-ms`, `open-inputs`.
+        """
         self._execute("qom-set", path=PATH, property=name, value=value)
+
+    def digital_writes(self, after_ns: int) -> list[tuple[int, int]]:
+        """The last writes to the digital outputs after a time, oldest first: all lines as a number, and the time.
+
+        Times are [ns] of the board.
+        """
+        pairs = (one.split(":") for one in self.get("digital-writes").split())
+        return [(int(value), int(t_ns)) for value, t_ns in pairs if int(t_ns) > after_ns]
 
     @property
     def outputs_v(self) -> list[float]:

@@ -22,7 +22,7 @@
 #define TYPE_FAMILY "pci171x"
 OBJECT_DECLARE_TYPE(Board, BoardClass, FAMILY)
 
-enum { INPUTS = 16, OUTPUTS = 2, FIFO = 1024, COUNTERS = 3 };
+enum { INPUTS = 16, OUTPUTS = 2, FIFO = 1024, COUNTERS = 3, DIGITAL_WRITES = 128 };
 
 /* Offsets in the I/O window; reading and writing differ. */
 enum {
@@ -61,6 +61,11 @@ typedef struct {
     int64_t since_ns;
 } Counter;
 
+typedef struct {
+    uint64_t t_ns;
+    uint16_t value;
+} DigitalWrite;
+
 struct Board {
     PCIDevice parent_obj;
     MemoryRegion window;
@@ -68,7 +73,7 @@ struct Board {
     QEMUTimer *pacer, *watch, *storm_end;
     uint32_t bench_period_us;
 
-    uint16_t control, mux, reference, digital_out, digital_in;
+    uint16_t control, mux, reference, digital_out, digital_in, contacts;
     uint8_t channel, ranges[INPUTS];
     uint16_t fifo[FIFO], last;
     unsigned first, count;
@@ -80,7 +85,9 @@ struct Board {
     uint16_t codes[OUTPUTS];
     double inputs_v[INPUTS], outputs_v[OUTPUTS], on_multiplexer_v;
     int64_t exchanged_ns;
-    uint64_t outputs_changed_ns, digital_written_ns;
+    uint64_t outputs_changed_ns, digital_written_ns, contacts_changed_ns;
+    DigitalWrite digital_writes[DIGITAL_WRITES];
+    unsigned digital_count;
 
     bool coupled, hung, irq_lost, irq_stuck, storm;
     uint32_t open_inputs;
@@ -329,7 +336,7 @@ static uint64_t board_read(void *opaque, hwaddr at, unsigned size)
                 (b->count == FIFO ? FULL : 0) | (b->interrupt || b->storm ? INTERRUPT : 0);
         break;
     case DIGITAL:
-        value = b->digital_in;
+        value = b->digital_in | b->contacts;
         break;
     case BOARD_ID:
         value = 0;
@@ -389,6 +396,7 @@ static void board_write(void *opaque, hwaddr at, uint64_t value, unsigned size)
     case DIGITAL:
         b->digital_out = value;
         b->digital_written_ns = now_ns();
+        b->digital_writes[b->digital_count++ % DIGITAL_WRITES] = (DigitalWrite){b->digital_written_ns, value};
         bench_exchange(b, now_ns());
         break;
     case COUNTER0:
@@ -538,6 +546,33 @@ static void set_reset(Object *object, bool reset, Error **errp)
     }
 }
 
+static void get_contacts(Object *object, Visitor *v, const char *name, void *opaque, Error **errp)
+{
+    visit_type_uint16(v, name, &FAMILY(object)->contacts, errp);
+}
+
+/* Contacts at the digital inputs, one bit each: closed ones are high, beside what the bench sets. */
+static void set_contacts(Object *object, Visitor *v, const char *name, void *opaque, Error **errp)
+{
+    if (visit_type_uint16(v, name, &FAMILY(object)->contacts, errp)) {
+        FAMILY(object)->contacts_changed_ns = now_ns();
+    }
+}
+
+/* The last writes to the digital outputs, oldest first: value:ns, separated by spaces. */
+static char *get_digital_writes(Object *object, Error **errp)
+{
+    Board *b = FAMILY(object);
+    GString *text = g_string_new(NULL);
+    unsigned first = b->digital_count > DIGITAL_WRITES ? b->digital_count - DIGITAL_WRITES : 0;
+
+    for (unsigned k = first; k < b->digital_count; k++) {
+        DigitalWrite *one = &b->digital_writes[k % DIGITAL_WRITES];
+        g_string_append_printf(text, "%u:%" PRIu64 " ", one->value, one->t_ns);
+    }
+    return g_string_free(text, FALSE);
+}
+
 static bool get_hung(Object *object, Error **errp)
 {
     return FAMILY(object)->hung;
@@ -572,6 +607,9 @@ static void board_init(Object *object)
     object_property_add_bool(object, "reset", NULL, set_reset);
     object_property_add_uint64_ptr(object, "outputs-changed-ns", &b->outputs_changed_ns, OBJ_PROP_FLAG_READ);
     object_property_add_uint64_ptr(object, "digital-written-ns", &b->digital_written_ns, OBJ_PROP_FLAG_READ);
+    object_property_add(object, "contacts", "uint16", get_contacts, set_contacts, NULL, NULL);
+    object_property_add_uint64_ptr(object, "contacts-changed-ns", &b->contacts_changed_ns, OBJ_PROP_FLAG_READ);
+    object_property_add_str(object, "digital-writes", get_digital_writes, NULL);
     object_property_add_uint64_ptr(object, "conversions", &b->conversions, OBJ_PROP_FLAG_READ);
 }
 
