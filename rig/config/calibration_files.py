@@ -55,13 +55,10 @@ def parse(source: Document) -> LoadedCalibration:
     kind = source.data.get("kind")
     model = KINDS.get(kind) if isinstance(kind, str) else None
     if model is None:
-        mark = source.position(("kind",))
         known = f"one of {', '.join(KINDS)}: a file that `rig calibrate` wrote"
         if "kind" not in source.data:
             raise BadInputError([Problem(source.file, 0, 0, "kind", "", f"is missing: {known}")])
-        raise BadInputError(
-            [Problem(source.file, mark.line, mark.column, "kind", mark.source, known, closest(str(kind), KINDS))]
-        )
+        raise BadInputError([source.problem(("kind",), known, suggestion=closest(str(kind), KINDS))])
     found: AnyFile = document.validate(model, source)
     return LoadedCalibration(found, source)
 

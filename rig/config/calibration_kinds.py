@@ -1,4 +1,4 @@
-"""What each kind of calibration file changes in a rig's YAML, and which rigs it fits: an object for each kind."""
+"""The overlay of each kind of calibration file: what it changes in a rig's YAML, and which rigs it belongs to."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ class PlacementOverlay(CalibrationOverlay[DLTFile]):
         """As of every file; another frame, and another lens: a place is valid only with the lens it was found with."""
         yield from super().misfits(config, lenses)
         if self.found.world != "rod base":
-            expected = "rod base: the rig's cameras stand in that frame; calibrate with control points in it, or --base"
+            expected = "rod base: the placements of cameras are in it; calibrate with control points in it, or --base"
             yield self.calibration.problem(("world",), self.found.world, expected)
         for i, item in enumerate(self.found.cameras):
             name = item.camera.name
@@ -257,9 +257,9 @@ def _short(value: object) -> str:
 def _place_camera(data: dict[str, Any], config: RigConfig, name: str, found: Placement) -> None:
     if config.simulator is not None:
         # The true camera pose stays: the stated placement changes, so the simulated error absorbs the difference.
-        stands = rigid(config.cameras[name].placement) @ rigid(config.simulator.error_of(name))
+        true = rigid(config.cameras[name].placement) @ rigid(config.simulator.error_of(name))
         errors = data["simulator"].setdefault("camera_errors", {})
-        errors[name] = placement_of(rigid(found).inverse() @ stands).model_dump(mode="json")
+        errors[name] = placement_of(rigid(found).inverse() @ true).model_dump(mode="json")
     data["cameras"][name]["placement"] = found.model_dump(mode="json")
 
 

@@ -13,6 +13,7 @@ import yaml
 
 from protocols import BadInputError, Problem
 from protocols.document import Document
+from protocols.problems import raise_all
 from rig.config.calibration_files import LoadedCalibration, read
 from rig.config.calibration_kinds import overlay_of
 from rig.config.schema import RigConfig
@@ -33,15 +34,13 @@ def read_all(source: Document) -> tuple[tuple[str, LoadedCalibration], ...]:
         try:
             found.append((str(name), read(path)))
         except BadInputError as bad:
-            mark = source.position(("calibrations", i))
             if path.is_file():
                 problems += bad.problems
             else:
                 expected = "a calibration file: this file does not exist in the rig's folder"
-                problems.append(Problem(source.file, mark.line, mark.column, "calibrations", mark.source, expected))
+                problems.append(source.problem(("calibrations", i), expected))
     problems += _twice([one for _, one in found])
-    if problems:
-        raise BadInputError(problems)
+    raise_all(problems)
     return tuple(found)
 
 
@@ -55,8 +54,7 @@ def read_files(paths: Sequence[Path]) -> tuple[tuple[str, LoadedCalibration], ..
         except BadInputError as bad:
             problems += bad.problems
     problems += _twice([one for _, one in found])
-    if problems:
-        raise BadInputError(problems)
+    raise_all(problems)
     return tuple(found)
 
 
@@ -82,8 +80,7 @@ def check_serials(config: RigConfig, calibrations: Sequence[LoadedCalibration]) 
                 where = f"cameras, {identity.name} of rig {config.name}"
                 expected = f"{serial}, the serial number of the camera that is plugged in for {where}"
                 problems.append(calibration.problem((*here, "serial"), identity.serial, expected))
-    if problems:
-        raise BadInputError(problems)
+    raise_all(problems)
 
 
 def with_calibrations(text: str, config: RigConfig, calibrations: Sequence[LoadedCalibration]) -> str:
@@ -97,8 +94,7 @@ def with_calibrations(text: str, config: RigConfig, calibrations: Sequence[Loade
     lenses = {name: lens for overlay in overlays for name, lens in overlay.lenses().items()}
     for overlay in overlays:
         problems += overlay.misfits(config, lenses)
-    if problems:
-        raise BadInputError(problems)
+    raise_all(problems)
     data = yaml.safe_load(text)
     data.pop("calibrations", None)
     built = None if config.simulator is None else as_stated(config)

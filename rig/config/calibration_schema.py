@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -33,7 +33,7 @@ Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$", description="SHA-256, 64
 
 
 class Software(Section):
-    """What made the file; `git_changed` says that the checkout differed from the commit."""
+    """The software that made the file; `git_changed`: the checkout differed from the commit."""
 
     versions: dict[str, str]
     git_commit: str = ""
@@ -41,7 +41,7 @@ class Software(Section):
 
 
 class CameraIdentity(Section):
-    """Which camera, and at which resolution; driver, device and serial number as far as they were known."""
+    """A camera and its resolution, with driver, device and serial number where these are known."""
 
     name: Word
     driver: Word | None = None
@@ -52,7 +52,7 @@ class CameraIdentity(Section):
 
 
 class CardIdentity(Section):
-    """Which data-acquisition card."""
+    """A data-acquisition card."""
 
     name: Word
     driver: Word
@@ -60,7 +60,7 @@ class CardIdentity(Section):
 
 
 class UsedView(Section):
-    """One picture that was used, and what of its corners the result does not explain."""
+    """A used picture, with the rms of the residuals of its corners."""
 
     name: Word
     sha256: Sha256
@@ -69,7 +69,7 @@ class UsedView(Section):
 
 
 class ExcludedViewSection(Section):
-    """One picture that was not used, and why."""
+    """A picture that was not used, and the reason."""
 
     name: Word
     sha256: Sha256
@@ -84,7 +84,7 @@ class SourceFileSection(Section):
 
 
 class CalibrationFile(Section):
-    """What every calibration file says of itself."""
+    """The fields of every calibration file."""
 
     softrig_calibration: Literal[1] = Field(description="version of this format")
     made: Moment
@@ -133,7 +133,7 @@ class DLTCamera(Section):
     placement: Placement = Field(description="the camera in the world")
     placement_covariance: Annotated[Matrix, Field(description="of translation [mm] and rotation vector [deg]")]
     placement_known: Annotated[
-        bool, Field(strict=True, description="whether the place's uncertainty could be told")
+        bool, Field(strict=True, description="whether the uncertainty of the placement is known")
     ] = True
     points: Annotated[
         tuple[Word, ...],
@@ -154,7 +154,7 @@ class DLTCamera(Section):
 
 
 class LeaveOneOut(Section):
-    """What points that were left out, each in turn, tell of the calibration; edges are of a board's squares or tags."""
+    """Leave-one-out cross-validation of the calibration; edges are those of the squares or tags of a board."""
 
     method: Literal["leave one point out", "leave one view out"]
     points: Count
@@ -180,7 +180,7 @@ class DLTFile(CalibrationFile):
 
 
 class ToolView(Section):
-    """One picture of the board on the tip, and how far the found axis and place miss it."""
+    """A picture of the board on the tip, with its residuals."""
 
     name: Word
     sha256: Sha256
@@ -313,13 +313,7 @@ class GravityFile(CalibrationFile):
 
 
 AnyFile = CameraFile | DLTFile | ToolFile | PressureFile | GravityFile
-KINDS: dict[str, type[CameraFile] | type[DLTFile] | type[ToolFile] | type[PressureFile] | type[GravityFile]] = {
-    "camera": CameraFile,
-    "dlt": DLTFile,
-    "tool": ToolFile,
-    "pressure": PressureFile,
-    "gravity": GravityFile,
-}
+KINDS: dict[str, type[AnyFile]] = {get_args(one.model_fields["kind"].annotation)[0]: one for one in get_args(AnyFile)}
 
 
 def _square(matrix: Matrix, size: int, path: tuple[str, ...]) -> list[ValidationFault]:

@@ -53,22 +53,27 @@ def named_rig(option: str | None) -> RigChoice | None:
     """Return the rig of a command: `--rig`, else the variable SOFTRIG_RIG, else ./softrig.yaml, else None.
 
     Raises:
-        BadInputError: the variable names an unknown rig.
+        BadInputError: the variable names no rig, or the file of variable or folder is no YAML mapping; the message says
+            what chose it.
     """
     if option is not None:
         return RigChoice(option, Source.OPTION)
     if name := os.environ.get(VARIABLE, ""):
-        try:
-            path_of(name)
-        except BadInputError as bad:
-            raise BadInputError(
-                replace(p, where=f"{VARIABLE}: {p.where}".removesuffix(": ")) for p in bad.problems
-            ) from None
-        return RigChoice(name, Source.ENVIRONMENT)
+        return _readable(RigChoice(name, Source.ENVIRONMENT), f"chosen by {VARIABLE}")
     # A broken link also counts: it must raise an error instead of selecting the simulated rig.
     if os.path.lexists(HERE):
-        return RigChoice(os.fspath(HERE), Source.FOLDER)
+        choice = RigChoice(os.fspath(HERE), Source.FOLDER)
+        return _readable(choice, f"chosen because neither {Source.OPTION} nor {VARIABLE} names a rig")
     return None
+
+
+def _readable(choice: RigChoice, why: str) -> RigChoice:
+    """Return a choice that the command line does not show, if its file can be read; else say why it was chosen."""
+    try:
+        document.read(path_of(choice.name))
+    except BadInputError as bad:
+        raise BadInputError(replace(p, where=", ".join(filter(None, (p.where, why)))) for p in bad.problems) from None
+    return choice
 
 
 def chosen_rig(option: str | None) -> RigChoice:

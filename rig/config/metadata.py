@@ -57,8 +57,6 @@ def run_metadata(metadata: Metadata, given: Mapping[str, str], rig: Document) ->
     found = {**metadata.texts(), **given}
     for index, name in enumerate(metadata.required):
         if name not in found:
-            position = rig.position(("metadata", "required", index))
             expected = f"a value of {name} for this run: --meta {name}=VALUE, or metadata, values, {name} in this file"
-            line, column = position.line, position.column
-            problems.append(Problem(rig.file, line, column, f"metadata, required #{index + 1}", name, expected))
+            problems.append(rig.problem(("metadata", "required", index), expected, name))
     return found, problems

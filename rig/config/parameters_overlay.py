@@ -12,7 +12,7 @@ import yaml
 from pydantic import Field
 
 from calibration.vision.transforms import RigidTransform
-from protocols import BadInputError, Problem, document
+from protocols import BadInputError, document
 from rig.config.arm_sections import ActuationConfig
 from rig.config.calibration_overlay import as_stated
 from rig.config.optics import placement_of, rigid
@@ -182,8 +182,7 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
     problems = []
 
     def refuse(where: tuple[str, ...], value: str, expected: str) -> None:
-        mark = source.position(where)
-        problems.append(Problem(source.file, mark.line, mark.column, ".".join(where), value, expected))
+        problems.append(source.problem(where, expected, value))
 
     required = variant or config.model.variant
     if found.identified.variant != required:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def check(
     board: BoardConfig | None, sections: Mapping[str, MeasuredSection | None], arm: ArmConfig
 ) -> Iterator[ValidationFault]:
-    """Yield what is wrong with the sections: markers tell the boards of a rig apart."""
+    """Yield what is wrong with the sections: the boards of a rig have different markers."""
     known = {name: section for name, section in sections.items() if section is not None}
     if not known:
         return
@@ -33,7 +33,7 @@ def check(
     for path, one in boards.items():
         family, numbers = one.markers
         if not numbers:
-            expected = "charuco or apriltag: with several boards, markers tell them apart"
+            expected = "charuco or apriltag: markers distinguish several boards"
             yield ValidationFault((*path, "kind"), expected)
             continue
         for other_name, other in seen:

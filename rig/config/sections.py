@@ -1,4 +1,4 @@
-"""Sections of the rig file; YAML speaks bar, mm, degrees and volts, methods return SI."""
+"""Sections of the rig file; values are in bar, mm, degrees and volts, methods return SI."""
 
 # ruff: noqa: N815 - volts keep their capital, as in V and mV
 
@@ -140,7 +140,7 @@ class CameraConfig(Section):
     rate_hz: Positive = 30.0
     exposure_ms: Positive = 8.0
     gain: NonNegative | SkipJsonSchema[None] = Field(
-        default=None, description="in the driver's own unit; default: as the camera stands"
+        default=None, description="in the driver's own unit; default: the setting that the camera has"
     )
     pixel_format: Annotated[str, Field(pattern=r"^[A-Z0-9 ]{4}$")] | SkipJsonSchema[None] = Field(
         default=None, description="V4L2's four letters, such as YUYV, MJPG, GREY; default: the driver's choice"

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     Path = tuple[str | int, ...]
 
 WHOLE = 1e-4
-"""A number this near to a whole one counts as whole: 200 / 28.571 is 7."""
+"""Relative tolerance for a whole number: 200 / 28.571 is 7."""
 LEAST_FRAMES = 4
 """Of `no_tip_s`: no pulse is given for up to two frames before a run begins."""
 

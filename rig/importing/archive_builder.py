@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calibration.gravity import GravityDirection
-from protocols.problems import BadInputError, Problem
+from protocols.problems import BadInputError
 from protocols.source_positions import Document
 from rig.config import loader
 from rig.config.calibration_files import sha256_of
@@ -132,7 +132,7 @@ def _read(data: Path, columns: ColumnReader, mapping: Mapping, document: Documen
         warn_if_opposite(columns, gravity, rig)
         measured = gravity_calibration(gravity, data)
         rig = rig.calibrated_as([RecordedFile.of(measured.source.file, measured.found.kind, measured.source.text)])
-    _doubt_units(columns, t_ns, gauge_pa, tips.tip_m, length_m)
+    _warn_of_implausible_values(columns, t_ns, gauge_pa, tips.tip_m, length_m)
     started_utc_ns = _started_utc_ns(columns, mapping, document, read)
     samples = _samples(t_ns, _frames(columns, t_ns), setpoint_pa, gauge_pa, valve_v)
     observations = _observations(samples, tips, weight_kg)
@@ -161,10 +161,6 @@ def _header(found: _Measurement, columns: ColumnReader, mapping: Mapping, docume
         valves=found.samples["valve_v"].shape[1],
         executor="imported",
         simulated=_simulated(columns, mapping),
-        seed=None,
-        model_variant="",
-        operator="",
-        notes="",
         command=shlex.join(sys.argv),
         host=platform.node(),
         versions=versions(),
@@ -206,7 +202,9 @@ def _observations(samples: NDArray[np.void], tips: PlacedTips, weight_kg: Floats
     return rows
 
 
-def _doubt_units(columns: ColumnReader, t_ns: Ints, gauge_pa: Floats, tip_m: Floats, length_m: float | None) -> None:
+def _warn_of_implausible_values(
+    columns: ColumnReader, t_ns: Ints, gauge_pa: Floats, tip_m: Floats, length_m: float | None
+) -> None:
     """Warn of values that are implausible for a soft arm."""
     step_s = float(np.median(np.diff(t_ns))) * 1e-9
     if step_s < CLOSEST_S:
@@ -232,10 +230,9 @@ def _rig(mapping: Mapping, document: Document) -> loader.RigFile | None:
     name = str(beside) if beside.is_file() else mapping.rig
     found = loader.read(name)
     if found.config.actuators != mapping.actuators:
-        mark = document.position(("rig",))
         value = f"{mapping.rig}, which has {found.config.actuators} actuators"
         expected = f"a rig with {mapping.actuators} actuators, as there are pressures"
-        raise BadInputError([Problem(document.file, mark.line, mark.column, "rig", value, expected)])
+        raise BadInputError([document.problem(("rig",), expected, value)])
     return found
 
 
@@ -243,9 +240,8 @@ def _started_utc_ns(columns: ColumnReader, mapping: Mapping, document: Document,
     """Moment of the first row, since 1970: as the mapping states it or the rows themselves do."""
     stated = mapping.started_utc_ns
     if read.utc and stated is not None:
-        mark = document.position(("started",))
         expected = "no such key: the times themselves are dates with their distance from UTC"
-        raise BadInputError([Problem(document.file, mark.line, mark.column, "started", mark.source, expected)])
+        raise BadInputError([document.problem(("started",), expected)])
     if read.utc:
         return int(read.t_ns[0])
     if stated is None:
@@ -321,5 +317,5 @@ def _quantities(mapping: Mapping, file: Path, measured: _Measurement) -> tuple[Q
 
 
 def _word(text: str) -> str:
-    """A file's name as a run id can carry it."""
+    """Return the name of a file with the characters that a run id may have."""
     return re.sub(r"[^\w-]+", "-", text).strip("-") or "data"

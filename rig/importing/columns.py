@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from protocols.problems import BadInputError, Problem
+from protocols.problems import BadInputError, Problem, raise_all
 from rig.importing.tables import Key, SourceTable
 
 Floats = NDArray[np.float64]
@@ -35,7 +35,7 @@ class ColumnReader:
         if len(values) != length:
             expected = f"{length} rows, as in column {first}"
             found = f"{len(values)} rows in column {column}"
-            self.problems.append(Problem(self.table.file, 0, 0, "", found, expected))
+            self.refuse(found, expected)
             return None
         return values * scale
 
@@ -56,6 +56,10 @@ class ColumnReader:
         length = self._length[1] if self._length else length
         return np.column_stack([np.full(length, np.nan) if values is None else values for values in found])
 
+    def refuse(self, found: str, expected: str, where: str = "") -> None:
+        """Add a problem of the whole table, or of a part of it."""
+        self.problems.append(Problem(self.table.file, 0, 0, where, found, expected))
+
     def warn(self, message: str) -> None:
         """Add a warning, once."""
         if message not in self.warnings:
@@ -70,5 +74,4 @@ class ColumnReader:
 
     def check(self) -> None:
         """Raise `BadInput` where there is a problem."""
-        if self.problems:
-            raise BadInputError(self.problems)
+        raise_all(self.problems)

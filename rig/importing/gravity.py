@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from calibration.gravity import GravityDirection, GravityUndeterminedError, gravity_direction
 from protocols import document
-from protocols.problems import Problem
 from protocols.source_positions import Document
 from rig.calibrate.file_sections import origin
 from rig.config.arm_model import GRAVITY_M_S2
@@ -58,9 +57,8 @@ def measured_gravity(
             sign * force[rest], np.broadcast_to(turn, (len(force), 3, 3))[rest], weight, GRAVITY_M_S2, zero
         )
     except GravityUndeterminedError as error:
-        mark = source.position(("gravity",))
         expected = "a load cell that shows the direction of gravity: other times at_rest_s, a column weight, or zero_N"
-        columns.problems.append(Problem(source.file, mark.line, mark.column, "gravity", str(error), expected))
+        columns.problems.append(source.problem(("gravity",), expected, str(error)))
         return None
     if abs(found.m_s2 / GRAVITY_M_S2 - 1) > _ACCELERATION_SHARE:
         columns.warn(

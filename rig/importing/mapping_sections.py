@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 from pydantic.json_schema import SkipJsonSchema
@@ -19,19 +19,15 @@ def _list_or_one(value: Any) -> str:
     return "each" if isinstance(value, list | tuple) else "all"
 
 
-PressureUnits = Annotated[
-    Annotated[PressureUnit, Tag("all")] | Annotated[tuple[PressureUnit, ...], Tag("each")], Discriminator(_list_or_one)
-]
-LengthUnits = Annotated[
-    Annotated[LengthUnit, Tag("all")] | Annotated[tuple[LengthUnit, ...], Tag("each")], Discriminator(_list_or_one)
-]
+T = TypeVar("T")
+OneOrEach = Annotated[Annotated[T, Tag("all")] | Annotated[tuple[T, ...], Tag("each")], Discriminator(_list_or_one)]
+"""One for all columns, or a list with one for each."""
+PressureUnits = OneOrEach[PressureUnit]
+LengthUnits = OneOrEach[LengthUnit]
+AmbientBar = OneOrEach[Bar]
 Uncertainty = Annotated[
     Annotated[NonNegative, Tag("all")] | Annotated[tuple[NonNegative, NonNegative, NonNegative], Tag("each")],
     Discriminator(_list_or_one),
-]
-
-AmbientBar = Annotated[
-    Annotated[Bar, Tag("all")] | Annotated[tuple[Bar, ...], Tag("each")], Discriminator(_list_or_one)
 ]
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from protocols.problems import Problem
 from protocols.source_positions import Document
 from rig.importing.columns import ColumnReader
 from rig.importing.mapping import Mapping
@@ -52,10 +51,8 @@ def pressure_delay(
     found = measured_delay(time_s, gauge_pa, tip_m)
     if stated == "measured":
         if found is None:
-            mark = document.position(("pressures", "delay_s"))
             expected = "a delay in seconds: the table does not show by how much the tip follows the pressures"
-            place = "pressures: delay_s"
-            columns.problems.append(Problem(document.file, mark.line, mark.column, place, "measured", expected))
+            columns.problems.append(document.problem(("pressures", "delay_s"), expected))
             return by_mapping
         return AppliedDelay(found.delay_s, found.std_s, f"changes of pressures and tip, {found.share:.0%} explained")
     if found is not None and abs(found.delay_s - stated) > max(NOTABLE_DELAY_S, 3 * found.std_s):
@@ -85,7 +82,7 @@ def pressures(columns: ColumnReader, mapping: Mapping) -> tuple[Floats, Floats]:
             found = f"{values[rows[0]] / PA_PER_BAR:.4g} bar, {stated.reading}"
             expected = f"a pressure above vacuum, {lowest_pa / PA_PER_BAR:.3g} bar or more: are unit and reading right?"
             where = f"column {column}, {columns.table.place(int(rows[0]))}"
-            columns.problems.append(Problem(columns.table.file, 0, 0, where, found, expected))
+            columns.refuse(found, expected, where)
     off_pa = np.zeros(mapping.actuators)
     if columns.problems:
         return raw_pa, off_pa
@@ -112,7 +109,7 @@ def _vented(columns: ColumnReader, mapping: Mapping, raw_pa: Floats, rows: int) 
     first = raw_pa[:rows]
     if len(first) < rows:
         expected = f"at least the {rows} rows that ambient_rows names"
-        columns.problems.append(Problem(columns.table.file, 0, 0, "", f"{len(first)} rows", expected))
+        columns.refuse(f"{len(first)} rows", expected)
         return np.zeros(mapping.actuators)
     known = np.isfinite(first)
     means = np.zeros(mapping.actuators)

@@ -35,7 +35,7 @@ class PressureDelay:
 def measured_delay(time_s: Floats, pressure_pa: Floats, tip_m: Floats) -> PressureDelay | None:
     """The delay (n,) at which changes of the pressures (n, N) explain those of the tip (n, 3) best, linearly.
 
-    The standard uncertainty is that of a jackknife over blocks of rows. None without a delay that can be told.
+    The standard uncertainty is that of a jackknife over blocks of rows. None if the delay cannot be determined.
     """
     period_s = max(float(np.median(np.diff(time_s))), _STEP_S) if len(time_s) > 1 else math.inf
     if not math.isfinite(period_s):

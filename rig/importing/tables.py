@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.document import read_text
-from protocols.problems import BadInputError, Problem, bad_input, closest
+from protocols.problems import BadInputError, Problem, bad_input, closest, raise_all
 from protocols.source_positions import shortened
 from rig.importing.mapping_sections import TableFormat
 
@@ -24,7 +24,7 @@ LARGEST_FILE = 500_000_000
 MOST_PROBLEMS = 5
 """Rows that are named of a mistake that many have; see `first_problems`."""
 DELIMITERS = {"semicolon": ";", "tab": "\t", "bar": "|", "comma": ",", "space": " "}
-"""In the order in which they are tried: a comma may be a decimal one, a space stand in a name."""
+"""In the order in which they are tried: a comma may be the decimal sign, a space part of a name."""
 SNIFFED_LINES = 50
 SHEETS = (".xlsx", ".xls", ".ods")
 
@@ -181,8 +181,7 @@ def _parsed(
             values[row, at] = value
             if math.isinf(value):
                 odd[row, at] = cell
-    if problems:
-        raise BadInputError(problems)
+    raise_all(problems)
     return CsvTable(
         str(path), names, written.first_column or 0, values, odd, tuple(number for number, _ in rows), comma
     )
@@ -297,11 +296,11 @@ def _read_mat(path: Path, written: TableFormat) -> MatTable:
         raise bad_input(str(path), "", "there is no such file")
     load: Callable[[Path], dict[str, Any]] = _load_v73 if h5py.is_hdf5(path) else _load_v5
     if load is _load_v5 and _crashes(path):
-        raise bad_input(str(path), "", "this MATLAB file is damaged: what reads it crashes")
+        raise bad_input(str(path), "", "this MATLAB file is damaged: SciPy crashes on it")
     try:
         arrays = _flat(load(path))
     except Exception as fault:
-        # SciPy and h5py tell of a broken file by whatever their parsers happen to stumble over.
+        # SciPy and h5py raise exceptions of many kinds for a damaged file.
         raise bad_input(str(path), "", f"this is no MATLAB file that can be read ({shortened(str(fault))})") from fault
     if written.variable is not None:
         arrays = _chosen(path, arrays, written.variable)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calibration.vision.transforms import RigidTransform
-from protocols.problems import Problem
+from rig.config.optics import rigid
 from rig.importing.columns import ColumnReader
 from rig.importing.mapping import Mapping
 from rig.importing.mapping_sections import BaseSensor, LoadCell, Orientation, Position, TipOrientation, Wrench
@@ -21,7 +21,7 @@ UNIT = 0.01
 """A quaternion's norm may be off by this: trackers write three or four digits."""
 QUIET_N = 0.2
 """Largest variation of the force reading without load."""
-STANDING_DEG = 2.0
+LARGEST_REST_ROTATION_DEG = 2.0
 """Largest rotation of a tip at rest."""
 LONGEST_LEVER_M = 1.0
 """A wrench at a tip has no longer lever than this."""
@@ -53,7 +53,7 @@ class PlacedTips:
         covariance = np.einsum("nij,najbk,nlk->naibl", turns, blocks, turns).reshape(-1, 6, 6)
         return PlacedTips(np.einsum("nij,nj->ni", turns, self.tip_m), turns @ self.rotation, covariance)
 
-    def unturned(self) -> PlacedTips:
+    def without_orientation(self) -> PlacedTips:
         """The tips without an orientation."""
         return replace(self, rotation=np.full_like(self.rotation, np.nan))
 
@@ -108,9 +108,7 @@ def load_cell_turn(columns: ColumnReader, mapping: Mapping, cell: LoadCell) -> F
         turn = turn @ _at_first(columns, turn, cell.aligned_rows, "align the load cell").T
     if cell.axes == "rod_base":
         return turn
-    return np.asarray(
-        RigidTransform.from_vectors(np.radians(mapping.frame.rotation_deg), (0.0, 0.0, 0.0)).rotation @ turn
-    )
+    return np.asarray(rigid(mapping.frame).rotation @ turn)
 
 
 def _zeroed(columns: ColumnReader, wrench: Wrench, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
@@ -134,13 +132,11 @@ def _at_first(columns: ColumnReader, turn: Floats, rows: int, purpose: str) -> F
     """Mean rotation (3, 3) of the first of some rotations (n, 3, 3)."""
     known = np.isfinite(turn[:rows]).all(axis=(1, 2))
     if not known.any():
-        columns.problems.append(
-            Problem(columns.table.file, 0, 0, "", "no orientation", f"one in the first {rows} rows")
-        )
+        columns.refuse("no orientation", f"one in the first {rows} rows")
         return np.eye(3)
     first = Rotation.from_matrix(turn[:rows][known])
     mean = first.mean()
-    if (spread := float(np.degrees((first * mean.inv()).magnitude().max()))) > STANDING_DEG:
+    if (spread := float(np.degrees((first * mean.inv()).magnitude().max()))) > LARGEST_REST_ROTATION_DEG:
         columns.warn(f"the tip turns by {spread:.2g} degrees within the first {rows} rows, which {purpose}")
     return np.asarray(mean.as_matrix())
 
@@ -189,16 +185,15 @@ def tips_in_base(columns: ColumnReader, mapping: Mapping) -> PlacedTips:
     place_m = tip_m + lever_m - (0.0 if mapping.base is None else base_m)
     found = PlacedTips(place_m, rotation, covariance)
     found = _framed(mapping, found if turn is None else found.turned(turn))
-    return _mounted(columns, tip.orientation, found) if kept and tip.orientation is not None else found.unturned()
+    return (
+        _mounted(columns, tip.orientation, found)
+        if kept and tip.orientation is not None
+        else found.without_orientation()
+    )
 
 
 def _framed(mapping: Mapping, tips: PlacedTips) -> PlacedTips:
-    frame = RigidTransform.from_vectors(
-        np.radians(mapping.frame.rotation_deg),
-        np.array(mapping.frame.translation_mm) * 1e-3,
-        mapping.frame.translation_std_mm * 1e-3,
-        float(np.radians(mapping.frame.rotation_std_deg)),
-    )
+    frame = rigid(mapping.frame)
     turned = tips.turned(frame.rotation)
     covariance = turned.covariance + frame.error_covariance(turned.tip_m)
     return PlacedTips(turned.tip_m + frame.translation_m, turned.rotation, covariance)
@@ -255,7 +250,7 @@ def _matrices(columns: ColumnReader, orientation: Orientation, whose: str) -> Fl
         expected = "rotation matrices" if orientation.order == "matrix" else "unit quaternions"
         if whose == "base":
             expected += "; with 'use: ignore' in the mapping's base orientation it stays out of the frame change"
-        columns.problems.append(Problem(columns.table.file, 0, 0, "", fault, expected))
+        columns.refuse(fault, expected)
     known = np.isfinite(values).all(axis=1)
     if len(orientation.columns) > 3:
         known &= (values != 0).any(axis=1)

@@ -9,19 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import runs
 from calibration.identify import Setup, identify
 from calibration.identify.parameters_document import write
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 from model.actuation import PressureSum, Proportional
 from model.dynamics import Dynamics
 from protocols import BadInputError, Problem
-from rig.cli.app import main
 from rig.config import loader
 from rig.config.arm_model import model_arm, true_arm
 from rig.config.loader import load, recorded, text
 from rig.config.parameters_overlay import read
+from rig.experiment.replay import replay
 from rig.observation.online_estimation import default_parameters
+from runs.run import Run
+from tests.support.virtual_runs import virtual_run
 
 PROTOCOL = """title: A level
 steps:
@@ -91,14 +92,8 @@ def test_the_growth_is_identified_and_its_file_applies_to_a_rig_of_the_same_law_
 def test_the_model_beside_a_run_and_in_its_replay_pushes_by_the_law(tmp_path: Path) -> None:
     file, protocol = rig_file(tmp_path, "{law: pressure-sum, growth_per_bar: 0.3}"), tmp_path / "level.yaml"
     protocol.write_text(PROTOCOL, encoding="utf-8")
-    common = ("--fast", "--yes", "--no-report", "--seed", "4", "--out", str(tmp_path))
-    for arguments in (("run", str(protocol), "--rig", str(file), *common), ("replay", "RUN", "--out", str(tmp_path))):
-        before = set(tmp_path.glob("*.h5"))
-        with pytest.raises(SystemExit) as left:
-            main([str(before.copy().pop()) if word == "RUN" else word for word in arguments])
-        assert left.value.code == 0
-        (archive,) = set(tmp_path.glob("*.h5")) - before
-        run = runs.open(archive)
+    live = virtual_run(protocol, file, folder=tmp_path, seed=4)
+    for run in (live, Run(replay(live, tmp_path))):
         config = recorded(run.header, run.path).config
         (growth,) = (q for q in run.header.quantities if q.name == "push_growth")
         assert growth.value == (0.3,)

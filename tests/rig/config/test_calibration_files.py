@@ -11,11 +11,9 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
 from protocols import BadInputError, document
 from rig.calibrate import file_sections
-from rig.cli.app import app
 from rig.config import calibration_files, calibration_schema, loader
 from rig.config.board_sections import CheckerboardPattern
 from rig.config.calibration_files import parse, read, text_of, write
@@ -24,6 +22,7 @@ from rig.config.sections import LensConfig, Placement
 from rig.hardware.cameras.identity import v4l2_serial
 from runs.overwriting import WouldOverwriteError
 from tests.support.budget import examples
+from tests.support.command_line import invoke
 
 SHA = "0" * 63 + "a"
 finite = st.floats(-1e6, 1e6, allow_nan=False)
@@ -307,7 +306,7 @@ def test_two_calibrations_of_one_thing_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_missing_calibration_is_reported_at_its_line_of_the_rig_file(tmp_path: Path) -> None:
-    with pytest.raises(BadInputError, match=r"my\.yaml:\d+:\d+: calibrations\n  found     nowhere\.yaml"):
+    with pytest.raises(BadInputError, match=r"my\.yaml:\d+:\d+: calibrations #1\n  found     nowhere\.yaml"):
         loader.load(_rig(tmp_path, "nowhere.yaml"))
 
 
@@ -331,7 +330,7 @@ def dlt_file(folder: Path) -> Path:
     ]
     points, to = folder / "points.csv", folder / "d.yaml"
     points.write_text("point,X_mm,Y_mm,Z_mm,camera,u_px,v_px\n" + "\n".join(rows))
-    done = CliRunner().invoke(app, ["calibrate", "dlt", str(points), "--rig", "mock", "--to", str(to)])
+    done = invoke("calibrate", "dlt", points, "--rig", "mock", "--to", to)
     assert done.exit_code == 0, done.output
     return to
 

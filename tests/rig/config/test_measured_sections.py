@@ -17,7 +17,7 @@ from tests.support.sectioned_bench import sectioned, sectioned_rig
         (
             "      kind: apriltag\n      tags_x: 3\n      tags_y: 1\n      tag_mm: 12\n      gap_mm: 3\n",
             "      squares_x: 5\n      squares_y: 4\n      square_mm: 8\n",
-            "charuco or apriltag: with several boards, markers tell them apart",
+            "charuco or apriltag: markers distinguish several boards",
         ),
     ],
 )
@@ -34,7 +34,7 @@ def test_the_board_on_the_cap_needs_markers_beside_others() -> None:
     with pytest.raises(BadInputError) as bad:
         loader.parse(sectioned(loader.text("mock")), "rig.yaml")
     (problem,) = bad.value.problems
-    assert "with several boards, markers tell them apart" in problem.expected
+    assert "markers distinguish several boards" in problem.expected
 
 
 def test_a_rig_without_a_board_has_no_sections() -> None:

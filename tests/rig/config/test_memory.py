@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import runs
 from calibration.identify import Setup, identify
 from calibration.identify.data import quasi_static_poses
 from calibration.identify.model_error import TERMS, lacking
@@ -20,13 +19,15 @@ from model.actuation import StopElement
 from model.dynamics import Dynamics
 from model.material import MaxwellBranch
 from protocols import BadInputError
-from rig.cli.app import main
 from rig.config import loader
 from rig.config.arm_model import model_arm, true_arm
 from rig.config.loader import load, text
 from rig.config.parameters_overlay import read
+from rig.experiment.replay import replay
 from rig.hardware.cameras.base import FrameSet
 from rig.observation.observer import Observer
+from runs.run import Run
+from tests.support.virtual_runs import virtual_run
 
 MEMORY = "branches: [{relative_modulus: 0.05, time_s: 2.0}]"
 STOPS = "{stops: [{weight: 0.08, width_bar: 0.02}]}"
@@ -111,24 +112,17 @@ def test_a_slow_model_creeps_with_the_times_of_the_frames_and_over_gaps(tmp_path
 def test_the_model_beside_a_run_its_replay_and_its_identification_remember_alike(tmp_path: Path) -> None:
     file, protocol = rig_file(tmp_path), tmp_path / "level.yaml"
     protocol.write_text(PROTOCOL, encoding="utf-8")
-    common = ("--fast", "--yes", "--no-report", "--seed", "4", "--out", str(tmp_path))
+    live = virtual_run(protocol, file, folder=tmp_path, seed=4)
     tips = []
-    for arguments in (("run", str(protocol), "--rig", str(file), *common), ("replay", "RUN", "--out", str(tmp_path))):
-        before = set(tmp_path.glob("*.h5"))
-        with pytest.raises(SystemExit) as left:
-            main([str(before.copy().pop()) if word == "RUN" else word for word in arguments])
-        assert left.value.code == 0
-        (archive,) = set(tmp_path.glob("*.h5")) - before
-        run = runs.open(archive)
+    for run in (live, Run(replay(live, tmp_path))):
         known = {q.name: q.value for q in run.header.quantities if q.name.startswith(("branch_", "stop_"))}
         assert known == {
             "branch_1_modulus": (0.05,), "branch_1_time": (2.0,), "stop_1_weight": (0.08,), "stop_1_width": (0.02,),
         }  # fmt: skip
         tips.append(run.tip.model_mm[run.tip.frame == 57][0])
-        if len(tips) == 1:
-            poses = quasi_static_poses(run)
     assert tips[1] == pytest.approx(tips[0], abs=0.02)
     arm = model_arm(load(file))
+    poses = quasi_static_poses(live)
     predicted = 1e3 * Predictor(poses)(Setup(arm))[57]
     elastic = replace(arm, material=replace(arm.material, branches=()), actuation=replace(arm.actuation, stops=()))
     forgetful = 1e3 * Predictor(poses)(Setup(elastic))[57]

@@ -18,7 +18,6 @@ from calibration.identify.parameters_document import write
 from calibration.identify.simulated_experiments import perform, plan
 from model.statics import statics
 from protocols import BadInputError
-from rig.cli.app import main
 from rig.config import loader
 from rig.config.arm_model import model_arm, true_arm
 from rig.config.loader import load, recorded, text
@@ -31,6 +30,7 @@ from runs.records import DetectionStatus, RunFooter, Status
 from runs.run import Run
 from tests.rig.config.test_calibration_files import dlt_file
 from tests.support.budget import examples
+from tests.support.command_line import status_of
 
 PROTOCOL = """title: A level
 steps:
@@ -58,9 +58,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def rig(*arguments: str, status: int = 0) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(list(arguments))
-    assert left.value.code == status
+    assert status_of(*arguments) == status
 
 
 def newest(folder: Path) -> Run:

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from protocols import BadInputError
-from rig.cli.app import main
 from rig.config import loader
 from rig.config.schema import RigConfig
 from rig.doctor.devices import rig_devices
 from rig.hardware.bench import open_bench
 from rig.valves.registry import UninstalledValve
 from runs.records import RunHeader
+from tests.support.command_line import status_of
 from tests.support.plugin_package import install, use
 
 BOX = """
@@ -172,9 +172,7 @@ def test_a_broken_plugin_is_one_message(
     assert problem.startswith("my.yaml:7:17")
     assert "softrig-broken 1.0" in problem
     assert says in problem
-    with pytest.raises(SystemExit) as left:
-        main(["drivers", "--json"])
-    assert left.value.code == 0
+    assert status_of("drivers", "--json") == 0
     (row,) = [row for row in json.loads(capsys.readouterr().out) if row["package"] == "softrig-broken 1.0"]
     assert says in row["fault"]
 
@@ -193,14 +191,12 @@ def test_a_plugin_never_replaces_a_driver_of_softrig(
     install(tmp_path / "site", "softrig-false", {"softrig.cards mock": "box_card:box"}, {"box_card.py": BOX})
     use(tmp_path / "site", monkeypatch)
     assert type(loader.load("mock").cards["daq"]).__name__ == "MockCardConfig"
-    with pytest.raises(SystemExit):
-        main(["drivers"])
+    assert status_of("drivers") == 0
     assert "not used: softrig has a driver of that name" in " ".join(capsys.readouterr().out.split())
 
 
 def test_drivers_lists_plugins_with_package_keys_and_safe_state(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["drivers", "--json"])
+    assert status_of("drivers", "--json") == 0
     rows = {(row["kind"], row["name"]): row for row in json.loads(capsys.readouterr().out)}
     box, slow = rows["cards", "box"], rows["valves", "slow"]
     assert (box["package"], box["keys"], box["safe_state"]) == (

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 import runs
 import tests.support.synthetic_runs as made_up
-from rig.cli.app import main
 from rig.importing import import_table
 from runs.archive.writer import finalise, verify
 from runs.export.exporters import export
@@ -24,6 +23,7 @@ from runs.records import DetectionStatus, Status
 from runs.report.page import write
 from runs.run import Run
 from tests.support.budget import examples
+from tests.support.command_line import status_of
 from tests.support.import_bench import BENCH, BENCH_CSV, SMALL, Bring, complaint, imported_in, warnings_of
 from tests.support.shared_data import shared_data
 
@@ -114,7 +114,7 @@ class TestStiffFlop:
         assert verify(stiff_flop.path)
         page = write([stiff_flop.path], tmp_path / "report.html").read_text(encoding="utf-8")
         assert "imported" in page
-        for kind, files in (("csv", 4), ("mat", 1)):
+        for kind, files in (("csv", 5), ("mat", 1)):
             assert len(export(stiff_flop.path, kind, tmp_path)) == files
         (table,) = tmp_path.glob("*-tip.csv")
         assert len(table.read_text(encoding="utf-8").splitlines()) == 1095
@@ -351,9 +351,7 @@ def test_the_command_prints_archives_and_warnings(
     (tmp_path / "map.yaml").write_text(SMALL)
     command = ["import", "one.csv", "two.csv", "--mapping", "map.yaml", "--note", "old, dry"]
     monkeypatch.setattr("sys.argv", ["rig", *command])
-    with pytest.raises(SystemExit) as left:
-        main(command)
-    assert left.value.code == 0
+    assert status_of(*command) == 0
     said = capsys.readouterr()
     archives = [runs.open(tmp_path / line) for line in said.out.splitlines()]
     notes = [run.header.notes.partition(", SHA")[0] for run in archives]
@@ -362,7 +360,5 @@ def test_the_command_prints_archives_and_warnings(
     assert archives[0].header.command == "rig import one.csv two.csv --mapping map.yaml --note 'old, dry'"
     assert "warning: one.csv: the mapping does not say when" in said.err
     (tmp_path / "map.yaml").write_text(SMALL.replace("unit: s", "unit: h"))
-    with pytest.raises(SystemExit) as left:
-        main(command)
-    assert left.value.code == 2
+    assert status_of(*command) == 2
     assert "map.yaml:3:25: time, unit" in capsys.readouterr().err

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 import model
 from calibration.identify import Setup, quasi_static_poses
@@ -19,7 +18,6 @@ from calibration.identify.nuisance import nuisance_parameters
 from calibration.identify.tip_predictor import Predictor
 from model.statics import statics
 from protocols import BadInputError
-from rig.cli.app import app
 from rig.config.arm_model import model_arm
 from rig.config.loader import read
 from rig.experiment.provenance import quantities
@@ -27,6 +25,7 @@ from rig.identify.estimation import rig_uncertainties
 from rig.identify.from_archives import open_runs
 from rig.identify.initial_setup import initial_rig, recorded_rig
 from runs.run import Run
+from tests.support.command_line import invoke
 from tests.support.import_bench import run_imported, warnings_of
 from tests.support.shared_data import shared_data
 
@@ -122,7 +121,7 @@ def test_a_rig_named_for_the_start_takes_the_measured_direction(measured: Run) -
 
 
 def test_rig_show_states_the_measured_direction(measured: Run) -> None:
-    shown = CliRunner().invoke(app, ["show", str(measured.path)])
+    shown = invoke("show", measured.path)
     assert shown.exit_code == 0
     (line,) = [line for line in shown.output.splitlines() if line.startswith("gravity")]
     assert "+- 0.5 degrees" in line or "+- 0.6 degrees" in line
