@@ -1,4 +1,4 @@
-"""Commands that load numerical libraries; these crash or hang where the address space ends, so it is checked first."""
+"""Commands that load numerical libraries; which crash or hang without enough address space; it is checked first."""
 
 from __future__ import annotations
 

@@ -40,13 +40,12 @@ def tag(
     remove: Annotated[bool, typer.Option("--remove", help="Remove these tags.")] = False,
 ) -> None:
     """Add tags to a run, or remove them; the archive stays as it is."""
-    from protocols.problems import BadInputError, Problem, closest
+    from protocols.problems import Problem, closest, raise_all
     from runs.annotation_file import TAG, add_tag, path_of, read, remove_tag
 
     words = "a word of at most 40 letters, digits, '_', '.' and '-'"
     problems = [Problem("TAG", 0, 0, "", name or "''", words) for name in tags if not TAG.fullmatch(name)]
-    if problems:
-        raise BadInputError(problems)
+    raise_all(problems)
     found = _opened(archive)
     present = read(found).tags
     if remove:
@@ -54,8 +53,7 @@ def tag(
         problems = [
             Problem("TAG", 0, 0, "", name, expected, closest(name, present)) for name in tags if name not in present
         ]
-        if problems:
-            raise BadInputError(problems)
+        raise_all(problems)
     for name in dict.fromkeys(tags):
         if remove:
             remove_tag(found, name)

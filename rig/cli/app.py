@@ -52,7 +52,7 @@ from rig.cli.options import (
     VentedRig,
     Yes,
 )
-from rig.cli.printable import printable_streams
+from rig.cli.printable_stream import printable_streams
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -140,7 +140,7 @@ def run(
         protocol,
         chosen_rig(rig),
         settings=assignments.numbers("--set", settings),
-        adapt=[name.strip() for name in free.split(",") if name.strip()] if adapt else None,
+        adapt=assignments.names(free) if adapt else None,
         folder=out,
         fast=fast,
         seed=seed,

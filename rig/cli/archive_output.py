@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 import runs as records
-from protocols.problems import BadInputError, Problem
+from protocols.problems import BadInputError, Problem, raise_all
 from rig.cli.column_table import ColumnTable, facts_table
 from rig.cli.completion import DATA
 from rig.cli.console import console
@@ -44,8 +44,7 @@ def check_search(folder: Path, since: str = "", until: str = "") -> None:
     for option, date in (("--since", since), ("--until", until)):
         if date and not _DATE.fullmatch(date):
             problems.append(Problem(option, 0, 0, "", date, "a date or its beginning, as 2026-11 or 2026-11-21T14:05"))
-    if problems:
-        raise BadInputError(problems)
+    raise_all(problems)
 
 
 def show(name: Path, as_json: bool) -> None:
@@ -136,9 +135,8 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Group:
 
     A run in virtual time, a model run and an import have no deadlines, hence no rows about them.
     """
-    steps = ColumnTable()
-    for head in ("segment", "error [mm]", "normalised [%]", "settled after [s]", "overshoot [bar]"):
-        steps.add_column(head, justify="left" if head == "segment" else "right")
+    numbers = ("error [mm]", "normalised [%]", "settled after [s]", "overshoot [bar]")
+    steps = ColumnTable("segment", numbers=numbers)
     for step in summary.steps:
         steps.add_row(
             step.label or step.kind,
@@ -213,12 +211,12 @@ def _number(value: float, digits: int) -> str:
 def recover(folder: Path) -> None:
     """Recover orphaned journals and print the outcome of each."""
     check_search(folder)
-    outcomes = [o for o in recover_folder(folder) if o.fate is not RecoveryStatus.ARCHIVED]
+    outcomes = [o for o in recover_folder(folder) if o.status is not RecoveryStatus.ARCHIVED]
     for outcome in outcomes:
-        typer.echo(f"{outcome.fate}  {outcome.archive or outcome.path}  {outcome.message}")
+        typer.echo(f"{outcome.status}  {outcome.archive or outcome.path}  {outcome.message}")
     if not outcomes:
         typer.echo(f"nothing to recover in {folder}")
-    if any(outcome.fate is RecoveryStatus.UNREADABLE for outcome in outcomes):
+    if any(outcome.status is RecoveryStatus.UNREADABLE for outcome in outcomes):
         raise typer.Exit(FAULT)
 
 

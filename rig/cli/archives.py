@@ -70,7 +70,7 @@ def report(
     --figures writes figures in the width of a column instead, into --out: pdf, png or svg, and CSV files with their
     data.
     """
-    from protocols.problems import BadInputError, Problem
+    from protocols.problems import Problem, bad_input, raise_all
     from rig.cli.run_names import resolve
     from runs.report import figure_export
     from runs.report.page import default_path, write
@@ -85,10 +85,9 @@ def report(
         ]
     )
     problems = [Problem(option, 0, 0, "", str(given), expected) for option, given, expected in misplaced if given]
-    if problems:
-        raise BadInputError(problems)
+    raise_all(problems)
     if to is not None and to.suffix.lower() != ".html":
-        raise BadInputError([Problem("--to", 0, 0, "", str(to), "a file whose name ends with .html")])
+        raise bad_input("--to", str(to), "a file whose name ends with .html")
     found = [resolve(archive) for archive in archives]
     if not figures:
         typer.echo(write(found, to, replace=replace))

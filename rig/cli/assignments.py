@@ -1,11 +1,16 @@
-"""Options of the form NAME=VALUE that may be repeated."""
+"""Options whose text has a form: NAME,.. and NAME=VALUE."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-from protocols.problems import BadInputError, Problem
+from protocols.problems import Problem, raise_all
+
+
+def names(given: str) -> list[str]:
+    """The names of an option that are separated by commas."""
+    return [name.strip() for name in given.split(",") if name.strip()]
 
 
 def texts(option: str, given: Sequence[str] | None) -> dict[str, str]:
@@ -24,8 +29,7 @@ def texts(option: str, given: Sequence[str] | None) -> dict[str, str]:
             problems.append(Problem(option, 0, 0, "", item, f"each name once; there is {name}={found[name]} already"))
         else:
             found[name] = value
-    if problems:
-        raise BadInputError(problems)
+    raise_all(problems)
     return found
 
 
@@ -40,6 +44,5 @@ def numbers(option: str, given: Sequence[str] | None) -> dict[str, float]:
             found[name] = math.nan
         if not math.isfinite(found[name]) or "_" in value:
             problems.append(Problem(option, 0, 0, "", f"{name}={value}", "a number after the =, in decimal notation"))
-    if problems:
-        raise BadInputError(problems)
+    raise_all(problems)
     return found

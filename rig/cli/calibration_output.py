@@ -17,6 +17,7 @@ from rig.calibrate.dlt import DLTCalibration
 from rig.calibrate.dlt_fit import DLTCalibrationResult
 from rig.calibrate.pressure import PressureCalibration
 from rig.calibrate.tool import ToolCalibration
+from rig.cli.column_table import ColumnTable
 from rig.cli.console import console
 from rig.cli.json_output import print_json
 from rig.config import calibration_schema
@@ -26,21 +27,13 @@ from rig.config.optics import placement_of
 _WORST_SHOWN = 5
 
 
-def table(*heads: str, title: str | None = None) -> Table:
-    """A plain table: the first column is text, the others numbers."""
-    made = Table(box=None, padding=(0, 2, 0, 0), title=title, title_justify="left")
-    for k, head in enumerate(heads):
-        made.add_column(head, justify="right" if k else "left")
-    return made
-
-
 def _print_file(file: Path, simulated: bool) -> None:
-    """Print where a result lies, and whether it is one of the simulated bench."""
+    """Print the file of a result, and whether it was simulated."""
     typer.echo(f"{file}{' (simulated: nothing real was measured)' if simulated else ''}")
 
 
 def _file_facts(file: Path) -> dict[str, Any]:
-    """Return the content of a calibration file for scripts, and where it lies."""
+    """Return the content of a calibration file for scripts, and its path."""
     return {"file": str(file), **read(file).found.model_dump(mode="json", exclude_none=True)}
 
 
@@ -61,7 +54,7 @@ def cameras(done: Sequence[CalibratedCamera], *, of_a_rig: bool, as_json: bool) 
 def _print_camera(found: CameraCalibration, name: str) -> None:
     """Print a camera's intrinsics, their residuals, and advice for better views."""
     screen = console()
-    values = table("parameter", "value", "+-")
+    values = ColumnTable("parameter", numbers=("value", "+-"))
     for parameter, value, std in zip(PARAMETERS, found.parameters, found.std, strict=True):
         values.add_row(parameter, f"{value:.5f}" if abs(value) < 10 else f"{value:.2f}", f"{std:.2g}")
     screen.print(
@@ -70,7 +63,7 @@ def _print_camera(found: CameraCalibration, name: str) -> None:
         soft_wrap=True,
     )
     screen.print(values)
-    views = table("view", "rms [px]")
+    views = ColumnTable("view", numbers=("rms [px]",))
     for view in found.views:
         views.add_row(view.name, f"{view.rms_px:.3f}")
     screen.print(views)
@@ -103,7 +96,9 @@ def dlt(done: DLTCalibration, *, as_json: bool) -> None:
         print_json({**_file_facts(done.file), "pairs": _pairs(done.result)})
         return
     found, screen = done.content, console()
-    values = table("", *(c.camera.name for c in found.cameras), title="coefficients (world in mm, undistorted px)")
+    values = ColumnTable(
+        "", numbers=(c.camera.name for c in found.cameras), title="coefficients (world in mm, undistorted px)"
+    )
     for k in range(11):
         cells = (f"{c.coefficients_px_mm[k]:.6g} +- {c.covariance[k][k] ** 0.5:.1g}" for c in found.cameras)
         values.add_row(f"L{k + 1}", *cells)
@@ -111,7 +106,9 @@ def dlt(done: DLTCalibration, *, as_json: bool) -> None:
     values.add_row("points", *(str(len(c.residuals_px) // 2) for c in found.cameras))
     screen.print(values)
     world = found.world if found.world == "rod base" else f"the board of view {found.world_view}"
-    poses = table("camera", "x [mm]", "y [mm]", "z [mm]", "+- [mm]", "+- [deg]", title=f"places in {world}")
+    poses = ColumnTable(
+        "camera", numbers=("x [mm]", "y [mm]", "z [mm]", "+- [mm]", "+- [deg]"), title=f"places in {world}"
+    )
     for c in found.cameras:
         p = c.placement
         known = (f"{p.translation_std_mm:.2g}", f"{p.rotation_std_deg:.2g}") if c.placement_known else ("?", "?")
@@ -140,7 +137,7 @@ def _worst_points(found: calibration_schema.DLTFile) -> Table:
     every.sort(key=lambda item: -item[2])
     shown = every if len(every) <= 4 * _WORST_SHOWN else every[:_WORST_SHOWN]
     title = "residuals" if len(shown) == len(every) else f"largest of {len(every)} residuals (all are in the file)"
-    made = table("point", "camera", "residual [px]", title=title)
+    made = ColumnTable("point", numbers=("camera", "residual [px]"), title=title)
     for camera, point, px in shown:
         made.add_row(point, camera, f"{px:.3f}")
     return made
@@ -166,7 +163,9 @@ def tool(done: ToolCalibration, *, as_json: bool) -> None:
         return
     std = np.sqrt(np.diag(found.covariance))
     now, before = placement_of(found.board_in_tip), placement_of(done.stated)
-    values = table("board in the tip frame", "found", "+-", "the rig's file", title=f"{len(found.views)} views")
+    values = ColumnTable(
+        "board in the tip frame", numbers=("found", "+-", "the rig's file"), title=f"{len(found.views)} views"
+    )
     for k, axis in enumerate("xyz"):
         values.add_row(f"{axis} [mm]", f"{now.translation_mm[k]:.3f}", f"{std[k] * 1e3:.2g}",
                        f"{before.translation_mm[k]:.3f}")  # fmt: skip
@@ -174,7 +173,7 @@ def tool(done: ToolCalibration, *, as_json: bool) -> None:
         values.add_row(f"rotation {axis} [deg]", f"{now.rotation_deg[k]:.3f}", f"{np.rad2deg(std[3 + k]):.2g}",
                        f"{before.rotation_deg[k]:.3f}")  # fmt: skip
     screen.print(values)
-    views = table("view", "turned [deg]", "off [mm]", "off [deg]")
+    views = ColumnTable("view", numbers=("turned [deg]", "off [mm]", "off [deg]"))
     for v in found.views:
         views.add_row(v.name, f"{np.rad2deg(v.angle_rad):.2f}", f"{v.residual_m * 1e3:.3f}",
                       f"{np.rad2deg(v.residual_rad):.3f}")  # fmt: skip
@@ -182,7 +181,7 @@ def tool(done: ToolCalibration, *, as_json: bool) -> None:
     for name, why, _ in found.left_out:
         screen.print(Text(f"not used: {name}: {why}", "yellow"), soft_wrap=True)
     if not any(v.turned for v in found.views):
-        line = "no views of the turned cap: the offset from the axis rests on the camera's place alone"
+        line = "no views of the turned cap: the offset from the axis depends on the placement of the camera alone"
         screen.print(Text(line, "yellow"), soft_wrap=True)
     _print_file(done.file, done.simulated)
 
@@ -194,7 +193,7 @@ def pressure(done: PressureCalibration, *, as_json: bool) -> None:
         print_json(_file_facts(done.file))
         return
     if sensors:
-        made = table("sensor", "bar per V", "+-", "offset [bar]", "+-", "rms [bar]", "the rig's file")
+        made = ColumnTable("sensor", numbers=("bar per V", "+-", "offset [bar]", "+-", "rms [bar]", "the rig's file"))
         for s in sensors:
             stated = next(c for c in config.sensors if c.actuator == s.actuator)
             scale = (stated.span_bar[1] - stated.span_bar[0]) / (stated.span_V[1] - stated.span_V[0])
@@ -206,21 +205,21 @@ def pressure(done: PressureCalibration, *, as_json: bool) -> None:
         screen.print(made)
     for v in valves:
         before = config.valves[v.valve - 1]
-        made = table(f"valve {v.valve}", "found", "+-", "the rig's file")
+        made = ColumnTable(f"valve {v.valve}", numbers=("found", "+-", "the rig's file"))
         stated_of = before.model_dump()
         for key, std in (("closed_V", v.closed_std_V), ("dead_zone_V", v.dead_zone_std_V), ("hysteresis_V", None),
                          ("leakage_l_min", v.leakage_std_l_min), ("full_flow_l_min", None)):  # fmt: skip
             stated_text = f"{stated_of[key]:g}" if key in stated_of else ""
             made.add_row(key, f"{getattr(v, key):.4g}", "" if std is None else f"{std:.2g}", stated_text)
         screen.print(made)
-        curve = table("V from closed", "l/min at 6 -> 5 bar", "+-")
+        curve = ColumnTable("V from closed", numbers=("l/min at 6 -> 5 bar", "+-"))
         for volts, share, std_share in zip(v.flow_curve_V, v.flow_curve_percent, v.flow_curve_std_percent, strict=True):
             beyond = "" if volts <= v.measured_to_V + 1e-9 else "  (the rig's curve, scaled)"
             scale = v.full_flow_l_min / 100
             curve.add_row(f"{volts:.3f}", f"{share * scale:.3f}", f"{std_share * scale:.2g}{beyond}")
         screen.print(curve)
         screen.print(
-            f"every flow rests on {v.volume_ml:g} +- {v.volume_std_ml:g} ml of air: "
+            f"every flow is proportional to the air volume, {v.volume_ml:g} +- {v.volume_std_ml:g} ml: "
             f"{v.volume_std_ml / v.volume_ml:.0%} more uncertainty, the same for all",
             soft_wrap=True,
         )

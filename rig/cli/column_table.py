@@ -16,11 +16,13 @@ LEAST_COLUMNS = 60
 class ColumnTable(Table):
     """A table without lines; below `LEAST_COLUMNS` each row is its first cell, then a line for each other cell."""
 
-    def __init__(self, *heads: str) -> None:
-        """Text columns with these heads; others are added with `add_column`."""
-        super().__init__(box=None, padding=(0, 2, 0, 0), title_justify="left")
+    def __init__(self, *heads: str, numbers: Iterable[str] = (), title: str | None = None) -> None:
+        """Text columns with the `heads`, then columns of `numbers`; others are added with `add_column`."""
+        super().__init__(box=None, padding=(0, 2, 0, 0), title=title, title_justify="left")
         for head in heads:
             self.add_column(head, overflow="fold")
+        for head in numbers:
+            self.add_column(head, justify="right")
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Render columns or, on a narrow terminal, rows."""

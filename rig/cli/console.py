@@ -9,7 +9,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.text import Text
 
-from rig.cli.printable import printable
+from runs.printable_text import printable
 
 
 class PrintableConsole(Console):

@@ -57,10 +57,11 @@ def design(
     protocol that separates two laws, for `rig identify compare RUN --between LAW_A LAW_B`.
     """
     from rig.cli import design_output as output
+    from rig.cli.assignments import names
     from rig.cli.run_names import resolve
     from rig.config.loader import chosen_rig, read
     from rig.design.expected_poses import errors_of_run
-    from runs.overwriting import refuse_existing
+    from runs.overwriting import refuse_existing, write_text
     from runs.run import Run
 
     if compare is not None and (free or criterion != "d"):
@@ -73,18 +74,12 @@ def design(
     if compare is None:
         from rig.design.design import design as find
 
-        names = [name.strip() for name in free.split(",") if name.strip()]
-        found = find(config, names, duration_s, criterion, seed, errors)
-        _write(to, found.text)
+        found = find(config, names(free), duration_s, criterion, seed, errors)
+        write_text(to, found.text)
         output.error_bars(found, to, source, as_json=json)
     else:
         from rig.design.law_comparison import design_comparison
 
         separated = design_comparison(config, compare, duration_s, seed, errors)
-        _write(to, separated.text)
+        write_text(to, separated.text)
         output.separations(separated, to, source, as_json=json)
-
-
-def _write(to: Path, text: str) -> None:
-    to.parent.mkdir(parents=True, exist_ok=True)
-    to.write_text(text, encoding="utf-8")

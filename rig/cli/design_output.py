@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -58,7 +59,7 @@ def error_bars(found: Design, to: Path, source: str, *, as_json: bool) -> None:
     screen.print(
         f"expected standard errors: median and range of {len(bars.by_arm)} arms as uncertain as the rig's\n"
         f"library: {', '.join(LIBRARY)} together; {REPEATS} runs: of the design\n"
-        f"{_assumed(found.errors, source)}\n"
+        f"{_assumed(found.errors, source, found.sections)}\n"
         "plateaus count as held for long: nothing relaxes\n"
         "of an arm that obeys the model, with the errors of the model that its run cannot exclude; an arm that shows "
         "such errors gets wider bars, and `rig identify` holds a parameter that they leave open, also one with yes "
@@ -68,9 +69,9 @@ def error_bars(found: Design, to: Path, source: str, *, as_json: bool) -> None:
     typer.echo(to)
 
 
-def _assumed(errors: MeasurementErrors, source: str) -> str:
+def _assumed(errors: MeasurementErrors, source: str, sections: Sequence[str] = ()) -> str:
     origin = f"in {source}" if source else "assumed; those of a run: --errors-of RUN"
-    return f"standard deviations: {errors_text(errors)} ({origin})"
+    return f"standard deviations: {errors_text(errors, sections)} ({origin})"
 
 
 def _errors(errors: MeasurementErrors, source: str) -> dict[str, object]:

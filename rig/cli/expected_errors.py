@@ -77,8 +77,9 @@ def _with_value(error: typer.BadParameter) -> str:
     if cause is None or not hasattr(cause, "errors"):
         return error.message
     (first, *_) = cause.errors()
-    expected = _EXPECTED.get(first["type"], "").format(**first.get("ctx", {})) or error.message
-    return f"found {first['input']}, expected {expected}"
+    if first["type"] not in _EXPECTED:
+        return error.message.removeprefix("Value error, ")
+    return f"found {first['input']}, expected {_EXPECTED[first['type']].format(**first.get('ctx', {}))}"
 
 
 def _message(error: Exception) -> str:

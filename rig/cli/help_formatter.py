@@ -10,7 +10,7 @@ import typer
 
 LEAST_WIDTH, MOST_WIDTH = 30, 78
 TEXT_SHARE = 0.6
-"""Least share of the width for the explanations; a longer name stands on a line of its own."""
+"""Least share of the width for the explanations; a longer name has a line of its own."""
 
 _Formatter: Any = typer.core.TyperGroup.context_class.formatter_class
 

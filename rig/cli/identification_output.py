@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
-from rich.table import Table
 from rich.text import Text
 
 from calibration.identify.bootstrap import Bootstrap
@@ -290,11 +289,8 @@ def comparison(found: RunComparison, as_json: bool) -> None:
         print_json(facts)
         return
     screen = console()
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for head in ("inhomogeneous", "radial effect", *(("damping",) if found.moving else ())):
-        table.add_column(head)
-    for head in ("error of runs left out [%]", "rms [mm]", "AIC", "BIC", "fitted"):
-        table.add_column(head, justify="right")
+    words = ("inhomogeneous", "radial effect", *(("damping",) if found.moving else ()))
+    table = ColumnTable(*words, numbers=("error of runs left out [%]", "rms [mm]", "AIC", "BIC", "fitted"))
     for row in compared.rows:
         _, _, rule = row.candidate.name.partition(", ")
         table.add_row(

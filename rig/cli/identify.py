@@ -128,21 +128,23 @@ def fit(
     from calibration.identify.report import write as write_report
     from calibration.identify.residual_dependence import residual_dependence
     from rig.cli import identification_output as output
+    from rig.cli.assignments import names
     from rig.cli.progress import state_of
     from rig.identify.from_archives import from_data, read_data
     from rig.identify.initial_setup import truth_of
+    from runs.overwriting import refuse_existing
 
     if not quasi_static:
         _refuse("needs --quasi-static", {"--every": every > 1})
     _check_bootstrap(bootstrap, scheduler, store)
     if rig_file is not None and to is None:
         to = rig_file.with_suffix(".parameters.yaml")
-    _check_places({"--report": report, "--to": to, "--rig-file": rig_file}, replace)
+    refuse_existing(filter(None, (report, to, rig_file)), replace=replace)
     priors = _priors(prior or [])
     opened = _opened(archives, leave_out or [], one_arm=start is not None)
     data = read_data(opened, start=start, quasi_static=quasi_static, every=every, split_s=split_s, read=_read)
     with state_of("searching") as show:
-        done = from_data(data, free=_names(free), priors=priors, per_run=_names(per_run), starts=starts, progress=show)
+        done = from_data(data, free=names(free), priors=priors, per_run=names(per_run), starts=starts, progress=show)
     if done.fit.worse_than_start:
         output.failure(done.fit)
         raise typer.Exit(FAULT)
@@ -195,12 +197,12 @@ def _write_parameters(
     """Write the parameters and, to `rig_file`, the initial rig with them applied; print the names of the files."""
     from calibration.identify.parameters_document import write
     from rig.identify.estimation import rig_with
+    from runs.overwriting import write_text
 
     written = write(done.fit, to, intervals, done.baseline)
     typer.echo(written, err=json)
     if rig_file is not None:
-        rig_file.parent.mkdir(parents=True, exist_ok=True)
-        rig_file.write_text(rig_with(done.rig, written), encoding="utf-8")
+        write_text(rig_file, rig_with(done.rig, written))
         typer.echo(rig_file, err=json)
 
 
@@ -221,6 +223,7 @@ def compare(
     laws; then every uncertain number of the rig is estimated, too, as in `rig identify`.
     """
     from rig.cli import identification_output as output
+    from rig.cli.assignments import names
     from rig.cli.progress import progress_bar
     from rig.identify import initial_setup, model_comparison
 
@@ -229,7 +232,7 @@ def compare(
     start, data = initial_setup.setup_of(seen[0]), _read(seen, quasi_static)
     with progress_bar("fitting") as progress:
         config = initial_setup.rig_of(seen[0]) if between else None
-        found = model_comparison.compare(start, data, _names(free), priors, scheduler, store, progress, between, config)
+        found = model_comparison.compare(start, data, names(free), priors, scheduler, store, progress, between, config)
     output.comparison(found, json)
 
 
@@ -254,24 +257,6 @@ def _read(archives: Sequence[Run], quasi_static: bool) -> list[Poses]:
         return []
     with progress_bar("reading") as progress:
         return read_poses(archives, quasi_static, progress)
-
-
-def _names(free: str) -> list[str]:
-    return [name.strip() for name in free.split(",") if name.strip()]
-
-
-def _check_places(places: Mapping[str, Path | None], replace: bool) -> None:
-    """Refuse output files that cannot be written or, without `replace`, that exist; before any computation."""
-    from runs.overwriting import refuse_existing
-
-    for option, place in places.items():
-        if place is None:
-            continue
-        if place.is_dir():
-            raise typer.BadParameter(f"{place}: name a file, not a folder", param_hint=option)
-        if (above := next(folder for folder in place.parents if folder.exists())) and not above.is_dir():
-            raise typer.BadParameter(f"{place}: {above} is a file, not a folder", param_hint=option)
-        refuse_existing([place], replace=replace)
 
 
 def _refuse(why: str, options: Mapping[str, object]) -> None:

@@ -90,10 +90,8 @@ def init(
 ) -> None:
     """Write a commented rig file to start from."""
     from rig.config.loader import path_of
-    from runs.overwriting import refuse_existing
+    from runs.overwriting import refuse_existing, write_text
 
     refuse_existing([to], replace=replace)
-    text = commented(path_of(like).read_text(encoding="utf-8"))
-    to.parent.mkdir(parents=True, exist_ok=True)
-    to.write_text(text, encoding="utf-8")
+    write_text(to, commented(path_of(like).read_text(encoding="utf-8")))
     typer.echo(to)

@@ -28,7 +28,7 @@ def publish(
 
     --elabftw takes the key of the API from the environment variable ELABFTW_API_KEY.
     """
-    from protocols.problems import BadInputError, Problem
+    from protocols.problems import bad_input
     from rig.cli.run_names import resolve
     from rig.publish.crate import write
     from rig.publish.description import describe
@@ -36,10 +36,10 @@ def publish(
     from runs.run import Run
 
     if to.suffix.lower() != ".zip":
-        raise BadInputError([Problem("--to", 0, 0, "", str(to), "a file whose name ends with .zip")])
+        raise bad_input("--to", str(to), "a file whose name ends with .zip")
     runs = [Run(path) for path in dict.fromkeys(resolve(archive) for archive in archives)]
     if (names := [run.path.name for run in runs]) and len(set(names)) < len(names):
-        raise BadInputError([Problem("RUN", 0, 0, "", ", ".join(names), "archives of different file names")])
+        raise bad_input("RUN", ", ".join(names), "archives of different file names")
     description = describe(runs, title, creator or (), licence)
     notebook = Notebook.of_environment(elabftw) if elabftw else None
     typer.echo(write(runs, description, to, replace=replace))

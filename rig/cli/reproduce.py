@@ -84,7 +84,7 @@ class Reproduction:
     remarks: list[str] = field(default_factory=list)
 
     def remark(self, text: str) -> None:
-        """Print a sentence that also stands on the page."""
+        """Print a sentence that is also on the page."""
         self.remarks.append(text)
         self.screen.print(f"{text}\n", soft_wrap=True)
 

@@ -15,7 +15,6 @@ from rich.text import Text
 
 from rig.cli.column_table import ColumnTable, facts_table
 from rig.cli.exit_status import DONE, FAULT, INTERRUPTED
-from rig.cli.printable import printable
 from rig.config.schema import RigConfig
 from rig.execution.plan import RunPlan
 from rig.experiment.preflight import peak_pa
@@ -24,6 +23,7 @@ from rig.hardware.safe_state import safe_voltages
 from rig.realtime.scheduling import obtainable
 from rig.realtime.timing_limits import has_real_valves, remedies, timing_sentence
 from rig.sections.quantities import PA_PER_BAR
+from runs.printable_text import printable
 from runs.records import Status
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 _EXIT = {Status.FINISHED: DONE, Status.ABORTED: FAULT, Status.INTERRUPTED: INTERRUPTED}
 _VERDICT = {"ok": "green", "missing": "bold red", "note": "yellow"}
 _STATUS = {Status.FINISHED: "bold green", Status.ABORTED: "bold red", Status.INTERRUPTED: "bold yellow"}
+_SKETCH_LINES = 10
 
 
 def title(request: RunRequest) -> str:
@@ -135,7 +136,7 @@ def _tip_paths_json(plan: RunPlan) -> dict[str, object]:
     return {"tip_paths": assess(plan.config, plan.trajectory, plan.variant)}
 
 
-def sketch(plan: RunPlan, width: int, height: int = 10) -> Text:
+def sketch(plan: RunPlan, width: int) -> Text:
     """Plot the set-points over time as text; actuators with equal set-points share a symbol."""
     columns = max(20, min(width, 110) - 12)
     times = np.linspace(0.0, plan.trajectory.duration_s, columns)
@@ -144,7 +145,7 @@ def sketch(plan: RunPlan, width: int, height: int = 10) -> Text:
     for actuator, column in enumerate(levels.T, 1):
         alike.setdefault(column.tobytes(), []).append(actuator)
     top = max(peak_bar(plan))
-    lines_up = height if top > 0 else 0
+    lines_up = _SKETCH_LINES if top > 0 else 0
     grid = [[" "] * columns for _ in range(lines_up + 1)]
     for numbers in reversed(alike.values()):
         for column, level in enumerate(levels[:, numbers[0] - 1]):

@@ -30,6 +30,7 @@ def study(
 
     After any interruption, repeat the command: finished runs are not repeated.
     """
+    from protocols.problems import bad_input
     from rig.cli import assignments, study_output
     from rig.cli.console import console
     from rig.cli.progress import progress_bar
@@ -41,7 +42,7 @@ def study(
     from runs.study.page import write
 
     if scheduler and not fast:
-        _refuse("--scheduler", scheduler, "--fast: only runs in virtual time are spread over a cluster")
+        raise bad_input("--scheduler", scheduler, "--fast: only runs in virtual time are spread over a cluster")
     found = load(
         plan, chosen_rig(rig), folder=out, fast=fast, operator=operator, metadata=assignments.texts("--meta", meta)
     )
@@ -54,7 +55,7 @@ def study(
         if len(done) < len(found.runs):
             study_output.planned(screen, found, done)
             if not yes and not confirm(screen):
-                _refuse("--yes", "", "a confirmation: the study is not armed")
+                raise bad_input("--yes", "", "a confirmation: the study is not armed")
         try:
             if len(done) < len(found.runs) and fast:
                 with progress_bar("runs") as progress:
@@ -70,9 +71,3 @@ def study(
         if len(entries) < len(found.runs):
             screen.print(f"repeat the command for the {len(found.runs) - len(entries)} runs that are missing")
             raise typer.Exit(FAULT)
-
-
-def _refuse(option: str, value: str, expected: str) -> None:
-    from protocols.problems import BadInputError, Problem
-
-    raise BadInputError([Problem(option, 0, 0, "", value, expected)])

@@ -35,9 +35,10 @@ def planned(screen: Console, study: Study, done: Mapping[int, Entry], *, as_json
     plan, request = study.plan, study.requests[0]
     how = "virtual time, without rest, conditioning and prompts" if study.fast else "real time"
     screen.print(f"rig {request.config.name}{' (simulated)' if request.config.simulated else ''}, {how}")
+    time = "of virtual time " if study.fast else ""
     screen.print(
         f"{len(study.runs)} runs in {plan.blocks} {'block' if plan.blocks == 1 else 'blocks'}, {len(done)} done; "
-        f"{_time(study.duration_s(left))} remain of {_time(study.duration_s(study.runs))}"
+        f"{_time(study.duration_s(left))} {time}remain of {_time(study.duration_s(study.runs))}"
     )
 
 

@@ -19,9 +19,9 @@ from rich.text import Text
 
 from rig.cli.keyboard import Keyboard
 from rig.cli.nonblocking_writer import NonBlockingWriter
-from rig.cli.printable import printable
 from rig.execution.plan import Progress
 from rig.sections.quantities import PA_PER_BAR
+from runs.printable_text import printable
 from runs.records import DetectionStatus, Event, Level, Quantity
 
 LINE_EVERY_S = 2.0
@@ -152,7 +152,7 @@ def _line(progress: Progress) -> str:
         parts.append(f"model tip mm {_point(progress.observation['model_m'])}, not measured: no camera")
     if progress.missed or progress.dropped:
         parts.append(_losses(progress))
-    if progress.held:
+    if progress.paused:
         parts.append("PAUSED")
     if progress.prompt is not None:
         parts.append(f"WAITING: {progress.prompt} (then press Enter)")
@@ -168,7 +168,7 @@ def _screen(title: str, progress: Progress) -> Group:
     """Return the screen of a run, the most important first: a small terminal cuts off the end."""
     sample, observation = progress.sample, progress.observation
     parts: list[RenderableType] = [Text(printable(title), "bold")]
-    if progress.held:
+    if progress.paused:
         parts.append(Text("PAUSED: p resumes", "bold yellow"))
     if progress.prompt is not None:
         parts.append(Text(f"{printable(progress.prompt)}, then press Enter", "bold yellow"))

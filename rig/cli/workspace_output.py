@@ -48,9 +48,8 @@ def table(space: TipWorkspace, config: RigConfig) -> Group:
     )
     if not space.sections:
         return Group(facts, "two valves move the tip in a surface: control two coordinates, such as [x, z]")
-    sections = ColumnTable()
-    for head in ("z [mm]", "circles about the axis, radius [mm]", "farthest point from the axis [mm]"):
-        sections.add_column(head, justify="right")
+    heads = ("z [mm]", "circles about the axis, radius [mm]", "farthest point from the axis [mm]")
+    sections = ColumnTable(numbers=heads)
     for section in space.sections:
         circles = "none" if section.circles_mm is None else "{:.0f} to {:.0f}".format(*section.circles_mm)
         sections.add_row(f"{section.height_mm:.1f}", circles, f"{section.farthest_mm:.0f}")

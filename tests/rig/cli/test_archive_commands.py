@@ -13,18 +13,12 @@ from pathlib import Path
 import pytest
 
 import tests.support.synthetic_runs as made_up
-from rig.cli.app import main
 from rig.cli.expected_errors import EXPECTED_ERRORS
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
 from runs.records import RunFooter, Status
 from runs.report import page
-
-
-def status_of(*words: object) -> object:
-    with pytest.raises(SystemExit) as ended:
-        main([str(word) for word in words])
-    return ended.value.code
+from tests.support.command_line import status_of
 
 
 @pytest.fixture

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 import runs
-from rig.cli.app import main
 from rig.config import loader
 from rig.simulator.registers import Registers
 from runs.records import DetectionStatus
 from scripts.rig_process import write_rig
+from tests.support.command_line import status_of
 
 SHORT = "title: Short\nsteps:\n  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 1}\n"
 
@@ -41,14 +41,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty current folder."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def inside(*arguments: str | Path) -> int:
-    """Run the command in this process, which is faster; unexpected exceptions reach the test."""
-    with pytest.raises(SystemExit) as left:
-        main([*map(str, arguments)])
-    assert isinstance(left.value.code, int)
-    return left.value.code
 
 
 @pytest.fixture(scope="module")
@@ -182,7 +174,7 @@ def test_ctrl_c_while_modules_load_ends_the_program_silently() -> None:
 def test_bad_input_gives_one_message_and_status_2(
     here: Path, arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert inside(*arguments) == 2
+    assert status_of(*arguments) == 2
     assert said in capsys.readouterr().err
     assert not list(here.iterdir())
 
@@ -197,7 +189,7 @@ def test_bad_input_in_a_separate_process_gives_the_same_message_without_a_traceb
 def test_an_address_of_another_machine_is_bad_input(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (archive,) = (recorded / "data").glob("*.h5")
     for address in ("lab", "192.0.2.1"):
-        assert inside("live", archive, "--listen", address) == 2
+        assert status_of("live", archive, "--listen", address) == 2
         assert f"found     {address}" in capsys.readouterr().err
 
 
@@ -205,7 +197,7 @@ def test_the_page_is_not_opened_for_a_file_that_is_not_an_archive(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (here / "notes.h5").write_text("no archive")
-    assert inside("live", "notes.h5", "--port", "0") == 2
+    assert status_of("live", "notes.h5", "--port", "0") == 2
     said = capsys.readouterr()
     assert "not an archive of softrig" in said.err
     assert "live page" not in said.out
@@ -214,7 +206,7 @@ def test_the_page_is_not_opened_for_a_file_that_is_not_an_archive(
 def test_faults_of_protocol_and_rig_are_reported_at_once(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "p.yaml").write_text("title: x\nsteps: 3\n")
     (here / "r.yaml").write_text("name: 3\n")
-    assert inside("check", "p.yaml", "--rig", "r.yaml") == 2
+    assert status_of("check", "p.yaml", "--rig", "r.yaml") == 2
     said = capsys.readouterr().err
     assert "p.yaml:2" in said
     assert "r.yaml:1" in said
@@ -224,7 +216,7 @@ def test_without_yes_and_without_a_terminal_nothing_is_armed(
     here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
-    assert inside("run", "ramp-a", "--fast") == 2
+    assert status_of("run", "ramp-a", "--fast") == 2
     assert "--yes" in capsys.readouterr().out
     assert not (here / "data").exists()
 
@@ -236,7 +228,7 @@ def test_vent_names_the_bench_and_states_that_it_is_simulated(
     bench = write_rig(here)
     registers = Registers.create(loader.load(bench).cards["daq"].device, outputs=2, inputs=16)
     try:
-        assert inside("vent", "--rig", bench) == 0
+        assert status_of("vent", "--rig", bench) == 0
     finally:
         registers.path.unlink()
     assert "every chamber of rig mock is open to the exhaust (simulated" in capsys.readouterr().out
@@ -244,14 +236,14 @@ def test_vent_names_the_bench_and_states_that_it_is_simulated(
 
 def test_a_data_folder_that_cannot_be_written_is_reported(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "data").write_text("a file")
-    assert inside("run", "ramp-a", "--fast", "--yes") in (1, 2)
+    assert status_of("run", "ramp-a", "--fast", "--yes") in (1, 2)
     assert "data" in capsys.readouterr().err
 
 
 def test_check_prints_the_peak_pressure_and_the_limit_without_touching_anything(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert inside("check", "ramp-b", "--json") == 0
+    assert status_of("check", "ramp-b", "--json") == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["peak_bar"] == pytest.approx([0, 0.65, 0.65])
     assert facts["limit_bar"] >= 0.65
@@ -263,13 +255,13 @@ def test_a_real_card_beside_a_simulated_camera_is_not_called_untouched(
 ) -> None:
     mixed = loader.text("mock").replace("daq: {driver: mock, device: mock0", "daq: {driver: comedi, device: pci1716")
     (here / "mixed.yaml").write_text(mixed)
-    assert inside("check", "ramp-a", "--rig", "mixed.yaml") == 0
+    assert status_of("check", "ramp-a", "--rig", "mixed.yaml") == 0
     assert "SIMULATED in part: card daq is real" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("here")
 def test_doctor_names_what_is_missing_and_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
-    inside("doctor", "--json")
+    status_of("doctor", "--json")
     findings = json.loads(capsys.readouterr().out)
     assert {"Python", "board", "pycomedi", "camera", "real-time priority", "disk"} <= {f["topic"] for f in findings}
     assert all(f["remedy"] for f in findings if f["verdict"] != "ok")
@@ -280,12 +272,12 @@ def test_show_prints_how_a_run_was_made(
 ) -> None:
     monkeypatch.chdir(recorded)
     (archive,) = (recorded / "data").glob("*.h5")
-    assert inside("show", archive.stem) == 0
+    assert status_of("show", archive.stem) == 0
     shown = capsys.readouterr().out
     seen_by = "camera front: checkerboard of 30 corners"
     for fact in (archive.stem, "simulated", "ada", "short", "virtual time", "mean error", seen_by):
         assert fact in shown
-    inside("show", archive, "--json")
+    status_of("show", archive, "--json")
     facts = json.loads(capsys.readouterr().out)
     assert facts["header"]["operator"] == "ada"
 
@@ -295,14 +287,14 @@ def test_runs_lists_archives_and_filters_them(
 ) -> None:
     monkeypatch.chdir(recorded)
     for options, found in (((), 1), (("--text", "absent"), 0)):
-        assert inside("runs", "--json", *options) == 0
+        assert status_of("runs", "--json", *options) == 0
         assert len(json.loads(capsys.readouterr().out)) == found
 
 
 def test_export_writes_tables_with_the_unit_in_every_header(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(recorded)
     (archive,) = (recorded / "data").glob("*.h5")
-    assert inside("export", archive.stem, "--format", "csv", "--out", "tables") == 0
+    assert status_of("export", archive.stem, "--format", "csv", "--out", "tables") == 0
     (pressure,) = (recorded / "tables").glob("*-pressure.csv")
     head = pressure.read_text().splitlines()[0].split(",")
     assert "time_s" in head
@@ -315,18 +307,18 @@ def test_recover_makes_an_archive_of_an_orphaned_journal(
     (journal,) = (recorded / "data").glob("*.mcap")
     data = journal.read_bytes()
     (tmp_path / "orphan.mcap").write_bytes(data[: len(data) // 2])
-    assert inside("recover", tmp_path) == 0
+    assert status_of("recover", tmp_path) == 0
     assert "recovered" in capsys.readouterr().out
     assert len(runs.open(tmp_path / "orphan.h5").pressure.time_s) > 10
-    assert inside("recover", tmp_path) == 0
+    assert status_of("recover", tmp_path) == 0
     assert "nothing to recover" in capsys.readouterr().out
 
 
 def test_simulate_writes_only_the_models_tip_in_the_same_layout(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "short.yaml").write_text(SHORT)
-    assert inside("simulate", "short.yaml", "--model", "homogeneous", "--out", "out") == 0
+    assert status_of("simulate", "short.yaml", "--model", "homogeneous", "--out", "out") == 0
     archive = here / capsys.readouterr().out.strip()
-    assert inside("replay", archive) == 2
+    assert status_of("replay", archive) == 2
     assert "holds no pictures" in capsys.readouterr().err
     run = runs.open(archive)
     assert np.all(run.tip.seen == DetectionStatus.NO_FRAME)
@@ -338,7 +330,7 @@ def test_simulate_writes_only_the_models_tip_in_the_same_layout(here: Path, caps
 def test_a_run_in_which_no_frame_showed_the_tip_says_so(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "short.yaml").write_text(SHORT)
     (here / "dark.yaml").write_text(loader.text("mock").replace("noise_grey: 2.0", "noise_grey: 2.0, lighting: 0.05"))
-    assert inside("run", "short.yaml", "--rig", "dark.yaml", "--fast", "--yes", "--no-report") == 0
+    assert status_of("run", "short.yaml", "--rig", "dark.yaml", "--fast", "--yes", "--no-report") == 0
     assert "no tip was measured in" in capsys.readouterr().out
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 import tests.support.synthetic_runs as made_up
-from rig.cli.app import main
 from rig.cli.run_names import resolve
 from runs.archive.writer import ArchiveError, finalise
 from runs.export.exporters import FORMATS, export
@@ -17,6 +16,7 @@ from runs.overwriting import WouldOverwriteError, staged
 from runs.records import RunFooter, Status
 from runs.report import figure_export
 from runs.report import page as report
+from tests.support.command_line import status_of
 
 FIRST, SECOND = "20260102-030405-ramp-a", "20260103-030405-sine-1"
 
@@ -45,13 +45,6 @@ def data(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return Path("data")
 
 
-def inside(*arguments: str | Path) -> int:
-    with pytest.raises(SystemExit) as left:
-        main([*map(str, arguments)])
-    assert isinstance(left.value.code, int)
-    return left.value.code
-
-
 @pytest.mark.parametrize(
     ("name", "run"),
     [
@@ -65,6 +58,14 @@ def inside(*arguments: str | Path) -> int:
 )
 def test_a_run_is_named_by_its_path_its_id_a_unique_part_of_it_or_last(data: Path, name: str, run: str) -> None:
     assert resolve(Path(name)) == data / f"{run}.h5"
+
+
+def test_functions_of_reports_and_exports_take_the_names_of_the_commands(data: Path) -> None:
+    by_name = report.write("last")
+    assert by_name == data / f"{FIRST}.html"
+    assert report.write(["ramp-a", "sine-1"]) == data / f"{FIRST}-and-{SECOND}.html"
+    assert figure_export.write(["last"], "figures")
+    assert export("sine-1", "yaml")[0].parent == data / f"{SECOND}-inputs"
 
 
 def test_an_ambiguous_part_of_a_run_id_is_refused_with_the_matching_ids(data: Path) -> None:
@@ -93,27 +94,27 @@ def test_last_of_an_empty_folder_is_no_run(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_a_comparison_does_not_change_the_reports_of_its_runs(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert inside("report", "last") == 0
+    assert status_of("report", "last") == 0
     own = (data / f"{FIRST}.html").read_bytes()
-    assert inside("report", "ramp-a", "sine-1") == 0
+    assert status_of("report", "ramp-a", "sine-1") == 0
     assert (data / f"{FIRST}.html").read_bytes() == own
     assert (data / f"{FIRST}-and-{SECOND}.html").exists()
     capsys.readouterr()
     # The same again is the same purpose.
-    assert inside("report", "last") == 0
-    assert inside("report", "ramp-a", "sine-1") == 0
+    assert status_of("report", "last") == 0
+    assert status_of("report", "ramp-a", "sine-1") == 0
 
 
 def test_a_report_does_not_overwrite_another_page(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("notes.html").write_text("mine")
-    assert inside("report", "last", "--to", "notes.html") == 2
+    assert status_of("report", "last", "--to", "notes.html") == 2
     said = capsys.readouterr().err
     assert "notes.html exists" in said
     assert "--replace" in said
     assert Path("notes.html").read_text() == "mine"
-    assert inside("report", "sine-1", "--to", "one.html") == 0
-    assert inside("report", "ramp-a", "--to", "one.html") == 2
-    assert inside("report", "ramp-a", "--to", "one.html", "--replace") == 0
+    assert status_of("report", "sine-1", "--to", "one.html") == 0
+    assert status_of("report", "ramp-a", "--to", "one.html") == 2
+    assert status_of("report", "ramp-a", "--to", "one.html", "--replace") == 0
 
 
 @pytest.mark.parametrize("form", FORMATS)
@@ -128,7 +129,7 @@ def test_an_export_overwrites_no_file_without_consent(data: Path, form: str) -> 
     assert {path.name for path in export(archive, form, replace=True)} == {path.name for path in written}
     assert all(file.read_bytes() != b"mine" for file in written)
     assert not list(data.glob(".writing-*"))
-    assert inside("export", archive, "--format", form) == 2
+    assert status_of("export", archive, "--format", form) == 2
 
 
 def test_figures_overwrite_no_file_without_consent(data: Path) -> None:
@@ -150,9 +151,45 @@ def test_identify_refuses_an_existing_file_before_it_computes(
 ) -> None:
     file = Path("mine.yaml")
     file.write_text("mine")
-    assert inside("identify", "last", option, file) == 2
+    assert status_of("identify", "last", option, file) == 2
     assert f"{file} exists" in capsys.readouterr().err
     assert file.read_text() == "mine"
+
+
+CHEAP = (
+    ("workspace", "reach.png"),
+    ("board", "board.pdf"),
+    ("report", "last", "page.html"),
+    ("init", "bench.yaml"),
+    ("publish", "last", "--creator", "A. Name", "--licence", "CC-BY-4.0", "crate.zip"),
+)
+EXPENSIVE = (
+    ("design", "design.yaml"),
+    ("identify", "last", "found.yaml"),
+    ("calibrate", "pressure", "--fast", "--yes", "pressure.yaml"),
+    ("calibrate", "tool", "--capture", "tool.yaml"),
+    ("calibrate", "camera", "--capture", "--corners", "6x5", "--square-mm", "8", "camera.yaml"),
+)
+
+
+@pytest.mark.parametrize("arguments", CHEAP, ids=lambda arguments: arguments[0])
+def test_missing_folders_of_an_output_file_are_created(data: Path, arguments: tuple[str, ...]) -> None:
+    *command, name = arguments
+    assert status_of(*command, "--to", f"new/inner/{name}") == 0
+    assert Path("new", "inner", name).stat().st_size > 0
+
+
+@pytest.mark.parametrize("arguments", [*CHEAP, *EXPENSIVE], ids=lambda arguments: " ".join(arguments[:2]))
+def test_an_output_file_below_a_file_is_refused_before_anything_is_computed(
+    data: Path, arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    *command, name = arguments
+    Path("mine").write_text("mine")
+    assert status_of(*command, "--to", f"mine/inner/{name}") == 2
+    said = capsys.readouterr()
+    assert f"mine/inner/{name}: mine is not a folder: name another one" in said.err
+    assert said.out == ""
+    assert Path("mine").read_text() == "mine"
 
 
 def test_reproduce_overwrites_only_its_own_page(tmp_path: Path) -> None:

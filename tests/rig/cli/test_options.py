@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 import typer
 
-from rig.cli.app import app, main
+from rig.cli.app import app
+from tests.support.command_line import status_of
 
 REFERENCE = Path(__file__).parents[3] / "docs" / "reference" / "command-line.md"
 _CLICK_OWN = {"--help", "--install-completion", "--show-completion"}
@@ -90,15 +91,14 @@ def test_help_fits_the_terminal_and_cuts_no_sentence_off(
         (["run", "ramp-a", "--seed", "-1"], "'--seed': found -1, expected at least 0"),
         (["run", "ramp-a", "--seed", "0.5"], "'--seed': found 0.5, expected a whole number"),
         (["run", "ramp-a", "--port", "65536"], "'--port': found 65536, expected at most 65535"),
+        (["reproduce", "table99"], "'what': 'table99' is not one of 'modulus'"),
         (["identify", "last", "--every", "0"], "'--every': found 0, expected at least 1"),
         (["identify", "last", "--split-s", "nan"], "'--split-s': found nan, expected at least 0\n"),
         (["design", "--duration-s", "much"], "'--duration-s': found much, expected a number"),
     ],
 )
-def test_an_invalid_number_is_shown_with_what_was_expected(
+def test_an_invalid_value_is_shown_with_what_was_expected(
     arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(arguments)
-    assert left.value.code == 2
+    assert status_of(*arguments) == 2
     assert said in capsys.readouterr().err

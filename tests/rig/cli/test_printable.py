@@ -14,12 +14,12 @@ import pytest
 from rich.text import Text
 
 import tests.support.synthetic_runs as made_up
-from rig.cli.app import main
 from rig.cli.console import PrintableConsole
-from rig.cli.printable import printable
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
+from runs.printable_text import printable
 from runs.records import Event, Level, RunFooter, Status
+from tests.support.command_line import status_of
 
 ODD = "\x1b[31mred\x1b[0m \u202egnp\u202c \x07 \x9b1m [bold]b[/bold] [/x] :bomb: =1"
 SHOWN = r"\x1b[31mred\x1b[0m \u202egnp\u202c \x07 \x9b1m [bold]b[/bold] [/x] :bomb: =1"
@@ -51,8 +51,7 @@ def rig(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> R
 
     def printed(folder: Path, *arguments: str) -> str:
         monkeypatch.chdir(folder)
-        with pytest.raises(SystemExit):
-            main(list(arguments))
+        status_of(*arguments)
         said = capfd.readouterr()
         return said.out + said.err
 
@@ -150,11 +149,17 @@ def test_a_report_holds_no_foreign_markup(tmp_path: Path) -> None:
         assert "&lt;script&gt;" in page
 
 
+def test_texts_in_a_csv_hold_no_control_characters(folder: Path, tmp_path: Path, rig: Rig) -> None:
+    rig(folder, "export", "odd.h5", "--format", "csv", "--out", str(tmp_path))
+    content = "".join(file.read_text(encoding="utf-8") for file in tmp_path.glob("*.csv"))
+    assert not any(sign in content for sign in RAW)
+
+
 def test_texts_in_a_csv_are_no_formulas(folder: Path, tmp_path: Path, rig: Rig) -> None:
     rig(folder, "export", "odd.h5", "--format", "csv", "--out", str(tmp_path))
     with (tmp_path / "odd-events.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert rows[0]["message"] == f"'={ODD}"
+    assert rows[0]["message"] == f"'={SHOWN}"
     assert (rows[1]["source"], rows[1]["message"]) == ("'-1+1", "'@sum")
     with (tmp_path / "odd-tip.csv").open(newline="") as file:
         assert float(next(csv.DictReader(file))["measured_x_mm"]) < 0

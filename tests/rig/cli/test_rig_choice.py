@@ -13,7 +13,6 @@ import yaml
 import rig.cli.vent
 import rig.hardware.vent
 import runs
-from rig.cli.app import main
 from rig.cli.init import EXPLAINED, commented
 from rig.config import loader
 from rig.config.loader import Source, chosen_rig, named_rig
@@ -24,6 +23,7 @@ from rig.hardware.lock import cards_locked
 from rig.hardware.vent import VentResult
 from rig.realtime import scheduling
 from rig.simulator.registers import Registers
+from tests.support.command_line import status_of
 
 BRIEF = "title: Brief\nsteps:\n  - ramp: {actuators: [1], to_bar: 0.1, duration_s: 0.3}\n"
 
@@ -37,13 +37,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "shared").mkdir(mode=0o700)
     monkeypatch.setattr(runtime_folder, "BASE", tmp_path / "shared")
     return tmp_path
-
-
-def inside(*arguments: str | Path) -> int:
-    with pytest.raises(SystemExit) as left:
-        main([*map(str, arguments)])
-    assert isinstance(left.value.code, int)
-    return left.value.code
 
 
 def write_rig(file: str, name: str) -> None:
@@ -74,7 +67,7 @@ def test_screen_and_record_state_what_chose_the_rig(
     elif source is Source.FOLDER:
         write_rig("softrig.yaml", "chosen")
     (here / "brief.yaml").write_text(BRIEF)
-    assert inside("run", "brief.yaml", "--fast", "--yes", "--no-report") == 0
+    assert status_of("run", "brief.yaml", "--fast", "--yes", "--no-report") == 0
     assert f"chosen by {source}" in capsys.readouterr().out
     (archive,) = Path("data").glob("*.h5")
     run = runs.open(archive)
@@ -102,19 +95,49 @@ def test_an_unreadable_rig_of_folder_or_variable_is_not_replaced_by_the_mock(
     arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("softrig.yaml").symlink_to("gone.yaml")
-    assert inside(*arguments) == 2
+    assert status_of(*arguments) == 2
     assert "softrig.yaml" in capsys.readouterr().err
     monkeypatch.setenv("SOFTRIG_RIG", "mook")
-    assert inside(*arguments) == 2
+    assert status_of(*arguments) == 2
     said = capsys.readouterr().err
-    assert "mook: SOFTRIG_RIG" in said
+    assert "mook: chosen by SOFTRIG_RIG" in said
     assert "did you mean mock or mock-3?" in said
+
+
+@pytest.mark.parametrize("source", ["variable", "folder"])
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (None, "this is a folder, not a file"),
+        (b"", "the file is empty"),
+        (b"\xff\xfea", "the file is UTF-16; save it as UTF-8"),
+        (b"cards: [1\n", "a ',' or the closing ']' here"),
+    ],
+    ids=["folder", "empty", "UTF-16", "syntax"],
+)
+def test_a_rig_file_that_cannot_be_read_is_reported_with_what_chose_it(
+    content: bytes | None, reason: str, source: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = Path("bench.yaml" if source == "variable" else "softrig.yaml")
+    if content is None:
+        file.mkdir()
+    else:
+        file.write_bytes(content)
+    why = "chosen because neither --rig nor SOFTRIG_RIG names a rig"
+    if source == "variable":
+        monkeypatch.setenv("SOFTRIG_RIG", str(file))
+        why = "chosen by SOFTRIG_RIG"
+    for arguments in (("check", "ramp-a"), ("vent",), ("board",)):
+        assert status_of(*arguments) == 2
+        said = capsys.readouterr().err
+        assert why in said.splitlines()[0]
+        assert reason in said
 
 
 def test_vent_without_a_rig_and_without_a_run_vents_nothing_and_returns_2(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert inside("vent") == 2
+    assert status_of("vent") == 2
     said = capsys.readouterr()
     assert "nothing to vent" in said.err
     assert said.out == ""
@@ -125,7 +148,7 @@ def test_vent_of_a_simulated_rig_that_has_never_run_says_so_and_returns_2(
     arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_rig("softrig.yaml", "folder")
-    assert inside(*arguments) == 2
+    assert status_of(*arguments) == 2
     said = capsys.readouterr()
     assert "nothing to vent: the simulated rig folder" in said.err
     assert "has never run" in said.err
@@ -154,7 +177,7 @@ def test_vent_without_a_rig_vents_only_the_running_ones(
     (running, first), (_, second) = two_cards
     monkeypatch.setattr(rig.hardware.vent.os, "kill", lambda pid, number: None)
     with cards_locked(running, "protocol ramp-a"):
-        assert inside("vent") == 0
+        assert status_of("vent") == 0
     said = capsys.readouterr().out
     assert "every chamber of rig bench1 is open to the exhaust" in said
     assert "protocol ramp-a" in said
@@ -170,7 +193,7 @@ def test_vent_does_not_claim_what_a_card_without_read_back_cannot_show(
     (running, _), _ = two_cards
     monkeypatch.setattr(rig.cli.vent, "vent_rig", lambda config: VentResult(("daq",)))
     with cards_locked(running, "protocol ramp-a"):
-        assert inside("vent") == 0
+        assert status_of("vent") == 0
     said = capsys.readouterr().out
     assert "was commanded to vent; card daq has no read-back: look at the gauge" in said
     assert "open to the exhaust" not in said
@@ -192,16 +215,16 @@ def test_a_running_rig_that_cannot_be_vented_does_not_stop_the_venting_of_others
     monkeypatch.setattr(rig.cli.vent, "vent_rig", vented)
     with cards_locked(one, "one"), cards_locked(other, "other"):
         # Both are of this process, and the later record names the rig that is found.
-        assert inside("vent") == 0
+        assert status_of("vent") == 0
     assert registers.outputs["volts"].tolist() == [0.0, 0.0]
     with cards_locked(one, "one"):
-        assert inside("vent") == 1
+        assert status_of("vent") == 1
     assert "rig bench1: the card is gone" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("like", loader.named())
 def test_init_writes_a_rig_file_with_a_comment_on_every_section(like: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert inside("init", "--like", like) == 0
+    assert status_of("init", "--like", like) == 0
     text = Path("softrig.yaml").read_text()
     assert loader.load("softrig.yaml") == loader.load(like)
     sections = yaml.safe_load(text)
@@ -212,7 +235,7 @@ def test_init_writes_a_rig_file_with_a_comment_on_every_section(like: str, capsy
         assert lines[at - 1].startswith("# "), section
     assert max(map(len, lines)) <= 120
     capsys.readouterr()
-    assert inside("check", "ramp-a", "--json") == 0
+    assert status_of("check", "ramp-a", "--json") == 0
     assert json.loads(capsys.readouterr().out)["rig_source"] == str(Source.FOLDER)
 
 
@@ -227,12 +250,12 @@ def test_init_overwrites_nothing_without_consent(kind: str, capsys: pytest.Captu
         Path("softrig.yaml").write_text("mine")
     else:
         Path("softrig.yaml").symlink_to("elsewhere")
-    assert inside("init") == 2
+    assert status_of("init") == 2
     said = capsys.readouterr().err
     assert "softrig.yaml exists" in said
     assert "--replace" in said
     assert not Path("elsewhere").exists()
     if kind == "file":
         assert Path("softrig.yaml").read_text() == "mine"
-        assert inside("init", "--replace") == 0
+        assert status_of("init", "--replace") == 0
         assert loader.load("softrig.yaml").name == "mock"

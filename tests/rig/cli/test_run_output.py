@@ -130,7 +130,7 @@ def test_the_question_is_asked_where_the_screen_is_and_only_yes_arms(
 def running(
     *,
     prompt: str | None = None,
-    held: bool = False,
+    paused: bool = False,
     actuators: int = 3,
     estimates: int = 10,
     seen: DetectionStatus = DetectionStatus.MEASURED,
@@ -146,7 +146,7 @@ def running(
     adaptation = np.zeros(1, adaptation_dtype(estimates))[0]
     adaptation["value"] = -0.0012345 - 1e-7 * np.arange(estimates)
     adaptation["covariance"] = 1.21e-8 * np.eye(estimates)
-    return Progress(8.0, 9.0, sample, observation, 0, dropped, prompt, held, adapted, adaptation)
+    return Progress(8.0, 9.0, sample, observation, 0, dropped, prompt, paused, adapted, adaptation)
 
 
 def live(progress: Progress, columns: int, lines: int) -> str:
@@ -163,7 +163,7 @@ def live(progress: Progress, columns: int, lines: int) -> str:
 @pytest.mark.parametrize(("columns", "lines"), [(80, 24), (40, 12)])
 def test_a_waiting_prompt_is_on_the_screen_of_any_size(columns: int, lines: int) -> None:
     assert "press Enter" in live(running(prompt="Hang 20 g on the tip"), columns, lines)
-    assert "PAUSED" in live(running(held=True), columns, lines)
+    assert "PAUSED" in live(running(paused=True), columns, lines)
 
 
 def test_a_narrow_terminal_cuts_no_number_of_a_run_off() -> None:
@@ -177,17 +177,17 @@ PROMPT = "Hang the weight of 200 g on the hook at the tip and wait until it no l
 
 
 @pytest.mark.parametrize("seen", [DetectionStatus.MEASURED, DetectionStatus.NO_BOARD])
-@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize("paused", [False, True])
 def test_a_usual_terminal_shows_every_number_of_an_adapting_run_with_six_actuators(
-    seen: DetectionStatus, held: bool
+    seen: DetectionStatus, paused: bool
 ) -> None:
     columns, lines = 80, 24
-    screen = live(running(prompt=PROMPT, held=held, actuators=6, estimates=9, seen=seen), columns, lines)
+    screen = live(running(prompt=PROMPT, paused=paused, actuators=6, estimates=9, seen=seen), columns, lines)
     assert len(screen.rstrip("\n").split("\n")) < lines
     assert max(len(line) for line in screen.replace("\x1b[?25l", "").split("\n")) <= columns
     said = " ".join(screen.split())
     assert f"{PROMPT}, then press Enter" in said
-    assert ("PAUSED" in said) is held
+    assert ("PAUSED" in said) is paused
     for number in ("0.123", "0.124", "0.456", "0.455", "0.700", "0.701", "0.702", "0:08 of 0:09"):
         assert number in said
     error_mm = 1e3 * float(np.linalg.norm((-0.12345, 0.00678, 0.18765)))

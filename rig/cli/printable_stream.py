@@ -9,29 +9,11 @@ from __future__ import annotations
 
 import io
 import sys
-import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TextIO
 
-_KEPT = "\n\t\u200c\u200d"
-"""Newline, tab, and the joiners of Persian, Hindi and emoji."""
-
-
-def printable(text: str) -> str:
-    """Return a text with every control character and mark of direction as its escape: ESC as `\\x1b`."""
-    if text.isprintable():
-        return text
-    return "".join(map(_shown, text))
-
-
-def _shown(sign: str) -> str:
-    # str.isprintable accepts no space but U+0020.
-    if sign.isprintable() or sign in _KEPT or unicodedata.category(sign) == "Zs":
-        return sign
-    if "\udc80" <= sign <= "\udcff":
-        return f"\\x{ord(sign) - 0xDC00:02x}"  # a byte of a file name that is not UTF-8
-    return sign.encode("unicode_escape", "surrogatepass").decode("ascii")
+from runs.printable_text import printable
 
 
 class PrintableStream(io.TextIOBase):
