@@ -1,4 +1,4 @@
-"""A rig without a camera whose three chambers hang at a pressure controller on a serial port."""
+"""A rig without a camera whose three chambers are driven by a pressure controller on a serial port."""
 
 from __future__ import annotations
 

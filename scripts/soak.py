@@ -33,7 +33,7 @@ steps:
   - sine: {{actuators: [1, 2, 3], mean_bar: 0.35, amplitude_bar: 0.25, omega_rad_s: 1, duration_s: {duration_s}}}
 """
 HOUR_S = 3600.0
-LOOK_S = 5.0
+POLL_S = 5.0
 SLOW_CAMERA_HZ = 5
 """Pictures a second of the virtual day: a rendered picture costs ten times what a cycle does."""
 GROWTH_MB, GROWTH_SHARE = 8.0, 0.03
@@ -56,7 +56,7 @@ class Growth:
     files: list[int] = field(default_factory=list)
 
     def look(self, pid: int) -> None:
-        """Look once more; a process that has gone is not looked at."""
+        """Sample once more; an exited process is left out."""
         try:
             _, resident, shared, *_ = map(int, Path(f"/proc/{pid}/statm").read_text().split())
             files = len(os.listdir(f"/proc/{pid}/fd"))  # noqa: PTH208
@@ -72,10 +72,10 @@ class Growth:
         half = len(self.memory_mb) // 2
         before, after = self.memory_mb[half], float(np.median(self.memory_mb[-3:]))
         grown = after - before
-        sound = grown < max(GROWTH_MB, GROWTH_SHARE * before) and max(self.files[half:]) <= max(self.files[: half + 1])
-        return sound, (
+        passed = grown < max(GROWTH_MB, GROWTH_SHARE * before) and max(self.files[half:]) <= max(self.files[: half + 1])
+        return passed, (
             f"{name}: {before:.1f} -> {after:.1f} MB over the second half, "
-            f"{self.files[half]} -> {self.files[-1]} open files{'' if sound else '  GROWS'}"
+            f"{self.files[half]} -> {self.files[-1]} open files{'' if passed else '  GROWS'}"
         )
 
     def peak(self, name: str, before: Growth, allowed_mb: float) -> tuple[bool, str]:
@@ -83,8 +83,8 @@ class Growth:
         if not self.memory_mb:
             return True, f"{name}: too short to see"
         most, had = max(self.memory_mb), before.memory_mb[-1]
-        sound = most - had < allowed_mb
-        return sound, f"{name}: peak {most:.1f} MB, {had:.1f} MB before{'' if sound else '  TOO MUCH'}"
+        passed = most - had < allowed_mb
+        return passed, f"{name}: peak {most:.1f} MB, {had:.1f} MB before{'' if passed else '  TOO MUCH'}"
 
 
 def real(duration_s: float, stolen_s: float | None) -> bool:
@@ -101,7 +101,7 @@ def real(duration_s: float, stolen_s: float | None) -> bool:
                 if lives(run.members[CONTROL]):
                     for name, growth in grown.items():
                         growth.look(run.members[name])
-                    time.sleep(LOOK_S if duration_s > 20 * LOOK_S else 0.5)
+                    time.sleep(POLL_S if duration_s > 20 * POLL_S else 0.5)
                 else:
                     (reading if any(run.out.glob("*.h5")) else finalising).look(run.process.pid)
                     time.sleep(FINALISING_LOOK_S)
@@ -120,7 +120,7 @@ def real(duration_s: float, stolen_s: float | None) -> bool:
 
 def virtual(hours: float) -> bool:
     """Hours of virtual time, an hour a run."""
-    growth, sound = Growth(), True
+    growth, passed = Growth(), True
     left_s = hours * HOUR_S
     with tempfile.TemporaryDirectory(prefix="softrig-soak-") as name:
         folder = Path(name)
@@ -134,7 +134,7 @@ def virtual(hours: float) -> bool:
             )
             result = experiment.run(request, experiment.plan(request), Listener())
             assert result.archive is not None
-            sound &= _report(f"{duration_s:.0f} s in virtual time", [], runs.open(result.archive))
+            passed &= _report(f"{duration_s:.0f} s in virtual time", [], runs.open(result.archive))
             for left in (folder / "out").iterdir():
                 left.unlink()
             gc.collect()
@@ -142,7 +142,7 @@ def virtual(hours: float) -> bool:
             left_s -= duration_s
     fine, said = growth.verdict("the process")
     print(f"{hours:g} h in virtual time: {said}")
-    return sound and fine
+    return passed and fine
 
 
 def _mock(rate_hz: float) -> str:
@@ -174,7 +174,7 @@ def _report(what: str, verdicts: list[tuple[bool, str]], run: Run) -> bool:
             )
     for _, said in verdicts:
         print(f"  {said}", flush=True)
-    return complete and all(sound for sound, _ in verdicts)
+    return complete and all(passed for passed, _ in verdicts)
 
 
 def main() -> int:
@@ -189,10 +189,10 @@ def main() -> int:
     )
     parser.add_argument("--virtual-hours", type=float, default=24.0)
     options = parser.parse_args()
-    sound = real(options.real_s, options.stolen_s) if options.real_s > 0 else True
+    passed = real(options.real_s, options.stolen_s) if options.real_s > 0 else True
     if options.virtual_hours > 0:
-        sound &= virtual(options.virtual_hours)
-    return 0 if sound else 1
+        passed &= virtual(options.virtual_hours)
+    return 0 if passed else 1
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from scripts.faults.fault import FaultTrial
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run what is asked for; 0 when every trial came out as it must."""
+    """Run the requested trials; 0 if every result is as expected."""
     parser = argparse.ArgumentParser(prog="python -m scripts.faults", description=__doc__)
     parser.add_argument("--trials", type=int, default=10, help="random moments per fault and executor")
     parser.add_argument("--seed", type=int, default=1)
@@ -65,7 +65,7 @@ def line(trial: FaultTrial) -> str:
     head = f"{trial.executor:8}{trial.fault}, {trial.at_s:.2f} s"
     if trial.skipped:
         return f"{head}: not tried: {trial.skipped}"
-    body = f"{trial.status}, safe after {trial.safe_s * 1e3:.0f} ms, {trial.lost_s * 1e3:.0f} ms lost: {trial.told}"
+    body = f"{trial.status}, safe after {trial.safe_s * 1e3:.0f} ms, {trial.lost_s * 1e3:.0f} ms lost: {trial.message}"
     return f"{head}: {body}{'  WRONG: ' + trial.wrong if trial.wrong else ''}"
 
 

@@ -23,7 +23,7 @@ ATTEMPTS = 3
 
 @dataclass(frozen=True)
 class Job:
-    """One trial to be made; the same campaign has the same ones, whatever part of it is asked for."""
+    """One trial to be made; a part of a campaign has the same jobs as the whole."""
 
     fault: Fault
     executor: str
@@ -32,12 +32,12 @@ class Job:
 
     @property
     def key(self) -> tuple[str, str, float]:
-        """What tells it from every other, and finds its trial in a log."""
+        """Identifies the job, and its trial in a log."""
         return self.fault.name, self.executor, self.at_s
 
 
 def jobs(faults: Sequence[Fault], executors: Sequence[str], moments: int, seed: int) -> Iterator[Job]:
-    """Every fault once, in any order, then every fault again: a campaign that is broken off has tried all alike."""
+    """Every fault once, in any order, then every fault again: an interrupted campaign has tried all equally often."""
     for moment in range(moments):
         turn = [(fault, executor) for fault in faults for executor in executors if getattr(fault, executor)]
         random.Random(f"{seed} {moment}").shuffle(turn)
@@ -71,7 +71,7 @@ def _try(job: Job) -> FaultTrial:
             try:
                 return trial(job.fault, Path(folder), job.at_s, job.seed)
             except EndedBeforeError as error:
-                early = f"{ATTEMPTS} runs ended before the fault could strike: {error}"
+                early = f"{ATTEMPTS} runs ended before the fault: {error}"
             except Exception as error:
                 early = f"{type(error).__name__}: {error}"
                 break

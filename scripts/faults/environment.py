@@ -131,7 +131,7 @@ def read_only(folder: Path) -> Iterator[None]:
 
 
 class _Preloaded:
-    """A library that is loaded before libc into the processes started with `environment`, and a word that steers it."""
+    """A library loaded before libc into the processes started with `environment`; a word in a file controls it."""
 
     def __init__(self, folder: Path, name: str, source: str) -> None:
         compiler = shutil.which("cc") or shutil.which("gcc")
@@ -162,7 +162,7 @@ class SteppedClock(_Preloaded):
         super().__init__(folder, "clock that steps", CLOCK_C)
 
     def step(self, ns: int) -> None:
-        """Put the clock off by so much, at once."""
+        """Set the offset of the clock, at once."""
         self._word[0] = ns
 
 
@@ -172,7 +172,7 @@ class BlockedDisk(_Preloaded):
     def __init__(self, folder: Path) -> None:
         super().__init__(folder, "blocked disk", DISK_C)
 
-    def stand(self, lasts_s: float) -> None:
+    def block(self, lasts_s: float) -> None:
         """Block from now on for `lasts_s`."""
         self._word[0] = time.monotonic_ns() + round(lasts_s * 1e9)
 

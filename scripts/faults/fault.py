@@ -34,7 +34,7 @@ class FaultTrial:
     executor: str
     at_s: float
     status: str
-    told: str
+    message: str
     safe_s: float
     lost_s: float
     wrong: str

@@ -17,7 +17,7 @@ from runs.run import Run
 from scripts.faults.fault import Fault, FaultTrial
 
 EARLIEST_S, LATEST_S = 0.2, 2.0
-"""When a fault may strike, after the valves have begun to move."""
+"""Range of the time from the first motion of the valves to the fault."""
 
 
 class EndedBeforeError(Exception):
@@ -51,10 +51,10 @@ def judge(fault: Fault, executor: str, at_s: float, watched: TrialObservation, f
         if lost_s > 0.1:
             wrong.append(f"{lost_s:.2f} s of samples lost")
     found = re.search(fault.says, output)
-    told = _sentence(output, found) if found and fault.says else ""
+    message = _sentence(output, found) if found and fault.says else ""
     if not found:
         heard = f"{run.message if run else ''} | {output[-600:]}"
-        wrong.append(f"the operator was not told: nothing like '{fault.says}' in {heard!r}")
+        wrong.append(f"no message to the operator: nothing like '{fault.says}' in {heard!r}")
     if "Traceback" in output:
         wrong.append(f"a traceback: {output[-800:]}")
     if fault.safe and watched.safe_ns is None:
@@ -65,7 +65,7 @@ def judge(fault: Fault, executor: str, at_s: float, watched: TrialObservation, f
         safe_s = (watched.safe_ns - watched.fault_ns) * 1e-9
         if safe_s > fault.within_s:
             wrong.append(f"safe only after {safe_s:.1f} s")
-    return FaultTrial(fault.name, executor, at_s, status, told, safe_s, lost_s, "; ".join(wrong))
+    return FaultTrial(fault.name, executor, at_s, status, message, safe_s, lost_s, "; ".join(wrong))
 
 
 def skipped(fault: Fault, executor: str, at_s: float, why: str) -> FaultTrial:

@@ -210,7 +210,7 @@ class DiskBlocked(Injection):
         """Block it."""
         assert self.disk is not None
         self.disk.require(run.members.values())
-        self.disk.stand(self.lasts_s)
+        self.disk.block(self.lasts_s)
 
 
 @dataclass(frozen=True)

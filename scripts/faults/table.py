@@ -29,7 +29,7 @@ def table(faults: Sequence[Fault], trials: Sequence[FaultTrial]) -> str:
     tried = [trial for trial in trials if not trial.skipped]
     bad = sum(bool(trial.wrong) for trial in tried)
     unsafe = sum("NOT SAFE" in trial.wrong for trial in tried)
-    silent = sum("not told" in trial.wrong for trial in tried)
+    silent = sum("no message to the operator" in trial.wrong for trial in tried)
     lines = [
         f"{len(tried)} trials of {len({t.fault for t in tried})} faults at random moments: "
         f"**{unsafe} left unsafe where a program can help, {silent} not reported, {bad} failed**; "
@@ -53,12 +53,12 @@ def _row(fault: Fault, executor: str, trials: Sequence[FaultTrial]) -> str:
     if not tried:
         return f"| {name} | {executor} | 0 | | | | | not tried here: {trials[0].skipped} |"
     good = sum(not t.wrong for t in tried)
-    told = max((t.told for t in tried), key=len).replace("|", "\\|")
-    told = _TEMPORARY.sub("...", told)
+    message = max((t.message for t in tried), key=len).replace("|", "\\|")
+    message = _TEMPORARY.sub("...", message)
     statuses = ", ".join(sorted({t.status for t in tried}))
     lost = 1e3 * worst([t.lost_s for t in tried])
     as_it_must = f"{good} of {len(tried)}" if good < len(tried) else "all"
-    cells = (name, executor, len(tried), _times(fault, tried), f"{lost:.0f} ms", statuses, as_it_must, told)
+    cells = (name, executor, len(tried), _times(fault, tried), f"{lost:.0f} ms", statuses, as_it_must, message)
     return f"| {' | '.join(map(str, cells))} |"
 
 

@@ -21,7 +21,7 @@ from runs.records import Status
 from scripts.faults.fault import Fault, FaultTrial, Injection
 from scripts.faults.fault_trial import EndedBeforeError, archive
 from scripts.faults.injections import KILL, STOP
-from scripts.faults.trial_run import PLANT, START_S, SUPERVISOR, TrialRun, children
+from scripts.faults.trial_run import PLANT, START_S, SUPERVISOR, TrialRun, run_processes
 
 DURATION_S = 0.6
 PROTOCOL = f"""
@@ -35,14 +35,14 @@ STOPPED_S = 4.0
 GONE_S, LEFT_S = 60.0, 12.0
 """Time limits for the run to end, and for its remaining processes after that."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-TOLD = "stopped before the run began|process died|before the run began|silent|hung|interrupted|Interrupt|is in use"
+MESSAGES = "stopped before the run began|process died|before the run began|silent|hung|interrupted|Interrupt|is in use"
 
 
 class TransitionAction(Enum):
     """Actions on a run while it starts or ends."""
 
     KILLED_OR_STOPPED = "one to three of its processes killed or stopped"
-    ASKED = "Ctrl-C, SIGTERM or SIGHUP, one to three of them"
+    SIGNALLED = "Ctrl-C, SIGTERM or SIGHUP, one to three of them"
     VENT = "rig vent"
 
 
@@ -62,15 +62,15 @@ class TransitionFault(Injection):
             time.sleep(chance.uniform(0.0, FAULT_DELAY_S))
             if run.process.poll() is not None:
                 raise EndedBeforeError(run.output[-1500:])
-            run.members = {SUPERVISOR: run.process.pid} | children(run.process.pid)
+            run.members = {SUPERVISOR: run.process.pid} | run_processes(run.process.pid)
             killed = _act(run, self.action, chance)
             return _judged(fault.name, self, at_s, run, killed)
         finally:
             run.close()
 
 
-def _wait(run: TrialRun, fault: TransitionFault, born: int) -> None:
-    """Wait until so many processes run, or until the valves are safe after motion."""
+def _wait(run: TrialRun, fault: TransitionFault, processes: int) -> None:
+    """Wait until the run has `processes` processes, or until the valves are safe after motion."""
     if fault.ending:
         registers = run.wait_until_moving()
         while not run.ended(registers):
@@ -78,7 +78,9 @@ def _wait(run: TrialRun, fault: TransitionFault, born: int) -> None:
         registers.close()
         return
     deadline = time.monotonic() + START_S
-    while run.process.poll() is None and time.monotonic() < deadline and len(children(run.process.pid)) < born:
+    while (
+        run.process.poll() is None and time.monotonic() < deadline and len(run_processes(run.process.pid)) < processes
+    ):
         time.sleep(0.001)
 
 
@@ -88,7 +90,7 @@ def _act(run: TrialRun, action: TransitionAction, chance: random.Random) -> bool
         vent = [sys.executable, "-P", "-m", "rig", "vent", "--rig", str(run.rig_file)]
         subprocess.run(vent, check=False, capture_output=True)
         return False
-    if action is TransitionAction.ASKED:
+    if action is TransitionAction.SIGNALLED:
         for _ in range(chance.randint(1, 3)):
             run.signal((SUPERVISOR,), chance.choice(SIGNALS))
             time.sleep(chance.uniform(0.0, 0.1))
@@ -132,17 +134,19 @@ def _judged(name: str, fault: TransitionFault, at_s: float, run: TrialRun, kille
     elif list(run.out.glob("*")):
         wrong.append("the archive does not open, and none could be made of its journal")
     output = run.output + (kept.message if kept else "")
-    found = re.search(TOLD, output)
+    found = re.search(MESSAGES, output)
     if ended == 0 and kept is not None and kept.status is not Status.FINISHED:
         wrong.append(f"exit status 0 with an archive that is {status}")
     if ended != 0 and not killed and not found and ended not in [-number for number in SIGNALS]:
-        wrong.append(f"the operator was not told: nothing like '{TOLD}' in {output[-600:]!r}")
+        wrong.append(f"no message to the operator: nothing like '{MESSAGES}' in {output[-600:]!r}")
     if "Traceback" in output:
         wrong.append(f"a traceback: {output[-800:]}")
     if lost_s > 0.1:
         wrong.append(f"{lost_s:.2f} s of samples lost")
-    told = next((line.strip() for line in output.splitlines() if re.search(TOLD, line)), "") if not killed else ""
-    return FaultTrial(name, "real", at_s, status, told, math.nan, lost_s, "; ".join(wrong))
+    message = (
+        next((line.strip() for line in output.splitlines() if re.search(MESSAGES, line)), "") if not killed else ""
+    )
+    return FaultTrial(name, "real", at_s, status, message, math.nan, lost_s, "; ".join(wrong))
 
 
 def _left(session: int) -> list[str]:

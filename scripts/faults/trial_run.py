@@ -23,9 +23,9 @@ import numpy as np
 import rig.config.loader
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import safe_voltages
-from rig.realtime.timing_limits import STRICT_HUNG_S
 from rig.simulator.faults import Faults
 from rig.simulator.registers import Registers, path_of
+from scripts.rig_process import children, strict
 
 SUPERVISOR, CONTROL, WATCHDOG, OBSERVER, PLANT = "supervisor", "control", "watchdog", "observer", "plant"
 TIP_CONTROLLER = "tip controller"
@@ -72,9 +72,7 @@ TIP = TrialBench("mock-3", TIP_PROTOCOL)
 
 def rig_text(device: str, bench: TrialBench = PRESSURES) -> str:
     """The rig of a bench with a card of its own."""
-    text = rig.config.loader.text(bench.rig).replace("device: mock0", f"device: {device}")
-    # Stated, so that the simulated bench is supervised as strictly as a real one.
-    return text.replace("\nlimits:\n", f"\nlimits:\n  hung_s: {STRICT_HUNG_S:g}\n")
+    return strict(rig.config.loader.text(bench.rig).replace("device: mock0", f"device: {device}"))
 
 
 class TrialRun:
@@ -165,7 +163,7 @@ class TrialRun:
             if registers is not None:
                 if np.any(registers.outputs["volts"] > MOVING_V):
                     self.faults = registers.faults
-                    self.members = {SUPERVISOR: self.process.pid} | children(self.process.pid)
+                    self.members = {SUPERVISOR: self.process.pid} | run_processes(self.process.pid)
                     return registers
                 registers.close()
             time.sleep(0.02)
@@ -233,18 +231,10 @@ class TrialRun:
         path_of(self.device).unlink(missing_ok=True)
 
 
-def children(parent: int) -> dict[str, int]:
+def run_processes(parent: int) -> dict[str, int]:
     """The processes of a run that are there, by name."""
-    found: dict[str, int] = {}
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            ppid = int(stat.read_text().rsplit(")", 1)[1].split()[1])
-            arguments = (stat.parent / "cmdline").read_bytes()
-        except (OSError, IndexError):
-            continue
-        if ppid == parent:
-            found |= {name: int(stat.parent.name) for name, module in MODULES.items() if module.encode() in arguments}
-    return found
+    found = children(parent)
+    return {name: found[module] for name, module in MODULES.items() if module in found}
 
 
 def _limited(text: str, limits: Mapping[str, float]) -> str:

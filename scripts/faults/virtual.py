@@ -38,14 +38,14 @@ class Listener(NullOperator):
 
 
 class FaultyPlant(Plant):
-    """A plant that strikes itself at `fault_ns`, and watches its own outputs."""
+    """A plant that injects a fault at `fault_ns`, and monitors its own outputs."""
 
     fault_ns = 0
     on_fault: ClassVar[Callable[[Faults], object]]
     made: ClassVar[FaultyPlant]
 
     def __init__(self, config: RigConfig, seed: int, t0_ns: int) -> None:
-        super().__init__(config, seed, t0_ns, faults=Faults())
+        super().__init__(config, seed, t0_ns)
         self._safe_v = Cards(config, {}).safe_voltages
         self._due = True
         self.safe_ns: int | None = None
@@ -62,8 +62,8 @@ class FaultyPlant(Plant):
     def set_output(self, valve: int, volts: float) -> None:
         """Remember since when every output has been safe."""
         super().set_output(valve, volts)
-        stands = np.array([self.output(i) for i in range(len(self._safe_v))])
-        safe = bool(np.all(np.abs(stands - self._safe_v) < SEEN_SAFE_V))
+        outputs_v = np.array([self.output(i) for i in range(len(self._safe_v))])
+        safe = bool(np.all(np.abs(outputs_v - self._safe_v) < SEEN_SAFE_V))
         self.safe_ns = (self.safe_ns if self.safe_ns is not None else self.t_ns) if safe else None
 
 
