@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 import typer
 
-from rig.cli.app import app, main
+from rig.cli.app import app
 from rig.cli.default_command import DefaultCommandGroup
+from tests.support.command_line import status_of
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -120,9 +121,7 @@ def test_shell_commands_that_need_nothing_run_as_they_stand(
     for words in shell_commands(page.read_text()):
         needs_a_file = "--rig" in words or any(word.endswith(".yaml") for word in words)
         if words[0] in ("protocols", "check", "init", "runs") and not needs_a_file:
-            with pytest.raises(SystemExit) as left:
-                main(list(words))
-            assert left.value.code == 0, capsys.readouterr().err
+            assert status_of(*words) == 0, capsys.readouterr().err
 
 
 def commands(command: Any, name: str = "rig") -> Iterator[tuple[str, Any]]:
@@ -146,14 +145,10 @@ def test_help_shows_every_option_with_its_brackets() -> None:
 
 
 def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["--version"])
-    assert left.value.code == 0
+    assert status_of("--version") == 0
     assert capsys.readouterr().out == f"softrig {version('softrig')}\n"
 
 
 def test_check_says_that_nothing_is_wrong(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["check", "ramp-a", "--rig", "mock"])
-    assert left.value.code == 0
+    assert status_of("check", "ramp-a", "--rig", "mock") == 0
     assert capsys.readouterr().out.splitlines()[-1] == "nothing is wrong: rig mock can run ramp-a"

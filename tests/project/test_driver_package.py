@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.cli.app import main
+from tests.support.command_line import status_of
 from tests.support.plugin_package import use
 
 ROOT = Path(__file__).parents[2]
@@ -51,10 +51,8 @@ def rig(
     monkeypatch.setattr(tempfile, "tempdir", None)
 
     def call(*words: str) -> tuple[int, str]:
-        with pytest.raises(SystemExit) as left:
-            main(list(words))
-        said = capsys.readouterr()
-        return int(left.value.code or 0), said.out + said.err
+        status, said = status_of(*words), capsys.readouterr()
+        return status, said.out + said.err
 
     return call
 

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from softrig_pneubox import Pneubox, PneuboxConfig, file_of  # type: ignore[import-not-found]
+from softrig_pneubox import BAR_PER_V, Pneubox, PneuboxConfig, file_of  # type: ignore[import-not-found]
 
 from rig.config.drivers import Plugin
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
 
 BEHIND_S = 0.03
+LATE_NS = 150_000_000
 
 
 class BreakableConfig(PneuboxConfig):  # type: ignore[misc]
@@ -30,6 +31,7 @@ class Breakable(Pneubox):  # type: ignore[misc]
         """Open the box."""
         self._fault = setup.section.fault
         self._reads, self._echo = 0, None
+        self._closed, self._late = False, []
         owner = Path(f"{file_of(setup.device)}.owner")
         watched = not setup.inputs
         if self._fault == "stale lock" and owner.exists():
@@ -44,6 +46,10 @@ class Breakable(Pneubox):  # type: ignore[misc]
         self._owner = owner if setup.inputs else None
         if self._owner:
             self._owner.write_text(str(os.getpid()))
+        if watched and self._fault == "the second opener disconnects the first":
+            owner.write_text("disconnected")
+        if self._fault == "closes a descriptor twice":
+            self._descriptor = os.open(file_of(setup.device), os.O_RDONLY)
         if self._fault == "opening drives":
             super().write(np.full(len(setup.outputs), 3.3))
 
@@ -51,6 +57,10 @@ class Breakable(Pneubox):  # type: ignore[misc]
         """Scans, or what is wrong with them."""
         if self._fault == "slow read":
             time.sleep(BEHIND_S)
+        if self._fault == "read never returns" and not file_of(self._setup.device).exists():
+            time.sleep(3600)
+        if self._owner and self._owner.exists() and self._owner.read_text() == "disconnected":
+            raise CardError("connection lost")
         if self._fault == "blind to a pulled cable":
             return Scans(np.array([time.monotonic_ns()]), np.ones((1, len(self._inputs))))
         if self._fault == "now and then a slow read":
@@ -59,6 +69,14 @@ class Breakable(Pneubox):  # type: ignore[misc]
         scans: Scans = super().read()
         if self._fault == "millivolts":
             return replace(scans, volts=scans.volts * 1000)
+        if self._fault == "late scans":
+            self._late.append(scans)
+            due = len(self._late[0].t_ns) and time.monotonic_ns() - self._late[0].t_ns[0] > LATE_NS
+            return self._late.pop(0) if due else Scans.none(len(self._inputs))
+        if self._fault == "swaps inputs":
+            return replace(scans, volts=scans.volts[:, ::-1])
+        if self._fault.startswith("a sensor is stuck"):
+            scans.volts[:, 1] = 0.0 if self._fault.endswith("zero") else 0.6
         if self._fault == "delivers twice":
             return Scans(np.repeat(scans.t_ns, 2), np.repeat(scans.volts, 2, axis=0))
         if self._fault == "wall clock":
@@ -79,7 +97,14 @@ class Breakable(Pneubox):  # type: ignore[misc]
             time.sleep(BEHIND_S)
         if self._fault == "takes NaN" and np.any(np.isnan(volts)):
             return
-        if self._fault == "swaps outputs":
+        if self._fault == "writes nothing and reads back the last write":
+            self._echo = np.array(volts)
+            return
+        if self._fault.endswith("for a device in bar"):
+            self._echo = np.array(volts)
+            super().write(np.array(volts) / BAR_PER_V)
+            return
+        if self._fault in {"swaps outputs", "writes and reads back in the wrong order"}:
             volts = volts[::-1]
         if self._fault == "offset":
             volts = np.add(volts, 0.2)
@@ -98,8 +123,11 @@ class Breakable(Pneubox):  # type: ignore[misc]
 
     def readback(self) -> Any:
         """The outputs, or what the driver takes for them."""
-        if self._fault == "echoes its own write" and self._echo is not None:
+        echoes = ("echoes its own write", "writes nothing and reads back the last write")
+        if (self._fault in echoes or self._fault.endswith("for a device in bar")) and self._echo is not None:
             return self._echo
+        if self._fault == "writes and reads back in the wrong order":
+            return super().readback()[::-1]
         if self._fault == "frozen read-back":
             return np.full(len(self._outputs), 5.0)
         return super().readback()
@@ -114,6 +142,13 @@ class Breakable(Pneubox):  # type: ignore[misc]
         """Release the box."""
         if self._owner:
             self._owner.unlink(missing_ok=True)
+        if self._fault == "the second close raises" and self._closed:
+            raise ValueError("already closed")
+        if self._fault == "closes a descriptor twice":
+            os.close(self._descriptor)
+        if self._fault == "closing raises":
+            raise OSError("cable pulled")
+        self._closed = True
         super().close()
 
 

@@ -8,12 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
 
 import runs
 from rig.calibrate.bench_driver import BenchDriver, TrippedError
 from rig.calibrate.bench_session import virtual
-from rig.cli.app import app
 from rig.config import loader
 from rig.config.calibration_files import read
 from rig.config.calibration_schema import PressureFile, ToolFile, ValveCalibration
@@ -22,17 +20,13 @@ from rig.control.step import prepare
 from rig.hardware.bench import Bench
 from rig.simulator.faults import SensorFault
 from rig.valves.flow import FlowValve
+from tests.support.command_line import invoke
 from tests.support.plant_bench import mock_rig
 
 SHORT = """title: short
 steps:
   - {staircase: {actuators: [1], start_bar: 0.2, stop_bar: 0.3, step_bar: 0.1, dwell_s: 1}}
 """
-
-
-def rig(*arguments: str) -> Result:
-    """The command line, in this process."""
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +54,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             ["tool", "--rig", "mock-ideal", "--capture", "--to", "t.yaml"],
             ["pressure", "--rig", "mock-ideal", "--fast", "--yes", "--seed", "3", "--to", "p.yaml"],
         ):
-            done = rig("calibrate", *command)
+            done = invoke("calibrate", *command)
             assert done.exit_code == 0, done.output
             assert "nothing real was measured" in done.output
         name = "name: mock-ideal\n"
@@ -100,14 +94,14 @@ def test_the_tools_offset_is_the_simulators_within_its_own_bounds(folder: Path, 
 
 
 def test_the_tool_without_a_straight_view_is_refused(folder: Path) -> None:
-    done = rig("calibrate", "tool", "--straight", str(folder / "c-views" / "view01*.png"))
+    done = invoke("calibrate", "tool", "--straight", str(folder / "c-views" / "view01*.png"))
     assert done.exit_code == 2
     assert "no view of the straight arm shows the board" in done.output
 
 
 def test_the_tool_from_a_folder_is_as_good_as_live(folder: Path, tmp_path: Path) -> None:
     views = folder / "t-views"
-    done = rig("calibrate", "tool", "--straight", f"{views}/straight*.png", "--turned", f"{views}/turned*.png",
+    done = invoke("calibrate", "tool", "--straight", f"{views}/straight*.png", "--turned", f"{views}/turned*.png",
                "--to", str(tmp_path / "t.yaml"), "--json")  # fmt: skip
     assert done.exit_code == 0, done.output
     placement = json.loads(done.stdout)["placement"]
@@ -159,7 +153,7 @@ def test_the_regulator_takes_what_was_found(folder: Path) -> None:
 
 
 def test_a_run_uses_every_calibration_and_keeps_them(folder: Path) -> None:
-    done = rig("run", str(folder / "short.yaml"), "--rig", str(folder / "my.yaml"), "--fast", "--yes", "--no-report",
+    done = invoke("run", str(folder / "short.yaml"), "--rig", str(folder / "my.yaml"), "--fast", "--yes", "--no-report",
                "--out", str(folder / "data"), "--json")  # fmt: skip
     assert done.exit_code == 0, done.output
     (archive,) = (folder / "data").glob("*.h5")
@@ -180,7 +174,7 @@ def test_a_run_can_be_replayed_with_another_calibration(folder: Path, tmp_path: 
     lens = read(folder / "c.yaml").found.lens
     (tmp_path / "other.yaml").write_text(text.replace(f"fx_px: {lens.fx_px}", "fx_px: 640.0"))
     (archive,) = (folder / "data").glob("*.h5")
-    done = rig("replay", str(archive), "--calibration", str(tmp_path / "other.yaml"), "--out", str(tmp_path))
+    done = invoke("replay", str(archive), "--calibration", str(tmp_path / "other.yaml"), "--out", str(tmp_path))
     assert done.exit_code == 0, done.output
     header = runs.open(Path(done.stdout.strip())).header
     assert [file.name for file in header.calibrations] == ["t.yaml", "p.yaml", "other.yaml"]
@@ -191,14 +185,14 @@ def test_a_sweep_of_another_channel_is_refused(folder: Path, tmp_path: Path) -> 
     text = (folder / "p.yaml").read_text()
     (tmp_path / "p.yaml").write_text(text.replace("device: mock0", "device: mock7"))
     (tmp_path / "my.yaml").write_text((folder / "my.yaml").read_text().replace("[c.yaml, t.yaml, p.yaml]", "[p.yaml]"))
-    done = rig("check", "ramp-a", "--rig", str(tmp_path / "my.yaml"))
+    done = invoke("check", "ramp-a", "--rig", str(tmp_path / "my.yaml"))
     assert done.exit_code == 2
     assert "mock0, the card of the sensor of actuator 1 in rig mock" in done.output
 
 
 def test_readings_from_a_file_need_no_bench(tmp_path: Path) -> None:
     (tmp_path / "r.csv").write_text("actuator,volts_V,gauge_bar\n1,1.0,0.103\n1,3.0,0.301\n1,6.0,0.599\n")
-    done = rig("calibrate", "pressure", "--readings", str(tmp_path / "r.csv"), "--no-valves", "--to",
+    done = invoke("calibrate", "pressure", "--readings", str(tmp_path / "r.csv"), "--no-valves", "--to",
                str(tmp_path / "p.yaml"), "--gauge", "WIKA 4711")  # fmt: skip
     assert done.exit_code == 0, done.output
     found = read(tmp_path / "p.yaml").found
@@ -218,7 +212,7 @@ def test_readings_from_a_file_need_no_bench(tmp_path: Path) -> None:
 )
 def test_readings_that_tell_nothing_get_one_clear_message(tmp_path: Path, rows: str, message: str) -> None:
     (tmp_path / "r.csv").write_text("actuator,volts_V,gauge_bar\n" + rows)
-    done = rig("calibrate", "pressure", "--readings", str(tmp_path / "r.csv"), "--no-valves")
+    done = invoke("calibrate", "pressure", "--readings", str(tmp_path / "r.csv"), "--no-valves")
     assert done.exit_code == 2
     assert message in done.output
 

@@ -25,6 +25,7 @@ from rig.realtime.scheduling import Scheduling
 from rig.realtime.shared_state import SharedState, StateLayout
 from rig.realtime.timing_limits import TimingLimits, TimingProfile
 from rig.simulator.registers import Registers
+from tests.support.mock_registers import mock_registers
 
 PERIOD_NS = 2_000_000
 TIMING = TimingLimits(TimingProfile.STRICT, control_hung_ns=30_000_000)
@@ -73,7 +74,7 @@ def test_a_takeover_by_the_watchdog_is_reported_with_its_reason(
     memory: SharedState, watchdog: subprocess.Popen[bytes]
 ) -> None:
     clock = RealTimeClock(memory, PERIOD_NS, ProcessMonitor(watchdog.pid), TIMING)
-    memory.board["watchdog"]["message"] = b"the control process hung"
+    memory.flags["watchdog"]["message"] = b"the control process hung"
     memory.watchdog_trip_ns = 1
     with pytest.raises(StartError, match="took the bench over: the control process hung"):
         clock.next()
@@ -82,21 +83,18 @@ def test_a_takeover_by_the_watchdog_is_reported_with_its_reason(
 @pytest.fixture
 def empty() -> Iterator[Registers]:
     """A mock card that samples chambers without pressure, whatever its valves do."""
-    registers = Registers.create(f"clocked-{os.getpid()}", 2, 8)
     ended = threading.Event()
+    with mock_registers(f"clocked-{os.getpid()}") as registers:
 
-    def sample() -> None:
-        while not ended.wait(0.002):
-            registers.push_scans(np.array([time.monotonic_ns()]), np.zeros((1, 8)))
+        def sample() -> None:
+            while not ended.wait(0.002):
+                registers.push_scans(np.array([time.monotonic_ns()]), np.zeros((1, 8)))
 
-    sampling = threading.Thread(target=sample)
-    sampling.start()
-    yield registers
-    ended.set()
-    sampling.join()
-    path = registers.path
-    registers.close()
-    path.unlink()
+        sampling = threading.Thread(target=sample)
+        sampling.start()
+        yield registers
+        ended.set()
+        sampling.join()
 
 
 def test_valves_vented_by_another_program_stay_vented_where_the_session_would_hold_them(

@@ -9,12 +9,11 @@ from xml.etree import ElementTree
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
 
 from calibration.corner_search import seen_corners
-from rig.cli.app import app
 from rig.config.board_sections import BOARD_KINDS, BoardPattern
 from rig.config.loader import load
+from tests.support.command_line import invoke
 
 MOCK = Path(__file__).parents[3] / "rig" / "rigs" / "mock.yaml"
 CHECKERBOARD = "  squares_x: 7\n  squares_y: 6\n  square_mm: 8\n"
@@ -25,11 +24,6 @@ BOARDS = {
 }
 PX_PER_MM = 10
 MM_PER_PT = 25.4 / 72
-
-
-def rig(*arguments: str) -> Result:
-    """The command line, in this process."""
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 def _rig_file(folder: Path, board: str) -> str:
@@ -74,7 +68,7 @@ def test_every_kind_of_board_is_tried_here() -> None:
 @pytest.mark.parametrize("kind", BOARDS)
 def test_the_printed_page_shows_the_rigs_board_at_its_size(tmp_path: Path, kind: str) -> None:
     file, to = _rig_file(tmp_path, BOARDS[kind]), tmp_path / "board.svg"
-    done = rig("board", "--rig", file, "--to", str(to))
+    done = invoke("board", "--rig", file, "--to", str(to))
     assert done.exit_code == 0, done.output
     assert _page_size_mm(to) == pytest.approx((210, 297), abs=0.01)
     page = _scanned(to)
@@ -99,14 +93,14 @@ def test_the_printed_page_shows_the_rigs_board_at_its_size(tmp_path: Path, kind:
 
 
 def test_the_numbers_of_the_markers_are_stated(tmp_path: Path) -> None:
-    done = rig("board", "--rig", _rig_file(tmp_path, BOARDS["charuco"]), "--to", str(tmp_path / "b.pdf"))
+    done = invoke("board", "--rig", _rig_file(tmp_path, BOARDS["charuco"]), "--to", str(tmp_path / "b.pdf"))
     assert "markers 4X4_50, numbers 3 to 17, row by row from the top left" in done.stdout
     assert (tmp_path / "b.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_a_page_too_large_for_the_printer_is_its_own_size(tmp_path: Path) -> None:
     large = BOARDS["checkerboard"].replace("8", "60")
-    done = rig("board", "--rig", _rig_file(tmp_path, large), "--to", str(tmp_path / "b.svg"))
+    done = invoke("board", "--rig", _rig_file(tmp_path, large), "--to", str(tmp_path / "b.svg"))
     assert "on page of its own size" in done.stdout
     width, height = _page_size_mm(tmp_path / "b.svg")
     assert width > 9 * 60
@@ -118,7 +112,7 @@ def test_two_pages_of_one_board_are_equal(tmp_path: Path) -> None:
     for ending in ("svg", "pdf"):
         made = [tmp_path / f"{name}.{ending}" for name in "ab"]
         for to in made:
-            assert rig("board", "--rig", file, "--to", str(to)).exit_code == 0
+            assert invoke("board", "--rig", file, "--to", str(to)).exit_code == 0
         assert made[0].read_bytes() == made[1].read_bytes()
 
 
@@ -135,7 +129,7 @@ def test_what_cannot_be_printed_gets_one_message(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "kept.pdf").touch()
-    done = rig("board", *arguments)
+    done = invoke("board", *arguments)
     assert done.exit_code == 2
     assert message in done.output
     assert (tmp_path / "kept.pdf").read_bytes() == b""

@@ -8,7 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
 
 from calibration.camera import CalibrationError
 from calibration.corner_search import SeenCorners, every_corner, find_corners
@@ -19,22 +18,17 @@ from calibration.view_matching import keys
 from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.lens import Lens
 from calibration.vision.transforms import RigidTransform
-from rig.cli.app import app
 from rig.config.calibration_files import read
+from tests.support.command_line import invoke
 from tests.support.shared_data import shared_data
 from tests.support.vision_bench import FACING, LENS, SIZE, scene
 
 BOARD = Checkerboard(10, 7, 0.016)
 
 
-def rig(*arguments: str) -> Result:
-    """The command line, in this process."""
-    return CliRunner().invoke(app, [str(a) for a in arguments])
-
-
 def test_real_views_leave_a_dated_file_with_covariance_hashes_and_a_picture(here: Path) -> None:
     views = shared_data("chessboard")
-    done = rig("calibrate", "camera", f"front={views}", "--corners", "9x6", "--square-mm", "25", "--json")
+    done = invoke("calibrate", "camera", f"front={views}", "--corners", "9x6", "--square-mm", "25", "--json")
     assert done.exit_code == 0, done.output
     facts = json.loads(done.stdout)
     assert facts["lens"]["fx_px"] == pytest.approx(535.92, rel=0.01)
@@ -47,7 +41,7 @@ def test_real_views_leave_a_dated_file_with_covariance_hashes_and_a_picture(here
     picture = cv2.imread(str(here / facts["picture"]))
     assert picture.shape[0] > 500
     assert picture.std() > 10
-    again = rig("calibrate", "camera", f"front={views}/left0*.jpg", "--corners", "9x6", "--square-mm", "25",
+    again = invoke("calibrate", "camera", f"front={views}/left0*.jpg", "--corners", "9x6", "--square-mm", "25",
                 "--to", facts["file"])  # fmt: skip
     assert again.exit_code == 2
     assert "--replace" in again.output
@@ -57,7 +51,7 @@ def test_views_of_another_size_than_the_rigs_camera_are_refused(here: Path) -> N
     rigs = (Path(__file__).parents[3] / "rig" / "rigs" / "mock.yaml").read_text()
     (here / "big.yaml").write_text(rigs.replace("width_px: 640", "width_px: 1280"))
     views = str(shared_data("chessboard"))
-    done = rig("calibrate", "camera", views, "--corners", "9x6", "--square-mm", "25", "--rig", "big.yaml",
+    done = invoke("calibrate", "camera", views, "--corners", "9x6", "--square-mm", "25", "--rig", "big.yaml",
                "--camera", "front")  # fmt: skip
     assert done.exit_code == 2
     assert "640x480" in done.output
@@ -94,7 +88,7 @@ def test_views_of_another_size_than_the_rigs_camera_are_refused(here: Path) -> N
 def test_an_invalid_command_gets_one_clear_message(here: Path, arguments: list[str], message: str) -> None:
     (here / "points.csv").write_text(CSV_HEAD + "1,0,0,0,a,1,2\n")
     (here / "kept.png").touch()
-    done = rig("calibrate", *arguments)
+    done = invoke("calibrate", *arguments)
     assert done.exit_code == 2, done.output
     assert message in done.output
     assert "Traceback" not in done.output
@@ -126,7 +120,7 @@ def test_live_views_do_not_overwrite_those_of_another_calibration(here: Path, wo
     kept = here / "mine-views" / "view01.png"
     kept.parent.mkdir()
     kept.write_text("a picture")
-    done = rig("calibrate", *words, "--capture", "--to", "mine.yaml")
+    done = invoke("calibrate", *words, "--capture", "--to", "mine.yaml")
     assert done.exit_code == 2
     assert "--replace writes over those in mine-views" in done.output
     assert kept.read_text() == "a picture"
@@ -317,7 +311,7 @@ def _lens_files(folder: Path) -> list[str]:
 
 def test_control_points_give_coefficients_places_and_a_test_error(here: Path) -> None:
     (here / "points.csv").write_text(_csv(0.05))
-    done = rig("calibrate", "dlt", "points.csv", *_lens_files(here), "--to", "d.yaml", "--json")
+    done = invoke("calibrate", "dlt", "points.csv", *_lens_files(here), "--to", "d.yaml", "--json")
     assert done.exit_code == 0, done.output
     found = read(here / "d.yaml").found
     assert found.kind == "dlt"
@@ -333,7 +327,7 @@ def test_control_points_give_coefficients_places_and_a_test_error(here: Path) ->
     assert found.test_error.points == 20
     assert 0.001 < found.test_error.rms_mm < 0.5
     assert "baseline" not in done.stderr
-    table = rig("calibrate", "dlt", "points.csv", *_lens_files(here), "--to", "e.yaml")
+    table = invoke("calibrate", "dlt", "points.csv", *_lens_files(here), "--to", "e.yaml")
     for word in ("L11", "residual", "leave one point out", "baseline 200.9", "+- 0."):
         assert word in table.output
 
@@ -341,8 +335,8 @@ def test_control_points_give_coefficients_places_and_a_test_error(here: Path) ->
 def test_control_points_that_are_uncertain_themselves_enlarge_the_covariance(here: Path) -> None:
     (here / "points.csv").write_text(_csv(0.05))
     options = _lens_files(here)
-    assert rig("calibrate", "dlt", "points.csv", *options, "--to", "d.yaml").exit_code == 0
-    assert rig("calibrate", "dlt", "points.csv", *options, "--to", "e.yaml", "--points-std-mm", "0.5").exit_code == 0
+    assert invoke("calibrate", "dlt", "points.csv", *options, "--to", "d.yaml").exit_code == 0
+    assert invoke("calibrate", "dlt", "points.csv", *options, "--to", "e.yaml", "--points-std-mm", "0.5").exit_code == 0
     sure, unsure = (read(here / name).found.cameras[0] for name in ("d.yaml", "e.yaml"))
     assert unsure.covariance[0][0] > 4 * sure.covariance[0][0]
 
@@ -357,7 +351,7 @@ def test_control_points_that_are_uncertain_themselves_enlarge_the_covariance(her
         ("point,X,Y\n1,2,3\n", "the columns point,X_mm"),
         (CSV_HEAD + "1,0,0,zero,a,1,2\n", "points.csv:2: Z_mm"),
         (CSV_HEAD + "1,0,0,0,a,1,2\n1,0,0,0,a,1,2\n", "each point once"),
-        (CSV_HEAD + "1,0,0,0,a,1,2\n1,9,0,0,b,1,2\n", "as point 1 stands in a row above"),
+        (CSV_HEAD + "1,0,0,0,a,1,2\n1,9,0,0,b,1,2\n", "as in an earlier row of point 1"),
         (CSV_HEAD + "1,0,0,0,a,1\n", "7 cells"),
         (CSV_HEAD + "1,0,0,nan,a,1,2\n", "a plain number"),
         (CSV_HEAD + "1,0,0,0,a,1,2\n" + "9" * 140_000 + ",0,0,0,a,1,2\n", "points.csv:3\n"),
@@ -365,7 +359,7 @@ def test_control_points_that_are_uncertain_themselves_enlarge_the_covariance(her
 )
 def test_invalid_control_points_get_one_clear_message(here: Path, text: str, message: str) -> None:
     (here / "points.csv").write_text(text)
-    done = rig("calibrate", "dlt", "points.csv", "--size", "640x480")
+    done = invoke("calibrate", "dlt", "points.csv", "--size", "640x480")
     assert done.exit_code == 2, done.output
     assert message in done.output
     assert "Traceback" not in done.output
@@ -373,7 +367,7 @@ def test_invalid_control_points_get_one_clear_message(here: Path, text: str, mes
 
 def test_a_lens_of_another_resolution_is_refused_with_its_line(here: Path) -> None:
     (here / "points.csv").write_text(_csv(0.05))
-    done = rig("calibrate", "dlt", "points.csv", *_lens_files(here), "--size", "1280x960")
+    done = invoke("calibrate", "dlt", "points.csv", *_lens_files(here), "--size", "1280x960")
     assert done.exit_code == 2
     assert "a.yaml:5:" in done.output
     assert "found     640" in done.output
@@ -402,7 +396,7 @@ def test_leaving_views_out_recovers_the_boards_square() -> None:
 
 def test_one_cameras_real_views_give_coefficients_and_a_test_error(here: Path) -> None:
     views = shared_data("chessboard")
-    done = rig("calibrate", "dlt", f"left={views}", "--corners", "9x6", "--square-mm", "25", "--json")
+    done = invoke("calibrate", "dlt", f"left={views}", "--corners", "9x6", "--square-mm", "25", "--json")
     assert done.exit_code == 0, done.output
     facts = json.loads(done.stdout)
     assert facts["cameras"][0]["rms_px"] < 0.3

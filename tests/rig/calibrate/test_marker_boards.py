@@ -9,7 +9,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
 
 from calibration.camera import calibrate_views
 from calibration.corner_search import seen_corners
@@ -18,22 +17,17 @@ from calibration.vision.board import Board
 from calibration.vision.charuco import CharucoBoard
 from calibration.vision.tag_grid import TagGrid
 from calibration.vision.transforms import RigidTransform
-from rig.cli.app import app
 from rig.config.calibration_files import read
 from rig.config.loader import load
 from rig.config.optics import board_of, camera_in_base, lens_of
 from rig.simulator.scene import ImageDegradation, Scene
+from tests.support.command_line import invoke
 from tests.support.vision_bench import FACING, LENS, SIZE, scene
 
 STEREO = Path(__file__).parents[3] / "rig" / "rigs" / "mock-stereo.yaml"
 CHECKERBOARD = "  squares_x: 7\n  squares_y: 6\n  square_mm: 8\n"
 CHARUCO = "  kind: charuco\n  squares_x: 6\n  squares_y: 5\n  square_mm: 16\n  marker_mm: 12\n"
 TAGS = "  kind: apriltag\n  tags_x: 3\n  tags_y: 2\n  tag_mm: 24\n  gap_mm: 6\n"
-
-
-def rig(*arguments: str) -> Result:
-    """The command line, in this process."""
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 def _views(board: Board, count: int, reach_m: tuple[float, float], seed: int) -> Iterator[View]:
@@ -90,7 +84,7 @@ def _stereo_views(folder: Path, file: str, count: int = 6) -> None:
 def test_cameras_are_placed_from_views_of_the_rigs_board(here: Path, board: str, edge_mm: float) -> None:
     file = _stereo_rig(here, board)
     _stereo_views(here, file)
-    done = rig("calibrate", "dlt", "left=left", "right=right", "--rig", file, "--to", "d.yaml", "--json")
+    done = invoke("calibrate", "dlt", "left=left", "right=right", "--rig", file, "--to", "d.yaml", "--json")
     assert done.exit_code == 0, done.output
     facts = json.loads(done.stdout)
     (pair,) = facts["pairs"]
@@ -102,38 +96,40 @@ def test_cameras_are_placed_from_views_of_the_rigs_board(here: Path, board: str,
     assert found.board == load(file).board.pattern
     corners = len(board_of(load(file)).corners_m)
     assert min(view.corners for view in found.views) < corners
-    table = rig("calibrate", "dlt", "left=left", "right=right", "--rig", file, "--to", "e.yaml")
+    table = invoke("calibrate", "dlt", "left=left", "right=right", "--rig", file, "--to", "e.yaml")
     assert f"({edge_mm} stated)" in table.output
 
 
 def test_a_tool_calibration_of_another_marker_board_is_refused_with_its_line(here: Path) -> None:
     file = _stereo_rig(here, CHARUCO)
-    assert rig("calibrate", "tool", "--capture", "--rig", file, "--camera", "left", "--to", "tool.yaml").exit_code == 0
+    assert (
+        invoke("calibrate", "tool", "--capture", "--rig", file, "--camera", "left", "--to", "tool.yaml").exit_code == 0
+    )
     other = here / "other.yaml"
     other.write_text(f"calibrations: [tool.yaml]\n{(here / file).read_text()}")
     assert load(str(other)).board.placement.translation_mm == pytest.approx((0, 0, 35), abs=0.5)
     other.write_text(other.read_text().replace("marker_mm: 12", "marker_mm: 11"))
-    refused = rig("check", "ramp-a", "--rig", str(other))
+    refused = invoke("check", "ramp-a", "--rig", str(other))
     assert refused.exit_code == 2
     assert "tool.yaml:" in refused.output
     assert "board, marker_mm" in refused.output
     assert "11, as the board of rig" in refused.output
     other.write_text(other.read_text().replace(CHARUCO.replace("12", "11"), TAGS))
-    assert "a apriltag, as the board" in rig("check", "ramp-a", "--rig", str(other)).output
+    assert "a apriltag, as the board" in invoke("check", "ramp-a", "--rig", str(other)).output
 
 
 def test_a_board_with_other_markers_is_reported_with_what_to_compare(here: Path) -> None:
     (here / "views").mkdir()
     for view in _views(CharucoBoard(6, 5, 0.02, 0.015, "5X5_50"), 4, (0.02, 0.02), 1):
         cv2.imwrite(str(here / "views" / f"{view.name}.png"), view.image)
-    done = rig("calibrate", "camera", "views", "--rig", _stereo_rig(here, CHARUCO))
+    done = invoke("calibrate", "camera", "views", "--rig", _stereo_rig(here, CHARUCO))
     assert done.exit_code == 2
     assert "0 of 4 views show a ChArUco board of 6x5 squares with markers 4X4_50" in done.output
     assert "its family of markers and its first marker" in done.output
 
 
 def test_without_a_board_in_the_rig_the_checkerboard_must_be_stated(here: Path) -> None:
-    done = rig("calibrate", "camera", ".", "--rig", "mock-no-camera")
+    done = invoke("calibrate", "camera", ".", "--rig", "mock-no-camera")
     assert done.exit_code == 2
     assert "--rig alone, for the board of a rig" in done.output
 

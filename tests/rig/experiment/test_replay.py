@@ -14,12 +14,11 @@ import runs
 from protocols import BadInputError
 from rig.config import loader
 from rig.config.optics import board_of
-from rig.experiment import run as experiment
 from rig.experiment.replay import replay
 from rig.observation.overlay import OverlayProjector
 from runs.archive.writer import ArchiveError
 from runs.run import Run
-from tests.rig.virtual.test_run import Silent, protocol_file
+from tests.support.virtual_runs import protocol_file, virtual_run
 
 
 def recorded(folder: Path, encoding: str, adapt: list[str] | None = None) -> Run:
@@ -27,13 +26,7 @@ def recorded(folder: Path, encoding: str, adapt: list[str] | None = None) -> Run
     text = loader.text("mock")
     rig.write_text(f"{text}\nrecording: {{keep_every: 1, encoding: {encoding}, jpeg_quality: 95}}\n")
     protocol = protocol_file(folder, "  - ramp: {actuators: [1], to_bar: 0.4, duration_s: 2}\n")
-    out = folder / encoding
-    request = experiment.request(
-        protocol, str(rig), folder=out, fast=True, seed=3, report=False, adapt=adapt, notes="wet day"
-    )
-    archive = experiment.run(request, experiment.plan(request), Silent()).archive
-    assert archive is not None
-    return runs.open(archive)
+    return virtual_run(protocol, rig, folder=folder / encoding, seed=3, adapt=adapt, notes="wet day")
 
 
 @pytest.fixture(scope="module")

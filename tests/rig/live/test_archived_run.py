@@ -7,12 +7,11 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import tests.support.synthetic_runs as made_up
-from rig.cli.app import main
 from rig.live.archived_run import ArchivedRun
 from runs.archive.writer import finalise
+from tests.support.command_line import status_of
 from tests.support.import_bench import SMALL, imported_in
 
 WEIGHED = """
@@ -26,8 +25,7 @@ steps:
 
 def test_the_arm_is_drawn_with_the_weight_that_hung_on_it(tmp_path: Path) -> None:
     (tmp_path / "weight.yaml").write_text(WEIGHED)
-    with pytest.raises(SystemExit):
-        main(["run", str(tmp_path / "weight.yaml"), "--fast", "--yes", "--no-report", "--out", str(tmp_path)])
+    assert status_of("run", tmp_path / "weight.yaml", "--fast", "--yes", "--no-report", "--out", tmp_path) == 0
     played = ArchivedRun(next(tmp_path.glob("*.h5")))
     tip = played.run.tip
     assert tip.weight_g[-1] == 800

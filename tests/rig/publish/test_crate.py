@@ -18,12 +18,12 @@ from rocrate.rocrate import ROCrate
 
 import rig
 from protocols import BadInputError
-from rig.cli.app import main
 from rig.publish.crate import write
 from rig.publish.description import describe
 from rig.publish.field_list import field_list
 from runs.annotation_file import add_note
 from runs.run import Run
+from tests.support.command_line import status_of
 
 PROTOCOL = "title: One step\nsteps:\n  - hold: {duration_s: 0.3}\n"
 ADA = "Ada Lovelace 0000-0002-1825-0097"
@@ -42,9 +42,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 @pytest.fixture(scope="module")
 def crate(run: Run) -> Path:
     target = run.path.parent / "crate.zip"
-    with pytest.raises(SystemExit) as ended:
-        main(["publish", str(run.path), "--to", str(target), "--creator", ADA, "--licence", "CC-BY-4.0"])
-    assert ended.value.code == 0
+    assert status_of("publish", run.path, "--to", target, "--creator", ADA, "--licence", "CC-BY-4.0") == 0
     folder = target.parent / "crate"
     with zipfile.ZipFile(target) as file:
         file.extractall(folder)

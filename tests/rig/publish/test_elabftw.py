@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 import rig
-from rig.cli.app import main
 from rig.publish.elabftw import KEY
 from runs.run import Run
+from tests.support.command_line import status_of
 
 SECRET = "3-0123456789abcdef"
 
@@ -108,10 +108,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 def publish(run: Run, target: Path, url: str) -> int:
     words = ["publish", str(run.path), "--to", str(target), "--creator", "Ada Lovelace", "--licence", "CC-BY-4.0"]
-    with pytest.raises(SystemExit) as ended:
-        main([*words, "--elabftw", url])
-    assert isinstance(ended.value.code, int)
-    return ended.value.code
+    return status_of(*words, "--elabftw", url)
 
 
 def test_the_entry_describes_the_runs_and_holds_the_crate(

@@ -11,7 +11,6 @@ import pytest
 
 import runs
 from protocols import library
-from rig.cli.app import main
 from rig.reproduce import motion, verdicts
 from rig.reproduce.comparison import PaperComparison
 from rig.reproduce.experiments import origin
@@ -20,6 +19,7 @@ from rig.reproduce.page import write
 from rig.reproduce.positions import excursion_errors
 from rig.reproduce.table4 import SCHEMES
 from runs.archive.writer import finalise
+from tests.support.command_line import status_of
 from tests.support.synthetic_runs import write_journal
 
 
@@ -51,13 +51,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     sine.write_text(sine.read_text().replace("periods: 4", "periods: 1"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(library, "FOLDER", own)
-        with pytest.raises(SystemExit):
-            main(["run", str(out / "sine-1.yaml"), "--fast", "--yes", "--no-report", "--out", str(out / "runs")])
-        with pytest.raises(SystemExit):
-            main(["simulate", "sine-2", "--out", str(out / "runs")])
-        with pytest.raises(SystemExit) as left:
-            main(["reproduce", "fig14", "--out", str(out)])
-    assert left.value.code == 0
+        assert status_of("run", out / "sine-1.yaml", "--fast", "--yes", "--no-report", "--out", out / "runs") == 0
+        assert status_of("simulate", "sine-2", "--out", out / "runs") == 0
+        assert status_of("reproduce", "fig14", "--out", out) == 0
     return out
 
 
@@ -67,8 +63,7 @@ def test_missing_runs_are_simulated_once_and_marked(folder: Path, capsys: pytest
     # The model alone is no experiment: sine-2 was missing.
     made = sorted((header.protocol_name, header.executor) for header in headers)
     assert made == [("sine-1", "virtual time"), ("sine-2", "model alone"), ("sine-2", "virtual time")]
-    with pytest.raises(SystemExit):
-        main(["reproduce", "table5", "--out", str(folder)])
+    assert status_of("reproduce", "table5", "--out", folder) == 0
     told = capsys.readouterr().out
     assert sorted((folder / "runs").glob("*.h5")) == archives
     assert "simulated" in told
@@ -103,9 +98,7 @@ def test_a_result_from_any_simulated_run_is_marked_as_simulated(tmp_path: Path) 
 
 def test_the_printed_modulus_is_explained_as_text_and_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     for more in ([], ["--json"]):
-        with pytest.raises(SystemExit) as left:
-            main(["reproduce", "modulus", *more])
-        assert left.value.code == 0
+        assert status_of("reproduce", "modulus", *more) == 0
         said = capsys.readouterr().out
         shown = f"{json.loads(said)['modulus']['through_origin_pa'] / 1e3:.1f} kPa" if more else " ".join(said.split())
         assert "290.5 kPa" in shown

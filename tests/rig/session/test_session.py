@@ -16,7 +16,6 @@ import pytest
 import rig
 import runs
 from protocols import BadInputError
-from rig.cli.app import main
 from rig.execution.plan import Progress
 from rig.identify import identify
 from rig.session.prompts import FunctionOperator
@@ -24,6 +23,7 @@ from rig.session.session import RunEndedError, RunInterruptedError, Session
 from runs.archive.checked import ArchiveError
 from runs.records import Event
 from runs.run import Run
+from tests.support.command_line import status_of
 
 PROTOCOL = """\
 title: One step
@@ -58,9 +58,7 @@ def test_the_package_is_cheap_to_import() -> None:
 def test_a_run_is_that_of_the_command_line(step: Run, folder: Path) -> None:
     out = folder / "command"
     command = ["run", str(folder / "step.yaml"), "--out", str(out), "--set", "peak_bar=0.2", "--seed", "3"]
-    with pytest.raises(SystemExit) as ended:
-        main([*command, "--rig", "mock", "--fast", "--yes", "--no-report"])
-    assert ended.value.code == 0
+    assert status_of(*command, "--rig", "mock", "--fast", "--yes", "--no-report") == 0
     (archive,) = out.glob("*.h5")
     other = runs.open(archive)
     assert np.array_equal(step.tip.measured_mm, other.tip.measured_mm, equal_nan=True)

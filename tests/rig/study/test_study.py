@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import signal
 import subprocess
@@ -13,7 +14,6 @@ import pytest
 
 import rig
 from protocols import BadInputError
-from rig.cli.app import main
 from rig.config.loader import RigChoice, Source
 from rig.execution.plan import RunPlan
 from rig.experiment import run as experiment
@@ -25,6 +25,7 @@ from rig.study.study import OtherStudyError, Study, archived, finished, load
 from runs.catalogue import catalogue, search
 from runs.records import Status
 from runs.run import Run
+from tests.support.command_line import status_of
 
 PROTOCOL = """\
 title: One step
@@ -207,18 +208,14 @@ def test_a_rule_stops_the_study_and_the_command_says_why(
     monkeypatch.setattr("os.cpu_count", lambda: 1)
     plan.write_text("title: t\nprotocol: step.yaml\nrepeats: 3\nstop: {mean_error_mm: 0.001}\n")
     command = ["study", str(plan), "--fast", "--yes", "--rig", "mock", "--out", str(plan.parent / "data")]
-    with pytest.raises(SystemExit) as ended:
-        main(command)
-    assert ended.value.code == 1
+    assert status_of(*command) == 1
     assert "mean error" in capsys.readouterr().err
     assert len(list((plan.parent / "data").glob("*.h5"))) == 1
 
 
 def test_the_dry_plan_has_the_total_time_and_moves_nothing(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plan.write_text(PLAN + "rest_s: 10\n")
-    with pytest.raises(SystemExit) as ended:
-        main(["study", str(plan), "--dry", "--rig", "mock", "--out", str(plan.parent / "data")])
-    assert ended.value.code == 0
+    assert status_of("study", plan, "--dry", "--rig", "mock", "--out", plan.parent / "data") == 0
     total_s = 30 * 0.2 + 10 * (0.1 + 0.15 + 0.2) + 29 * 10
     assert f"{total_s:.1f} s remain" in capsys.readouterr().out
     assert not list(plan.parent.glob("data/*.h5"))
@@ -235,3 +232,5 @@ def test_a_study_from_python_returns_its_runs_and_continues_itself(plan: Path) -
         with pytest.raises(BadInputError, match="prompts before the blocks"):
             bench.study(plan, out=plan.parent / "other")
     assert (again[0].path, len(again)) == (runs[0].path, 2)
+    table = list(csv.DictReader((data / f"{plan.stem}.study.csv").read_text().splitlines()))
+    assert [(row["number"], row["simulated"]) for row in table] == [("1", "1"), ("2", "1")]

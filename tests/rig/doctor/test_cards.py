@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import errno
-import os
 import platform
-import resource
-import struct
-import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 import rig.config.loader
 from rig.config.finding import Finding
-from rig.config.schema import RigConfig
-from rig.doctor import cameras, cards, comedi_card, examine, opencv_camera, realsense_camera
-from rig.doctor import machine as computer
+from rig.doctor import cards, comedi_card
 from rig.doctor.devices import rig_devices
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.comedi_survey import ComediCardSurvey, SubdeviceSurvey
 from rig.hardware.cards.kernel_devices import AttachedDevice, ComediModule, comedi, has_module, pci_cards
 
 RELEASE = platform.release()
+
+
 NOTHING_ATTACHED = """comedi version 0.7.76
 format string: "%2d: %-20s %-20s %4d", i, driver_name, board_name, n_subdevices
 no devices
@@ -34,6 +28,8 @@ adv_pci1710:
  pci1713
  pci1731
 """
+
+
 TWO_CARDS = """comedi version 0.7.76
 format string: "%2d: %-20s %-20s %4d", i, driver_name, board_name, n_subdevices
  0: comedi_test          comedi_test             3
@@ -43,11 +39,15 @@ adv_pci1710:
 comedi_test:
  comedi_test
 """
+
+
 ALIASES = """# Aliases extracted from modules themselves.
 alias pci:v000013FEd00001710sv*sd*bc*sc*i* adv_pci1710
 alias pci:v000013FEd00001711sv*sd*bc*sc*i* adv_pci1710
 alias usb:v0CF3p9271d*dc*dsc*dp*ic*isc*ip*in* ath9k_htc
 """
+
+
 CARD = ComediCardSurvey(
     "/dev/comedi11",
     "pci1716",
@@ -330,237 +330,3 @@ def test_a_card_that_the_doctor_cannot_check_is_named() -> None:
     assert (said.topic, said.verdict) == ("rig's card daq", "note")
     assert "driver nidaqmx of softrig" in said.found
     assert "rig test-driver" in said.remedy
-
-
-def test_a_priority_that_only_a_part_of_a_run_could_have_is_not_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    def up_to_50(pid: int, policy: int, param: os.sched_param) -> None:
-        if param.sched_priority > 50:
-            raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
-
-    monkeypatch.setattr(os, "sched_setscheduler", up_to_50)
-    monkeypatch.setattr(resource, "getrlimit", lambda which: (50, 50))
-    said = computer.real_time()
-    assert said.verdict == "missing"
-    assert "up to priority 50, and 60 is wanted" in said.found
-    assert " - rtprio 80' to /etc/security/limits.conf" in said.remedy
-
-
-def test_memory_that_may_not_be_locked_names_the_line_to_add(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "geteuid", lambda: 1000)
-    monkeypatch.setattr(resource, "getrlimit", lambda which: (8 << 20, 8 << 20))
-    monkeypatch.setattr(os, "getgid", lambda: 0)
-    monkeypatch.setattr(os, "getgroups", lambda: [0])
-    said = computer.memory_lock()
-    assert (said.verdict, said.found) == ("missing", "limited to 8192 KiB")
-    assert "'@root - memlock unlimited'" in said.remedy
-
-
-@pytest.mark.parametrize(("name", "verdict"), [("x86_64", "ok"), ("aarch64", "missing")])
-def test_a_processor_that_reorders_stores_is_reported(name: str, verdict: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(platform, "machine", lambda: name)
-    said = computer.processor()
-    assert (said.topic, said.verdict) == ("processor", verdict)
-    assert said.found.startswith(name)
-
-
-def test_free_space_and_speed_of_the_disk_are_measured_and_nothing_is_left_on_it(tmp_path: Path) -> None:
-    said = computer.disk(tmp_path / "data" / "deep")
-    assert f"GB free at {tmp_path}" in said.found
-    assert "a megabyte" in said.found
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_slow_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(computer, "SLOW_S", 0.0)
-    said = computer.disk(tmp_path)
-    assert said.verdict == "missing"
-    assert "a megabyte took it" in said.found
-    assert "--out" in said.remedy
-
-
-def test_a_folder_without_write_permission_is_reported() -> None:
-    said = computer.disk(Path("/sys/kernel"))
-    assert said.verdict == "missing"
-    assert "/sys/kernel cannot be written: " in said.found
-    assert "--out" in said.remedy
-
-
-def test_a_file_in_place_of_the_folder_is_reported(tmp_path: Path) -> None:
-    (tmp_path / "data").write_text("a file")
-    said = computer.disk(tmp_path / "data" / "today")
-    assert (said.verdict, said.found) == ("missing", f"{tmp_path / 'data'} is a file and no folder")
-
-
-def test_a_disk_that_refuses_a_write_is_full_whatever_space_it_states(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(fd: int) -> None:
-        raise OSError(errno.EDQUOT, os.strerror(errno.EDQUOT))
-
-    monkeypatch.setattr(os, "fsync", full)
-    said = computer.disk(tmp_path)
-    assert said.verdict == "missing"
-    assert "no more is taken" in said.found
-    assert "make room" in said.remedy
-
-
-def test_a_disk_with_little_room_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(computer, "ENOUGH_BYTES", 1 << 62)
-    said = computer.disk(tmp_path)
-    assert (said.verdict, said.remedy.split(",")[0]) == ("missing", "make room")
-
-
-class Cameras:
-    """A made-up machine with video devices; what V4L2 would say of each is given."""
-
-    def __init__(self, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.root = root
-        self._can: dict[str, int] = {}
-        (root / "dev").mkdir()
-        monkeypatch.setattr("fcntl.ioctl", self._ioctl)
-
-    def add(self, name: str, called: str, can: int) -> None:
-        (self.root / "dev" / name).touch()
-        self._can[str(self.root / "dev" / name)] = can
-        folder = self.root / "sys/class/video4linux" / name
-        folder.mkdir(parents=True)
-        (folder / "name").write_text(f"{called}\n")
-
-    def _ioctl(self, fd: int, request: int, answer: bytearray) -> int:
-        can = self._can[str(Path(f"/proc/self/fd/{fd}").readlink())]
-        answer[:] = struct.pack("<16s32s32sIII12x", b"uvcvideo", b"x", b"usb", 0x60100, 0x84A00001, can)
-        return 0
-
-
-@pytest.fixture
-def plugged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cameras:
-    return Cameras(tmp_path, monkeypatch)
-
-
-def with_camera(driver: str, device: str | int) -> RigConfig:
-    config = rig.config.loader.load("pci1716")
-    camera = config.cameras["front"].model_copy(update={"driver": driver, "device": device})
-    return config.model_copy(update={"cameras": {"front": camera}})
-
-
-def test_a_camera_is_distinguished_from_its_second_device_without_pictures(plugged: Cameras) -> None:
-    plugged.add("video10", "HD Webcam", 0x04A00000)
-    plugged.add("video2", "HD Webcam", 0x04200001)
-    first, second = cameras.cameras(plugged.root)
-    assert (first.verdict, first.found) == ("ok", "/dev/video2: HD Webcam")
-    assert second.verdict == "note"
-    assert "/dev/video10: HD Webcam: gives no pictures" in second.found
-
-
-def test_a_device_without_hardware_is_not_queried(plugged: Cameras) -> None:
-    """v4l2loopback, asked while no program feeds it, refuses the next program that wants to feed it."""
-    plugged.add("video9", "played", 0x05200000)
-    shown = plugged.root / "sys/class/video4linux/video9"
-    made_up = plugged.root / "sys/devices/virtual/video4linux/video9"
-    made_up.parent.mkdir(parents=True)
-    shown.rename(made_up)
-    shown.symlink_to(made_up)
-    (said,) = cameras.cameras(plugged.root)
-    assert (said.verdict, said.found) == ("ok", "/dev/video9: played")
-
-
-def refusing(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
-    def refuse(path: Path, flags: int) -> int:
-        raise OSError(number, os.strerror(number), str(path))
-
-    monkeypatch.setattr(os, "open", refuse)
-
-
-def test_for_a_camera_without_permission_the_group_to_join_is_named(
-    plugged: Cameras, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plugged.add("video0", "HD Webcam", 0x04200001)
-    refusing(monkeypatch, errno.EACCES)
-    group = computer.group_name((plugged.root / "dev/video0").stat().st_gid)
-    (said,) = cameras.cameras(plugged.root)
-    assert (said.verdict, said.remedy) == ("missing", f"sudo adduser $USER {group}, then log in again")
-
-
-@pytest.mark.parametrize("number", [errno.EBUSY, errno.ENXIO])
-def test_a_camera_that_cannot_be_opened_is_reported_with_the_reason(
-    plugged: Cameras, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
-    plugged.add("video0", "HD Webcam", 0x04200001)
-    refusing(monkeypatch, number)
-    (said,) = cameras.cameras(plugged.root)
-    assert said.verdict == "missing"
-    assert said.found == f"/dev/video0: HD Webcam: cannot be opened ({os.strerror(number)})"
-    assert said.remedy
-
-
-def test_a_missing_camera_is_a_fault_only_if_a_rig_needs_one(plugged: Cameras) -> None:
-    (said,) = cameras.cameras(plugged.root)
-    assert said.verdict == "note"
-    (said,) = opencv_camera.examine(with_camera("opencv", "/dev/video0"), "front", plugged.root)
-    assert (said.topic, said.verdict) == ("rig's camera front", "missing")
-    assert said.found == "/dev/video0 does not exist (video devices present: none)"
-
-
-@pytest.mark.parametrize("device", ["/dev/video2", 2])
-def test_a_camera_of_the_rig_that_is_present_is_named(plugged: Cameras, device: str | int) -> None:
-    plugged.add("video2", "HD Webcam", 0x04200001)
-    (said,) = opencv_camera.examine(with_camera("opencv", device), "front", plugged.root)
-    assert said == Finding("rig's camera front", "ok", "/dev/video2: HD Webcam")
-
-
-def test_a_camera_may_be_named_by_its_persistent_path(plugged: Cameras) -> None:
-    plugged.add("video2", "HD Webcam", 0x04200001)
-    steady = plugged.root / "dev/v4l/by-id"
-    steady.mkdir(parents=True)
-    (steady / "usb-webcam-index0").symlink_to("../../video2")
-    (said,) = opencv_camera.examine(with_camera("opencv", "/dev/v4l/by-id/usb-webcam-index0"), "front", plugged.root)
-    assert said == Finding("rig's camera front", "ok", "/dev/v4l/by-id/usb-webcam-index0: HD Webcam")
-
-
-def test_a_rig_that_names_a_device_without_pictures_is_reported(plugged: Cameras) -> None:
-    plugged.add("video3", "HD Webcam", 0x04A00000)
-    (said,) = opencv_camera.examine(with_camera("opencv", "/dev/video3"), "front", plugged.root)
-    assert said.verdict == "missing"
-    assert "gives no pictures" in said.found
-
-
-def test_a_rigs_recording_needs_no_camera(plugged: Cameras, tmp_path: Path) -> None:
-    (said,) = opencv_camera.examine(with_camera("opencv", str(tmp_path)), "front", plugged.root)
-    assert said.verdict == "ok"
-    (said,) = opencv_camera.examine(with_camera("opencv", str(tmp_path / "gone.mp4")), "front", plugged.root)
-    assert (said.verdict, said.found) == ("missing", f"recording {tmp_path / 'gone.mp4'} does not exist")
-
-
-class RealSense:
-    """As much of pyrealsense2 as lists what is plugged in; its context and its devices are itself."""
-
-    camera_info = SimpleNamespace(serial_number="serial")
-
-    def __init__(self, serial: str) -> None:
-        self._serial = serial
-
-    def context(self) -> RealSense:
-        return self
-
-    def query_devices(self) -> list[RealSense]:
-        return [self]
-
-    def get_info(self, what: str) -> str:
-        assert what == "serial"
-        return self._serial
-
-
-def test_a_realsense_is_searched_by_its_serial_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    (said,) = realsense_camera.examine(with_camera("realsense", "any"), "front")
-    assert (said.verdict, said.remedy) == ("missing", "pip install pyrealsense2")
-    monkeypatch.setitem(sys.modules, "pyrealsense2", RealSense("1234"))
-    assert [
-        realsense_camera.examine(with_camera("realsense", device), "front")[0].verdict
-        for device in ("any", "1234", "999")
-    ] == ["ok", "ok", "missing"]
-
-
-def test_a_missing_camera_of_the_rig_is_a_fault(tmp_path: Path) -> None:
-    topics = {f.topic: f.verdict for f in examine(tmp_path, with_camera("opencv", "/dev/video987"))}
-    assert topics["rig's camera front"] == "missing"
