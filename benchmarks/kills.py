@@ -55,10 +55,10 @@ def await_journal(folder: Path) -> None:
 
 def recovered(folder: Path) -> Run:
     """The archive of what was killed; it must be whole, and marked as recovered unless the run had ended."""
-    outcomes = [o for o in recover(folder) if o.fate is not RecoveryStatus.REMOVED]
+    outcomes = [o for o in recover(folder) if o.status is not RecoveryStatus.REMOVED]
     (outcome,) = outcomes
     assert outcome.archive is not None, outcome.message
-    assert "not readable" not in outcome.message or outcome.fate is RecoveryStatus.RECOVERED, outcome.message
+    assert "not readable" not in outcome.message or outcome.status is RecoveryStatus.RECOVERED, outcome.message
     assert verify(outcome.archive)
     return runs.open(outcome.archive)
 

@@ -24,8 +24,8 @@ from rod import DT, path_of_sine
 import model.laws.quadratic_compliance
 from model import Arm
 from model.dynamics import Dynamics
-from model.kernels.axis import place_tip
-from model.kernels.layout import LANES, OTHERS, STATE, SUMS
+from model.kernels.axis import write_tip_pose
+from model.kernels.layout import LANES, OTHER_TRIOS, STATE, SUMS
 from model.kernels.shooting import TOLERANCE_IN_MOTION, Workspace
 from model.kernels.time_stepping import advance
 
@@ -147,25 +147,25 @@ def second(variant: str, nodes: int) -> dict[str, int]:
     path = path_of_sine(30)
     moving = Dynamics(arm, DT, nodes=nodes)
     moving.start(path[0])
-    problem, total, passes = moving._problem, Counter[str](), 0
-    workspace = Workspace(*(given(part) for part in moving.workspace))
+    problem, total, passes = moving._arguments, Counter[str](), 0
+    workspace = Workspace(*(given(part) for part in moving._workspace))
     # Walls without branches have no past of their own.
     workspace = workspace._replace(walls_past=workspace.history)
     state = moving.state
     work, past_states, x = (given(a) for a in (problem.work(), state.past_states, state.x))
     place, turned = given(np.zeros((1, 3))), given(np.zeros((1, 3, 3)))
     for row in path[1:]:
-        # With up to three tubes, there are no others: what is added for them is no operation.
-        work[OTHERS * LANES : (OTHERS + SUMS) * LANES] = 0.0
+        # With up to three tubes there is one trio: adding the zeros of others is no operation.
+        work[OTHER_TRIOS * LANES : (OTHER_TRIOS + SUMS) * LANES] = 0.0
         done = advance(
-            work, problem.walls, problem.rest[0], problem.per_pressure[0], problem.free_per_pa, state.before,
+            work, problem.walls, problem.rest[0], problem.per_pressure[0], problem.free_per_pa, state.last_pressures,
             row, moving._load, moving._loaded, moving._tip, problem.length_m, state.segments, problem.scale,
             state.coefficients, past_states, x, state.branch_factors, state.branch_strains, workspace,
             TOLERANCE_IN_MOTION,
         )  # fmt: skip
         assert done > 0
         passes += done
-        place_tip(x, problem.length_m, problem.centre_m, place, turned, 0)
+        write_tip_pose(x, problem.length_m, problem.centre_m, place, turned, 0)
         # Of the history: v, u, q, w at the nodes and their slopes, and between the nodes the slopes of v and u alone.
         history = workspace.history.reshape(4, nodes + 1, STATE)
         carried = [*history[:3, :, :12].ravel(), *history[3, :, :6].ravel(), *x.ravel()]

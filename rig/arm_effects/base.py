@@ -28,8 +28,8 @@ class ArmEffectSection(Section, ABC):
 
     @abstractmethod
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
-        """A new state for an arm of so many actuators, which advances in steps of `step_s`."""
+        """A new state for an arm with `actuators`, which advances in steps of `step_s`."""
 
     def actuator_faults(self, actuators: int) -> Iterator[ValidationFault]:
-        """What does not fit an arm of so many actuators."""
+        """Problems of the section for an arm with `actuators`."""
         yield from ()

@@ -50,7 +50,7 @@ class BenchDriver:
     """Drives an armed bench. Every control cycle goes through the interlocks of a run; a trip makes safe and raises."""
 
     def __init__(self, config: RigConfig, bench: ValveOutputs, clock: BenchClock, check: Callable[[], None]) -> None:
-        """`check` is called at every control cycle and raises when the operator wants no more."""
+        """`check` is called at every control cycle and raises on a stop request of the operator."""
         self._config, self._bench, self._clock, self._check = config, bench, clock, check
         self._prepared = control.prepare(config)
         self._period_s = self._prepared.period_s

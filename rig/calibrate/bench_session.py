@@ -103,7 +103,7 @@ def virtual(config: RigConfig, seed: int, *, moving_arm: bool = True) -> Iterato
 
 @contextmanager
 def real(config: RigConfig, rig_file: Path, purpose: str) -> Iterator[tuple[ValveOutputs, BenchClock]]:
-    """The rig's cards, locked and armed, with the run's watchdog beside: it makes safe what this process cannot.
+    """The rig's cards, locked and armed, with the watchdog of a run, which makes safe what this process cannot.
 
     Raises:
         CardError: a card is in use or cannot be opened, or another program has written to it.
@@ -151,7 +151,7 @@ def _verify_venting(config: RigConfig, bench: Bench, *, vent: bool, since_ns: in
 
 @contextmanager
 def _watched(config: RigConfig, rig_file: Path) -> Iterator[tuple[SharedState, ProcessMonitor]]:
-    """Keep the watchdog process; the one whose death it watches for lives exactly as long as this one needs it."""
+    """Run the watchdog. The process that it monitors ends with this context, or when this process dies."""
     memory = SharedState.create(StateLayout.of(config))
     nothing = SetPointTrajectory(0.0, config.actuators, (), (), "")
     plan = RunPlan(config, rig_file, nothing, config.model.variant, 0)

@@ -19,7 +19,6 @@ Floats = NDArray[np.float64]
 FORMATS = (".pdf", ".svg")
 """Formats that keep a length; the size of a bitmap is the printer's choice."""
 _MM_PER_INCH = 25.4
-_PT_PER_MM = 72 / _MM_PER_INCH
 _PAGES_MM = {"A4": (210.0, 297.0), "A4 landscape": (297.0, 210.0), "A3": (297.0, 420.0), "A3 landscape": (420.0, 297.0)}
 _BORDER_MM = 12.0
 # Above the board: the texts; below it: the ruler.
@@ -54,7 +53,7 @@ def page_of(section: BoardPattern) -> BoardPage:
 
 
 def texts(section: BoardPattern, page: BoardPage, name: str) -> tuple[str, ...]:
-    """What stands above the board."""
+    """The text above the board."""
     width, height = page.print_mm
     lengths = ", ".join(f"{of} {value:g} mm" for of, value in section.lengths_mm.items())
     return (

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calibration.cross_validation import PointObservations
 from protocols import BadInputError, Problem, document
-from protocols.problems import bad_input, closest
+from protocols.problems import bad_input, closest, raise_all
 
 Floats = NDArray[np.float64]
 
@@ -39,13 +39,12 @@ def read(path: Path) -> dict[str, PointObservations]:
             conflict = ", ".join(f"{x:g}" for x in known[point])
             problems.append(
                 Problem(str(path), line, 0, "X_mm, Y_mm, Z_mm", ", ".join(f"{x:g}" for x in place),
-                        f"{conflict}, as point {point} stands in a row above")
+                        f"{conflict}, as in an earlier row of point {point}")
             )  # fmt: skip
         if point in found.setdefault(camera, {}):
             problems.append(Problem(str(path), line, 0, "point", point, f"each point once for camera {camera}"))
         found[camera][point] = place, pixel
-    if problems:
-        raise BadInputError(problems[:_MOST_PROBLEMS])
+    raise_all(problems[:_MOST_PROBLEMS])
     return {
         camera: PointObservations(
             tuple(points),

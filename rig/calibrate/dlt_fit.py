@@ -63,7 +63,7 @@ def known_lens(
 
 
 def camera_in_world(observation: PointObservations, dlt: DLT) -> tuple[RigidTransform, Floats]:
-    """Where a camera stands: by its lens and the control points, or without a lens by the coefficients alone."""
+    """The pose of a camera: from its lens and the control points, or without a lens from the coefficients alone."""
     _, camera = decompose(dlt)
     if observation.lens is None:
         return camera, np.full((6, 6), np.nan)

@@ -34,7 +34,7 @@ def origin(note: str = "") -> dict[str, Any]:
 
 
 def identity_of(config: RigConfig, name: str) -> calibration_schema.CameraIdentity:
-    """A rig's camera, with its serial number where it is plugged in and tells one."""
+    """A rig's camera, with its serial number if it is connected and has one."""
     camera = config.cameras[name]
     return calibration_schema.CameraIdentity(
         name=name,
@@ -44,11 +44,6 @@ def identity_of(config: RigConfig, name: str) -> calibration_schema.CameraIdenti
         width_px=camera.width_px,
         height_px=camera.height_px,
     )
-
-
-def unknown_camera(name: str, width_px: int, height_px: int) -> calibration_schema.CameraIdentity:
-    """A camera of which only its pictures are known."""
-    return calibration_schema.CameraIdentity(name=name, width_px=width_px, height_px=height_px)
 
 
 def card_of(config: RigConfig, name: str) -> calibration_schema.CardIdentity:

@@ -95,7 +95,7 @@ def rig_of(name: str | None) -> RigConfig | None:
 def identity(rig: RigConfig | None, name: str, size: tuple[int, int]) -> calibration_schema.CameraIdentity:
     """Return the identity of a camera; refuse pictures of another size (width, height) than the rig's."""
     if rig is None or name not in rig.cameras:
-        return file_sections.unknown_camera(name, *size)
+        return calibration_schema.CameraIdentity(name=name, width_px=size[0], height_px=size[1])
     camera = rig.cameras[name]
     if (camera.width_px, camera.height_px) != size:
         raise bad_input(

@@ -1,4 +1,4 @@
-"""The picture beside a camera's calibration: residuals over the image, every view's share, and what was covered."""
+"""The figure of a camera calibration: residuals over the picture, rms of each view, and coverage."""
 
 from __future__ import annotations
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from calibration.camera import CalibrationError
 from calibration.pressure import SensorFit, fit_sensor
-from protocols import BadInputError, Problem
+from protocols import Problem
+from protocols.problems import raise_all
 from rig.calibrate import control_points, file_sections
 from rig.calibrate.bench_driver import BenchDriver
 from rig.calibrate.bench_operator import Keys
@@ -147,6 +148,5 @@ def from_readings(
             problems.append(Problem(str(path), line, 0, "actuator", text or "nothing", expected))
             continue
         found.setdefault(int(text), []).append((volts, gauge * PA_PER_BAR))
-    if problems:
-        raise BadInputError(problems)
+    raise_all(problems)
     return tuple(sensor_section(config, a, np.array(pairs), gauge_std_bar) for a, pairs in sorted(found.items()))

@@ -146,7 +146,7 @@ def _captured(
     config: RigConfig, name: str, seed: int, folder: Path, operator: BenchOperator
 ) -> tuple[list[View], list[View]]:
     """Capture views with the rig's camera into `folder`; the operator turns the cap, or the simulated one does."""
-    with _hands(config, name, seed, operator) as (take, ask):
+    with _pictures_and_instructions(config, name, seed, operator) as (take, ask):
         ask("vent the arm and let it hang straight and still")
         straight = [store(grey(take(0.0)), folder, f"straight{k + 1:02}") for k in range(STRAIGHT_VIEWS)]
         turned = []
@@ -157,7 +157,7 @@ def _captured(
 
 
 @contextmanager
-def _hands(
+def _pictures_and_instructions(
     config: RigConfig, name: str, seed: int, operator: BenchOperator
 ) -> Iterator[tuple[Callable[[float], Image], Callable[[str], None]]]:
     """Yield how to take a picture with the cap at an angle [deg], and how to ask for an action."""

@@ -31,7 +31,7 @@ REACH_S, REST_S, WATCH_S, SKIP_S, LEAK_S, VENT_S = 0.5, 0.05, 0.3, 0.03, 0.6, 1.
 KICK_V, KICK_S = 0.06, 0.02
 """Further out for a moment, so that the spool then comes from outside."""
 FASTEST_SHARE = 0.6
-"""Of the rate at which the interlock trips: the sweep goes no further."""
+"""Share of the rate at which the interlock trips; the sweep ends there."""
 _LEAST_ROWS = 8
 
 
@@ -104,7 +104,7 @@ def rate_of(time_s: Floats, pressure_pa: Floats, offset_v: float, outward: bool)
 
 
 def volume_m3(config: RigConfig, chambers: list[int], rest_m3: float, pressure_pa: float, arm: Arm) -> float:
-    """Air of some chambers as a rate of pressure sees it: a chamber that lengthens with its pressure takes in more."""
+    """Effective air volume V + p dV/dp of some chambers: one that lengthens with its pressure takes in more."""
     step = 0.05 * config.limits.pressure_bar * PA_PER_BAR
     bore_m2 = math.pi * (config.arm.geometry.inner_radius_mm * 1e-3) ** 2
     volumes = []

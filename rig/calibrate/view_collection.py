@@ -29,7 +29,7 @@ _MOST_IDLE = 600
 
 
 def pictures(config: RigConfig, camera: str, board: Board, seed: int) -> Iterator[Image]:
-    """Pictures of a rig's camera as they come; a mock camera sees a board in simulated hands.
+    """Pictures of a rig's camera as they come; a mock camera sees a board that a simulated operator moves.
 
     Raises:
         CameraError: the camera cannot be opened, or gives none.
@@ -57,7 +57,7 @@ def collect(
 ) -> list[View]:
     """Keep still views that show something new, as PNG in `folder`, until `wanted` are there that lack nothing.
 
-    `tell` gets what happened and what to do next; `enough` is true once the operator wants no more.
+    `tell` is called with each result and the next instruction; `enough` is true when the operator ends the collection.
 
     Raises:
         CalibrationError: the pictures ended, or brought nothing new for long, before there was a view.

@@ -23,5 +23,6 @@ def examine(folder: Path, config: RigConfig | None = None) -> tuple[Finding, ...
         machine.processor(),
         machine.real_time(),
         machine.memory_lock(),
+        machine.niceness(),
         machine.disk(folder),
     )

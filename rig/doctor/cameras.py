@@ -15,7 +15,7 @@ _CAPABILITIES = "<16s32s32sIII12x"
 """V4L2's answer to it: driver, card, bus, version, what the device can do and what this node of it can."""
 _VIDEO_CAPTURE = 0x1 | 0x1000
 """Pictures, in one plane or several."""
-_TOLD_BY_NODE = 0x80000000
+_HAS_NODE_CAPABILITIES = 0x80000000
 PLUG_IN = "plug the camera in (`dmesg` says whether it was seen)"
 
 
@@ -38,7 +38,7 @@ def examine_video(device: Path, root: Path, topic: str = "camera", *, wanted: bo
     node = device.resolve()
     known = (root / "sys/class/video4linux" / node.name).resolve()
     called = known / "name"
-    # As the user knows it: a made-up machine stands elsewhere.
+    # The path without `root`, which tests set.
     shown = f"/{device.relative_to(root)}"
     name = f"{shown}: {called.read_text().strip()}" if called.exists() else shown
     try:
@@ -53,7 +53,7 @@ def examine_video(device: Path, root: Path, topic: str = "camera", *, wanted: bo
         return Finding(
             topic,
             "missing" if wanted else "note",
-            f"{name}: gives no pictures, only what a camera tells beside them",
+            f"{name}: gives no pictures, only metadata",
             "take another of its devices, most often the one before",
         )
     return Finding(topic, "ok", name)
@@ -79,4 +79,4 @@ def _gives_pictures(device: Path, hardware: bool) -> bool:
     finally:
         os.close(opened)
     *_, of_all, of_node = struct.unpack(_CAPABILITIES, answer)
-    return bool((of_node if of_all & _TOLD_BY_NODE else of_all) & _VIDEO_CAPTURE)
+    return bool((of_node if of_all & _HAS_NODE_CAPABILITIES else of_all) & _VIDEO_CAPTURE)

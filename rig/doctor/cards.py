@@ -25,8 +25,7 @@ OUT_OF_TREE = (
     f"then sudo modprobe {FAMILY_DRIVER}"
 )
 ELSEWHERE = (
-    "look for it among the drivers of https://github.com/Linux-Comedi/comedi; where it is not there either, "
-    "it takes another card"
+    "look for it among the drivers of https://github.com/Linux-Comedi/comedi; if there is none, use another card"
 )
 SEE_DMESG = "dmesg says why; docs/how-to/troubleshoot-a-bench.md"
 POWER_UP = (
@@ -84,7 +83,7 @@ def _drivers(kernel: ComediModule | None, on_bus: tuple[PciCard, ...], available
     loaded = f"version {kernel.version}, drivers loaded: {', '.join(kernel.drivers) or 'none'}"
     if not kernel.attached:
         remedy = (
-            "the driver that is loaded knows no board in this machine: load the board's own (PCI boards need no more; "
+            "the loaded driver supports no board in this machine: load the board's own (PCI boards need no more; "
             "ISA and serial ones are attached with comedi_config)"
         )
         return [Finding("Comedi", "missing", f"{loaded}; no card is attached", remedy)]
@@ -111,7 +110,7 @@ def _nodeless(kernel: ComediModule | None) -> list[Finding]:
             "card",
             "missing",
             f"{card.board} (driver {card.driver}) is attached, and /dev/comedi{card.minor} does not exist",
-            "sudo udevadm trigger; into a container, hand the device",
+            "sudo udevadm trigger; in a container, pass the device to it",
         )
         for card in (kernel.attached if kernel else ())
         if f"/dev/comedi{card.minor}" not in there
@@ -128,7 +127,9 @@ def _devices(kernel: ComediModule | None, queryable: bool) -> list[Finding]:
             findings.append(Finding("card", "missing", found, fault.remedy or SEE_DMESG))
         else:
             findings.append(
-                Finding("card", "missing", f"{_called(path, kernel)}{path} can be opened, not asked", "make comedi")
+                Finding(
+                    "card", "missing", f"{_called(path, kernel)}{path} can be opened, but not queried", "make comedi"
+                )
             )
     return findings
 

@@ -13,7 +13,7 @@ from rig.hardware.cards.setup import card_setup
 
 
 def examine(config: RigConfig, name: str) -> Iterator[Finding]:
-    """Check one card against the channels and ranges that the rig wants; opens it, and writes no channel."""
+    """Check one card against the channels and ranges that the rig uses; opens it, and writes no channel."""
     topic = f"rig's card {name}"
     try:
         opened = ComediCard(card_setup(config, name))
@@ -26,7 +26,7 @@ def examine(config: RigConfig, name: str) -> Iterator[Finding]:
         yield Finding(
             topic,
             "ok",
-            f"{opened.description} has every channel and range that the rig wants; "
+            f"{opened.description} has every channel and range that the rig uses; "
             f"{used} of {opened.outputs_there} outputs used, {left or 'none'} left",
         )
         opened.close()
@@ -36,5 +36,5 @@ def examine(config: RigConfig, name: str) -> Iterator[Finding]:
                 f"rig's valve {number}",
                 "note",
                 "at 0 V, where attaching the driver puts it, it FILLS its chamber up to the supply's pressure",
-                f"hang the chamber on port 4 (fills: above); until then {POWER_UP}",
+                f"connect the chamber to port 4 (fills: above); until then {POWER_UP}",
             )

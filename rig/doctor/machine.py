@@ -17,6 +17,8 @@ from rig.config.finding import Finding
 
 PRIORITY = 60
 """The highest priority that a run uses: the watchdog's."""
+NICENESS = -10
+"""The niceness that the tip controller of a run gets."""
 ENOUGH_BYTES = 2_000_000_000
 SLOW_S = 1.0
 """Longest acceptable time to write one megabyte."""
@@ -60,6 +62,18 @@ def real_time() -> Finding:
             _limits("rtprio 80"),
         )
     return Finding("real-time priority", "ok", "SCHED_FIFO permitted")
+
+
+def niceness() -> Finding:
+    """Check that this user may raise the priority of the tip controller."""
+    previous = os.getpriority(os.PRIO_PROCESS, 0)
+    try:
+        os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
+        os.setpriority(os.PRIO_PROCESS, 0, previous)
+    except PermissionError:
+        found = f"niceness {NICENESS} is not permitted: on a busy machine the plans of a tip controller may be late"
+        return Finding("priority of the tip controller", "note", found, _limits(f"nice {NICENESS}"))
+    return Finding("priority of the tip controller", "ok", f"niceness {NICENESS} permitted")
 
 
 def memory_lock() -> Finding:

@@ -23,8 +23,8 @@ def check(
 
     `protocol` and `rig_file` add details to the messages: the step's path, and the file that states the limit.
     """
-    judge = _PreflightCheck(config, trajectory, protocol, f" in {rig_file.name}" if rig_file else "")
-    return judge.verdict()
+    rig = f" in {rig_file.name}" if rig_file else ""
+    return _PreflightCheck(config, trajectory, protocol, rig).problems()
 
 
 def peak_pa(trajectory: SetPointTrajectory) -> list[float]:
@@ -40,7 +40,7 @@ class _PreflightCheck:
         self._protocol = protocol
         self._rig = rig
 
-    def verdict(self) -> tuple[Problem, ...]:
+    def problems(self) -> tuple[Problem, ...]:
         have, want = self._config.actuators, self._trajectory.actuators
         if have != want:
             expected = f"a trajectory for the {have} actuators of the rig"
@@ -95,7 +95,7 @@ class _PreflightCheck:
             jump = abs(new - old)
             if not segment.jumps and jump > JUMP_PA:
                 found = f"actuator {index + 1} jumps from {_bar(old)} to {_bar(new)}"
-                expected = "a start where the set-point stands; give this step lead_in_s, or put a ramp before it"
+                expected = "a start at the current set-point; give this step lead_in_s, or put a ramp before it"
                 yield "jump", jump, self._problem(segment, found, expected)
         yield from self._shared(segment)
 

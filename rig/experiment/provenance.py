@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import subprocess
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
@@ -17,6 +18,11 @@ _ROOT = Path(__file__).resolve().parents[2]
 
 def versions() -> dict[str, str]:
     """Versions of Python, of the kernel and of the packages that shape a result; absent packages are left out."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> dict[str, str]:
     found = {"python": platform.python_version(), "kernel": f"{platform.system()} {platform.release()}"}
     for name in _PACKAGES:
         try:
@@ -26,8 +32,12 @@ def versions() -> dict[str, str]:
     return found
 
 
+@cache
 def git_state() -> tuple[str, str]:
-    """Commit and uncommitted difference of the checkout that the program runs from; empty outside a checkout."""
+    """Commit and uncommitted difference of the checkout that the program runs from; empty outside a checkout.
+
+    Read once: a process that runs several experiments runs the code that it has imported.
+    """
     return _git("rev-parse", "HEAD").strip(), _git("diff", "HEAD")
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.variants import VARIANTS
-from protocols import BadInputError, Problem
+from protocols.problems import bad_input
 from rig.config import loader
 from rig.config.loader import RigFile
 from rig.config.parameters_overlay import read as read_parameters
@@ -57,7 +57,7 @@ def replay(
     config = rig_file.config.free_running
     if not config.cameras:
         expected = "a rig with a camera: this one has none to measure the tip in the run's pictures"
-        raise BadInputError([Problem("--rig", 0, 0, "", config.name, expected)])
+        raise bad_input("--rig", config.name, expected)
     rows = np.array(list(_referred(run, _observed(run, config, chosen))))
     now = datetime.now(UTC)
     commit, diff = git_state()
@@ -113,7 +113,7 @@ def replay_rig(
     if found.config.actuators != run.header.actuators:
         expected = f"a rig with {run.header.actuators} actuators, as the run had"
         value = f"{found.config.name}, which has {found.config.actuators}"
-        raise BadInputError([Problem("--rig", 0, 0, "", value, expected)])
+        raise bad_input("--rig", value, expected)
     return found, chosen
 
 
@@ -184,11 +184,11 @@ def _auxiliary(run: Run, config: RigConfig) -> NDArray[np.float64]:
     missing = next((name for name in used if name not in recorded), None)
     if missing is not None:
         expected = f"a rig whose tip force the run has measured: {run.header.run_id} has no input {missing}"
-        raise BadInputError([Problem("--rig", 0, 0, "", config.name, expected)])
+        raise bad_input("--rig", config.name, expected)
     measured = MeasuredTipForce(loader.recorded(run.header, run.path).config).inputs
     if lost := [name for name in measured if name not in used]:
         expected = f"a rig whose input {lost[0]} has a tip_force_direction, as in the run"
-        raise BadInputError([Problem("--rig", 0, 0, "", config.name, expected)])
+        raise bad_input("--rig", config.name, expected)
     aux = np.full((len(run.pressure.time_s), len(config.inputs)), np.nan)
     for k, name in enumerate(config.inputs):
         if run.auxiliary is not None and name in recorded:

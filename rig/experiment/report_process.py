@@ -15,7 +15,7 @@ BeginReport = Callable[[Path], Callable[[], Path]]
 
 
 def prepared(fast: bool) -> AbstractContextManager[BeginReport]:
-    """Return what begins the report of a run: in real time nothing is imported beside the control loop."""
+    """Return what begins the report of a run: in real time nothing is imported during the control loop."""
     return started() if fast else nullcontext(begin_here)
 
 

@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING, TypeVar
 
 import protocols
 from protocols import BadInputError, Problem, Protocol, SetPointTrajectory
+from protocols.problems import bad_input
 from rig.config.loader import RigChoice, RigFile, Source, read
 from rig.config.model_variant import variant_named
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
-from rig.execution.plan import OperatorInterface, Outcome, RunPlan, StartError
+from rig.execution.plan import UNRECORDED, OperatorInterface, Outcome, RunPlan, StartError
 from rig.experiment import report_process
 from rig.experiment.preflight import check
 from rig.experiment.provenance import git_state, protocol_parameters, quantities, section_places, versions
@@ -176,11 +177,11 @@ def _estimated_online(config: RigConfig, variant: Variant, names: Sequence[str])
         expected = (
             f"a rig with a camera or tracker: rig {config.name} has none, so there is no measured tip to estimate from"
         )
-        raise BadInputError([Problem("--adapt", 0, 0, "", "an online estimation", expected)])
+        raise bad_input("--adapt", "an online estimation", expected)
     measured = [name for name, one in config.inputs.items() if one.tip_force_direction is not None]
     if measured:
         expected = f"a rig that does not measure the tip force: the estimator does not use input {measured[0]}"
-        raise BadInputError([Problem("--adapt", 0, 0, "", "an online estimation", expected)])
+        raise bad_input("--adapt", "an online estimation", expected)
     from rig.observation.online_estimation import default_parameters, estimated_quantities
 
     return estimated_quantities(config, variant, names or default_parameters(config, variant))
@@ -314,7 +315,7 @@ def _execute(request: RunRequest, decided: RunPlan, operator: OperatorInterface)
 def _abort_message(error: Exception) -> str:
     """Return the message of the error that ended a run."""
     if isinstance(error, JournalError):
-        return f"the record could not be written: {error}"
+        return f"{UNRECORDED}: {error}"
     return str(error) if isinstance(error, _EXPECTED) else f"{type(error).__name__}: {error}"
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from protocols import BadInputError, Problem, Protocol
+from protocols.problems import bad_input
 from rig.config.loader import RigFile
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
@@ -25,7 +26,7 @@ def tip_controller(config: RigConfig, rig_file: Path, chosen: str | None, moves_
     """
     if not moves_tip:
         if chosen is not None:
-            raise BadInputError([Problem("--controller", 0, 0, "", chosen, "a protocol with a tip path")])
+            raise bad_input("--controller", chosen, "a protocol with a tip path")
         return ""
     from rig.tip_control.registry import FEED_FORWARD, UnknownControllerError, controller_class
 
@@ -57,7 +58,7 @@ def tip_inverse(
     if not protocol.moves_tip:
         if learn_from:
             expected = "a protocol with a tip path: only there runs learn from earlier ones"
-            raise BadInputError([Problem("--learn-from", 0, 0, "", protocol.name, expected)])
+            raise bad_input("--learn-from", protocol.name, expected)
         return None, ()
     from rig.tip_planning.inverse import RigTipInverse
 
@@ -80,7 +81,7 @@ def tip_inverse(
         except NotRepeatedError as error:
             expected = str(error)
         if expected:
-            raise BadInputError([Problem("--learn-from", 0, 0, "", str(archive), expected)])
+            raise bad_input("--learn-from", str(archive), expected)
     return LearnedInverse(inverse, settings(rig.config, variant), tuple(runs)), tuple(run.run_id for run in runs)
 
 

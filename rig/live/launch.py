@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from protocols import BadInputError, Problem
+from protocols import BadInputError
+from protocols.problems import bad_input
 from rig.execution.plan import StartError
 from rig.live.authentication import AccessTokens
 from rig.live.client_session import running_runs
@@ -152,7 +153,7 @@ def _address(listen: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
 
 def _not_here(listen: str) -> BadInputError:
     expected = "an address of this machine, such as 192.168.1.20, or 0.0.0.0 for all"
-    return BadInputError([Problem("--listen", 0, 0, "", listen, expected)])
+    return bad_input("--listen", listen, expected)
 
 
 def _bind(address: ipaddress.IPv4Address | ipaddress.IPv6Address, port: int) -> socket.socket:

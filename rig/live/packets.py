@@ -105,7 +105,7 @@ class ViewUpdate:
             "reset": self.reset,
         }
         if self.overlay is not None:
-            body["drawing"] = {
+            body["overlay"] = {
                 "corners": rounded(self.overlay.corners_px, 1),
                 "tip": rounded(self.overlay.tip_px, 1),
                 "model": rounded(self.overlay.model_px, 1),

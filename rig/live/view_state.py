@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RunDescription:
-    """Constant properties of a run. `measured`: the rig measures the tip; `end_s` is None while the run goes on."""
+    """Constant properties of a run. `measured`: the rig measures the tip; `end_s` is None during the run."""
 
     title: str
     live: bool

@@ -1,4 +1,4 @@
-"""What a publication says of itself: title, creators and licence, stated by the user or by the runs."""
+"""Description of a publication: title, creators and licence, stated by the user or by the runs."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The paper's tables and figures again: the model by the printed numbers, the experiments by a rig."""
+"""Reproduction of the paper's tables and figures: the model with the printed numbers, the experiments with a rig."""

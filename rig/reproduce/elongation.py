@@ -64,7 +64,7 @@ def compared(data: Elongations) -> Iterator[PaperComparison]:
     here = data.origin
     text, printed_e = published_modulus(), f"{PUBLISHED_MODULUS_PA / 1e3:.1f}"
     other = "another arm" if here == "measured" else "the mock's arm differs from the published one on purpose"
-    share = "a line's slope hangs on its range: here each of three tubes carries a third of the weight, up to 3.9 N"
+    share = "the slope of a line depends on its range: here each tube carries a third of the weight, up to 3.9 N"
     quiet = "the mock's camera and arm are quieter" if here == "simulated" else other
     yield PaperComparison(
         "5.2.2", "E from eq 32 [kPa]", printed_e, f"{text.through_origin_pa / 1e3:.1f}", "text",

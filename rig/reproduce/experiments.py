@@ -16,7 +16,7 @@ PROTOCOLS = ("extension-weights", "extension-pressure", "ramp-a", "ramp-b", "sin
 
 
 def recorded_or_simulated(
-    folder: Path, protocols: tuple[str, ...] = PROTOCOLS, seed: int = 0, report: Callable[[str], None] = lambda _: None
+    folder: Path, protocols: tuple[str, ...] = PROTOCOLS, report: Callable[[str], None] = lambda _: None
 ) -> dict[str, Run]:
     """The newest finished archive of each protocol in a folder; missing ones are simulated on the mock rig.
 
@@ -29,12 +29,12 @@ def recorded_or_simulated(
     for name in protocols:
         if name not in found:
             report(f"simulating {name} on the mock rig")
-            found[name] = _simulated(folder, name, seed)
+            found[name] = _simulated(folder, name)
     return {name: found[name] for name in protocols}
 
 
 def origin(*runs: Run) -> Origin:
-    """Whether all of some runs were measured: what rests on a simulated one is simulated."""
+    """Whether all of some runs were measured: a result of a simulated one is simulated."""
     return "simulated" if any(run.header.simulated for run in runs) else "measured"
 
 
@@ -52,8 +52,8 @@ def _archives(folder: Path) -> dict[str, Run]:
     return found
 
 
-def _simulated(folder: Path, name: str, seed: int) -> Run:
-    request = experiment.request(name, "mock-ideal", folder=folder, fast=True, seed=seed, report=False)
+def _simulated(folder: Path, name: str) -> Run:
+    request = experiment.request(name, "mock-ideal", folder=folder, fast=True, report=False)
     result = experiment.run(request, experiment.plan(request), NullOperator())
     if result.archive is None or result.outcome.status is not Status.FINISHED:
         raise StartError(f"{name} could not be simulated: {result.outcome.message}")

@@ -9,6 +9,7 @@ from pathlib import Path
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from runs.overwriting import staged
 from runs.report.drawing import save, svg
+from runs.report.html_table import html_table
 from runs.report.page import html_document
 
 _STYLE = (
@@ -67,11 +68,8 @@ def _page(rows: Sequence[PaperComparison], drawings: Sequence[PaperFigure], rema
 
 
 def _table(rows: Sequence[PaperComparison]) -> str:
-    head = "".join(f"<th>{name}</th>" for name in ("item", "what", "paper", "here", "by", "why different"))
-    body = "".join(
-        "<tr>"
-        + "".join(f"<td>{escape(cell)}</td>" for cell in (row.item, row.what, row.paper, row.here, row.origin, row.why))
-        + "</tr>"
+    cells = (
+        [*map(escape, (row.item, row.what, row.paper, row.here, row.origin, row.why))]
         for row in sorted(rows, key=lambda row: row.item == _LONG)  # its many lines would hide the others
     )
-    return f'<div class="scroll"><table class="paper"><tr>{head}</tr>{body}</table></div>'
+    return html_table(("item", "what", "paper", "here", "by", "why different"), cells, kind="paper")

@@ -58,8 +58,8 @@ class RestPositions:
             self.pressure_pa.append(pressure)
             self.measured_m.append(poses.tip_m[driven])
             for variant, tips in self.tips_m.items():
-                believed = replace(arm, variant=variant)
-                tips.append(np.array([statics(believed, p, doubt_units=False).tip_m for p in pressure]))
+                modelled = replace(arm, variant=variant)
+                tips.append(np.array([statics(modelled, p, doubt_units=False).tip_m for p in pressure]))
             self.arm = replace(arm, variant="inhomogeneous+rpe")
 
     def error_percent(self, variant: str) -> float:

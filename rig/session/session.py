@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from types import TracebackType
 
-from protocols import BadInputError, Problem
-from protocols.problems import bad_input
+from protocols import Problem
+from protocols.problems import bad_input, raise_all
 from rig.config.loader import RigChoice, chosen_rig, load
 from rig.config.schema import RigConfig
 from rig.execution.plan import RunPlan
@@ -192,8 +192,7 @@ class Session:
 
     def _require_entered(self) -> None:
         if not self._entered:
-            problem = Problem("rig.open", 0, 0, "", "", "open it first: `with rig.open(..) as bench:`")
-            raise BadInputError([problem])
+            raise bad_input("rig.open", "", "open it first: `with rig.open(..) as bench:`")
 
 
 def _check_arming(request: RunRequest, plan: RunPlan, yes: bool, answer: Answer | None) -> None:
@@ -204,8 +203,7 @@ def _check_arming(request: RunRequest, plan: RunPlan, yes: bool, answer: Answer 
     if not request.fast and plan.trajectory.prompts and answer is None:
         expected = f"a function for the {len(plan.trajectory.prompts)} prompts of the protocol, such as answer=input"
         problems.append(Problem("answer", 0, 0, "", "None", expected))
-    if problems:
-        raise BadInputError(problems)
+    raise_all(problems)
 
 
 def _run(request: RunRequest, plan: RunPlan, answer: Answer | None) -> RunResult:

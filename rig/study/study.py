@@ -1,4 +1,4 @@
-"""A checked study: its plan with a request for each combination, and what its archives say of its state."""
+"""A checked study: its plan with a request for each combination, and the archives of its runs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from protocols import BadInputError, Problem, document
 from protocols.library import FOLDER, find
 from protocols.parameters import declared, unit_in
-from protocols.problems import closest
+from protocols.problems import bad_input, closest
 from protocols.source_positions import Document, path_text
 from protocols.substitution import KEY
 from rig.config.loader import RigChoice, read
@@ -140,12 +140,10 @@ def _check_plan(file: Path, source: Document, plan: StudyPlan, rig: RigChoice, m
     """Refuse a name that cannot be a study's, and a stop by cycles of a specimen that is not named."""
     if not NAME.fullmatch(file.stem):
         expected = "a file whose name, the name of the study, has letters, digits, _ and - only, at most 60"
-        raise BadInputError([Problem(str(file), 0, 0, "", file.stem, expected)])
+        raise bad_input(str(file), file.stem, expected)
     if plan.stop.pressure_cycles is not None and "specimen" not in read(rig.name).run_metadata(metadata)[0]:
-        position = source.position(("stop", "pressure_cycles"))
         expected = "a specimen, whose cycles are counted: metadata of the rig file, or --meta specimen=NAME"
-        place = (str(file), position.line, position.column, "stop, pressure_cycles", position.source)
-        raise BadInputError([Problem(*place, expected)])
+        raise BadInputError([source.problem(("stop", "pressure_cycles"), expected)])
 
 
 def _named(problem: Problem, where: list[str], combinations: int) -> Problem:
@@ -162,9 +160,8 @@ def _protocol(source: Document, name: str, path: tuple[str, ...]) -> Path:
     try:
         return find(name, FOLDER, "protocol")
     except BadInputError as bad:
-        position = source.position(path)
-        place = (source.file, position.line, position.column, path_text(path), position.source)
-        raise BadInputError([Problem(*place, p.expected, p.suggestion) for p in bad.problems]) from None
+        found = [source.problem(path, p.expected, suggestion=p.suggestion) for p in bad.problems]
+        raise BadInputError(found) from None
 
 
 def _setting_problems(source: Document, plan: StudyPlan, protocol: Path) -> Iterator[Problem]:
@@ -177,7 +174,7 @@ def _setting_problems(source: Document, plan: StudyPlan, protocol: Path) -> Iter
         values += [(("combinations", index, name), name, value) for name, value in settings.items()]
     unknown: set[str] = set()
     for path, name, value in values:
-        parameter, position = known.get(name), source.position(path)
+        parameter = known.get(name)
         if name not in known and name not in unknown:
             unknown.add(name)
             key = source.position(path[: path.index(name) + 1])
@@ -186,7 +183,7 @@ def _setting_problems(source: Document, plan: StudyPlan, protocol: Path) -> Iter
             yield Problem(source.file, key.key_line, key.key_column, where, name, expected, closest(name, known))
         elif parameter is not None and not parameter.admits(value):
             expected = parameter.expected(unit_in(name, parameter))
-            yield Problem(source.file, position.line, position.column, path_text(path), position.source, expected)
+            yield source.problem(path, expected)
 
 
 def _digest(plan: str, requests: list[RunRequest]) -> str:

@@ -68,9 +68,9 @@ async function show(data) {
   numbers();
   charts.add(packet.pressure, packet.track, now.time_s);
   events(packet.events);
-  if (packet.drawing) arm.show(packet.drawing.lines, now.pressure?.measured_bar, now.sections.map(([, point]) => point));
+  if (packet.overlay) arm.show(packet.overlay.lines, now.pressure?.measured_bar, now.sections.map(([, point]) => point));
   if (data.byteLength > 4 + length) {
-    await picture.show(new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" }), packet.drawing);
+    await picture.show(new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" }), packet.overlay);
     if (now.tip?.sent_ms) seen.latency.push(now.tip.age_ms + Date.now() - now.tip.sent_ms);
     if (seen.latency.length > 3000) seen.latency.shift();
   }
