@@ -6,7 +6,7 @@ real-time run because the machine is slow is a field of `TimingLimits`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from rig.config.schema import RigConfig
@@ -73,14 +73,22 @@ def has_real_valves(config: RigConfig) -> bool:
 def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
     """The limits of one run; `granted` is what both control and the watchdog were granted.
 
-    `limits.hung_s` of the rig file applies with all other limits strict. Without it: strict for real valves with
+    `limits.hung_s` of the rig file applies with all other limits strict; a machine that may stand still for so long
+    delays the other processes as well, so no process counts as silent earlier. Without it: strict for real valves with
     SCHED_FIFO and locked memory. Real valves at ordinary priority: control may be silent for the rig's limit of the age
     of the newest sample (`stale_s`), at most 0.1 s. Simulated valves: seconds, because no hardware can be damaged.
     """
     limits = config.limits
-    strict_ns = round((limits.hung_s or STRICT_HUNG_S) * 1e9)
     if limits.hung_s is not None or (has_real_valves(config) and REAL_TIME in granted):
-        return TimingLimits(TimingProfile.STRICT, strict_ns, frame_s=limits.no_tip_s)
+        strict_ns = round((limits.hung_s or STRICT_HUNG_S) * 1e9)
+        strict = TimingLimits(TimingProfile.STRICT, strict_ns, frame_s=limits.no_tip_s)
+        return replace(
+            strict,
+            watchdog_silent_ns=max(strict.watchdog_silent_ns, strict_ns),
+            supervisor_silent_ns=max(strict.supervisor_silent_ns, strict_ns),
+            supervised_control_s=max(strict.supervised_control_s, strict_ns * 1e-9),
+            supervised_watchdog_s=max(strict.supervised_watchdog_s, strict_ns * 1e-9),
+        )
     if has_real_valves(config):
         hung_s = max(STRICT_HUNG_S, min(limits.stale_s, ORDINARY_HUNG_S))
         return TimingLimits(TimingProfile.ORDINARY, round(hung_s * 1e9), frame_s=limits.no_tip_s)

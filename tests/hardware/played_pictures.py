@@ -32,7 +32,7 @@ from tests.hardware.rig_of_the_machine import LOOPED, VALVES
 from tests.hardware.v4l2_output import open_output
 
 LEVELS_BAR = tuple(np.arange(0.0, 0.66, 0.05).round(2).tolist())
-RATE_HZ = 10
+RATE_HZ = 5
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from tests.hardware.kernel_card import COUNT_V
 from tests.hardware.rig_of_the_machine import LOOPED, SLOW_RAMP
 
 MOVING_V = 0.5
-LONG_S, SHORT_S = 400.0, 120.0
+LONG_S, SHORT_S = 600.0, 240.0
 
 Inputs = Callable[[], NDArray[np.float64]]
 """Reads the inputs of the valves [V]."""

@@ -83,6 +83,13 @@ def test_a_stated_hung_s_applies_to_any_bench(granted: Scheduling) -> None:
         assert timing == TimingLimits(TimingProfile.STRICT, hung_ms * MS, frame_s=config.limits.no_tip_s)
 
 
+def test_no_process_counts_as_silent_before_hung_s() -> None:
+    strict, patient = (timing_limits(real_rig(hung_s=hung_s), REAL_TIME) for hung_s in (0.2, 5.0))
+    assert (strict.watchdog_silent_ns, strict.supervisor_silent_ns) == (1000 * MS, 2000 * MS)
+    assert (patient.watchdog_silent_ns, patient.supervisor_silent_ns) == (5000 * MS, 5000 * MS)
+    assert (patient.supervised_control_s, patient.supervised_watchdog_s) == (5.0, 5.0)
+
+
 def test_missing_promises_are_reported_with_the_remedy() -> None:
     said = timing_sentence(real_rig(), Scheduling.NONE)
     assert "100 ms" in said
