@@ -28,6 +28,7 @@ Progress = Callable[[int, int], None]
 
 _MAX_RESTARTS = 20
 _CONNECT_TIMEOUT = "10s"
+_POLL_S = 0.01
 _SCRIPT = b"\x8c\x08__main__"
 """The name of the script's module in a pickle: a short text of eight bytes."""
 
@@ -130,7 +131,9 @@ def _on_cores(
                 for worker in begun:
                     worker.kill()
                 for worker in begun:
-                    worker.join()
+                    # A thread of the pool joins it, too: where that one collects the exit, this call returns at once.
+                    while worker.is_alive():
+                        worker.join(_POLL_S)
                 # Where a worker died while it sent a result, the pool would wait for the rest of it: now the pipe ends.
                 results._writer.close()
                 raise
