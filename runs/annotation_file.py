@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,7 +15,6 @@ from pathlib import Path
 from runs.archive.checked import ArchiveError
 
 SUFFIX = ".notes.jsonl"
-TAG = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}")
 _KINDS = ("note", "tag", "untag")
 
 
@@ -80,22 +78,8 @@ def _parsed(path: Path, number: int, line: str) -> tuple[str, str, str]:
     return kind, time, text
 
 
-def add_note(archive: Path, text: str) -> None:
-    """Add a note. Raises `ArchiveError` if it cannot be written."""
-    _append(archive, "note", text)
-
-
-def add_tag(archive: Path, tag: str) -> None:
-    """Add a tag. Raises `ArchiveError` if it cannot be written."""
-    _append(archive, "tag", tag)
-
-
-def remove_tag(archive: Path, tag: str) -> None:
-    """Remove a tag. Raises `ArchiveError` if it cannot be written."""
-    _append(archive, "untag", tag)
-
-
-def _append(archive: Path, kind: str, text: str) -> None:
+def append(archive: Path, kind: str, text: str) -> None:
+    """Append a "note", "tag" or "untag". Raises `ArchiveError` if it cannot be written."""
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     line = (json.dumps({"time": now, kind: text}) + "\n").encode()
     path = path_of(archive)

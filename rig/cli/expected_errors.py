@@ -35,6 +35,7 @@ EXPECTED_ERRORS = {
     "protocols.problems.BadInputError": BAD_INPUT,
     "runs.overwriting.WouldOverwriteError": BAD_INPUT,
     "runs.archive.checked.ArchiveError": BAD_INPUT,
+    "runs.annotations.AnnotationError": BAD_INPUT,
     "runs.export.exporters.ExportError": BAD_INPUT,
     "runs.export.exporters.ExportWriteError": FAULT,
     "calibration.camera.CalibrationError": BAD_INPUT,

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 import runs
 import tests.support.synthetic_runs as made_up
 from runs import annotation_file
+from runs.annotations import AnnotationError, add_note, add_tags, remove_tags
 from runs.archive.checked import ArchiveError, content_sha256
 from runs.archive.writer import finalise
 from runs.catalogue import catalogue, search, specimen_cycles
@@ -77,20 +78,39 @@ def test_notes_and_tags_are_shown_and_the_archive_stays(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("tag", "two words"), "TAG\n  found     two words\n  expected  a word of"),
-        (("tag", "badd", "--remove"), "did you mean bad?"),
-        (("note", "  "), "expected  a note, which is not empty"),
+        (("tag", "two words"), "tag 'two words': expected a word of"),
+        (("tag", "badd", "--remove"), "tag badd: expected a tag of this run: bad"),
+        (("note", "  "), "expected a note, which is not empty"),
     ],
 )
 def test_what_is_no_tag_or_note_is_refused(
     words: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     archive = make(tmp_path, "one")
-    annotation_file.add_tag(archive, "bad")
+    add_tags(archive, ["bad"])
     before = annotation_file.path_of(archive).read_bytes()
     assert status_of(words[0], archive, *words[1:]) == 2
     assert said in capsys.readouterr().err
     assert annotation_file.path_of(archive).read_bytes() == before
+
+
+def test_python_takes_a_run_by_its_id_and_refuses_what_the_command_refuses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "data").mkdir()
+    make(tmp_path / "data", "one")
+    monkeypatch.chdir(tmp_path)
+    file = add_note("last", " the tube slipped ")
+    assert add_tags("one", ["bad", "leak", "bad"]) == remove_tags("last", ["leak"]) == file
+    found = annotation_file.read(Path("data/one.h5"))
+    assert ([note.text for note in found.notes], found.tags) == (["the tube slipped"], ("bad",))
+    with pytest.raises(AnnotationError, match="a list of tags"):
+        add_tags("one", "bad")
+    with pytest.raises(AnnotationError, match="which is not empty"):
+        add_note("one", " ")
+    with pytest.raises(AnnotationError, match="a tag of this run: bad"):
+        remove_tags("one", ["bad", "leak"])
+    assert annotation_file.read(Path("data/one.h5")) == found
 
 
 @pytest.mark.parametrize(
@@ -98,7 +118,7 @@ def test_what_is_no_tag_or_note_is_refused(
 )
 def test_a_damaged_line_is_reported_with_its_number_and_the_run_stays_listed(tmp_path: Path, line: str) -> None:
     archive = make(tmp_path, "one")
-    annotation_file.add_tag(archive, "bad")
+    add_tags(archive, ["bad"])
     path = annotation_file.path_of(archive)
     path.write_text(path.read_text() + line + "\n")
     with pytest.raises(ArchiveError, match=r"one\.notes\.jsonl:2: found "):
@@ -113,11 +133,11 @@ WRITERS = """
 import multiprocessing
 import pathlib
 import sys
-from runs import annotation_file
+from runs.annotations import add_note
 
 def add(who):
     for number in range(50):
-        annotation_file.add_note(pathlib.Path(sys.argv[1]), f"{who} {number}")
+        add_note(pathlib.Path(sys.argv[1]), f"{who} {number}")
 
 fork = multiprocessing.get_context("fork")
 writers = [fork.Process(target=add, args=(who,)) for who in range(3)]

@@ -21,7 +21,7 @@ from protocols import BadInputError
 from rig.publish.crate import write
 from rig.publish.description import describe
 from rig.publish.field_list import field_list
-from runs.annotation_file import add_note
+from runs.annotations import add_note
 from runs.run import Run
 from tests.support.command_line import status_of
 
