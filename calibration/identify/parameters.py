@@ -37,7 +37,13 @@ class UnknownParameter(ValueError):  # noqa: N818 - the outcome is the name
 
 def known(actuators: int) -> dict[str, Parameter]:
     """All parameters of an arm with N actuators, by name."""
-    found = [
+    found = (*_of_material(), *_of_geometry(), *_of_sensors(), *_of_mounting(), *_of_actuators(actuators))
+    return {parameter.name: parameter for parameter in found}
+
+
+def _of_material() -> list[Parameter]:
+    """Law, damping and mass of the arm, and the growth of the push."""
+    return [
         _material("youngs_modulus_pa", "Pa", "modulus of the homogeneous section (eq 16)", 1e3, 1e9),
         _material("a1_per_n", "1/N", "linear term of eq 32", 1e-6, 10.0),
         _material("a2_per_n2", "1/N^2", "quadratic term of eq 32", 0.0, 1.0, least=1e-4, decades=2.0),
@@ -58,6 +64,12 @@ def known(actuators: int) -> dict[str, Parameter]:
             lambda s, x: replace(s, arm=replace(s.arm, cap_mass_kg=x)), lambda x: max(abs(x), 0.02), _cap_uncertainty,
             0.0, 100.0,
         ),
+    ]  # fmt: skip
+
+
+def _of_geometry() -> list[Parameter]:
+    """Lengths and radii of the arm."""
+    return [
         _geometry("length_m", "m", "length of the arm at rest", 0.1),
         replace(
             _geometry("inner_radius_m", "m", "radius of the chambers", 0.2), write=_inner,
@@ -68,6 +80,12 @@ def known(actuators: int) -> dict[str, Parameter]:
             "circle_radius_m", "m", "distance of the first actuator from the axis, the others in proportion", _circle,
             _circled, lambda x: 0.1 * x, constant(LENGTH_M), 1e-4, 10.0,
         ),
+    ]  # fmt: skip
+
+
+def _of_sensors() -> list[Parameter]:
+    """Times of the pressure sensors."""
+    return [
         Parameter(
             "sensor_lag_s", "s", "delay of the pressure sensors behind the camera", lambda s: s.sensor_lag_s,
             lambda s, x: replace(s, sensor_lag_s=x), lambda x: 0.05, constant(LAG_S), -1.0, 1.0,
@@ -76,6 +94,12 @@ def known(actuators: int) -> dict[str, Parameter]:
             "sensor_filter_s", "s", "time constant of the pressure sensors", lambda s: s.sensor_filter_s,
             lambda s, x: replace(s, sensor_filter_s=x), lambda x: 0.05, constant(FILTER_S), 0.0, 1.0,
         ),
+    ]  # fmt: skip
+
+
+def _of_mounting() -> list[Parameter]:
+    """Placements of rod base and measured point, and the direction of gravity."""
+    return [
         *_triple("base_translation_m", "base_{}_m", "m", "rod base in the measurements' frame", 0.02, MOUNTING_M, 1.0),
         *_triple(
             "base_rotation_rad", "base_r{}_rad", "rad", "rotation vector of the rod base", 0.1, MOUNTING_RAD, math.pi
@@ -89,25 +113,28 @@ def known(actuators: int) -> dict[str, Parameter]:
             "gravity_turn_rad", "gravity_r{}_rad", "rad", "rotation vector of gravity from its stated direction", 0.1,
             MOUNTING_RAD, math.pi,
         ),
-        *(
-            one
-            for n in range(actuators)
-            for one in (
-                _own(
-                    n, "actuator_turn_rad", f"actuator_{n + 1}_turn_rad", "rad", "turn about the axis", 0.2,
-                    MOUNTING_RAD, 3.2,
-                ),
-                _own(
-                    n, "sensor_gain", f"sensor_{n + 1}_gain", "1", "reading over true pressure", 0.2, GAIN, 10.0, 0.1
-                ),
-                _own(
-                    n, "sensor_offset_pa", f"sensor_{n + 1}_offset_pa", "Pa", "reading at zero pressure", 5e3,
-                    OFFSET_PA, 1e5,
-                ),
-            )
-        ),
     ]  # fmt: skip
-    return {parameter.name: parameter for parameter in found}
+
+
+def _of_actuators(actuators: int) -> list[Parameter]:
+    """Turn of each actuator, and gain and offset of its sensor."""
+    return [
+        one
+        for n in range(actuators)
+        for one in (
+            _own(
+                n, "actuator_turn_rad", f"actuator_{n + 1}_turn_rad", "rad", "turn about the axis", 0.2,
+                MOUNTING_RAD, 3.2,
+            ),
+            _own(
+                n, "sensor_gain", f"sensor_{n + 1}_gain", "1", "reading over true pressure", 0.2, GAIN, 10.0, 0.1
+            ),
+            _own(
+                n, "sensor_offset_pa", f"sensor_{n + 1}_offset_pa", "Pa", "reading at zero pressure", 5e3,
+                OFFSET_PA, 1e5,
+            ),
+        )
+    ]  # fmt: skip
 
 
 _BASE_TRANSLATION = ("base_x_m", "base_y_m", "base_z_m")
