@@ -1,10 +1,12 @@
 # The two commands: `make run` (the paper's experiment on the mock rig) and `make test`.
 .DEFAULT_GOAL := help
-.PHONY: help docs run test pytest test-realtime test-hardware test-board test-board-short fuzz strikes faults soak comedi lint lock clean
+.PHONY: help docs run test pytest test-slow test-realtime test-hardware test-board test-board-short fuzz strikes faults soak comedi lint lock clean
 
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+# A file's tests share fixtures, so one process runs them all.
+PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 
 # Without compiled bytecode every process of a run or of a test compiles its sources again: seconds each.
 unexport PYTHONDONTWRITEBYTECODE
@@ -12,6 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 help:
 	@echo "make run    run protocol ramp-a on the mock rig, in real time"
 	@echo "make test   run the tests, formatter, linter and type checker"
+	@echo "make test-slow  run the tests that make test leaves out, because each takes some seconds"
 	@echo "make test-realtime  run what needs a quiet machine: experiments in real time, and the page in Chromium"
 	@echo "make fuzz   search for inputs that break a property, at random and for longer"
 	@echo "make docs   build the documentation as a site with search, into build/site; each link is checked"
@@ -39,7 +42,10 @@ test: $(STAMP)
 	@$(MAKE) --no-print-directory -j2 lint pytest
 
 pytest: $(STAMP)
-	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "not realtime and not fuzz"
+	$(BIN)/python -m pytest $(PARALLEL) -m "not slow and not realtime and not fuzz"
+
+test-slow: $(STAMP)
+	$(BIN)/python -m pytest $(PARALLEL) -m "slow and not realtime and not fuzz"
 
 # Tests that run in real time would disturb each other, and so run one after the other. The host of a virtual machine may
 # stall any of them for longer than a real bench allows: one that fails is repeated once, and listed under RERUN.

@@ -33,6 +33,7 @@ def coverage(shared: float) -> float:
     return float(np.mean(held))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shared", [0.0, 0.2, 1.0])
 def test_intervals_hold_whatever_part_of_the_errors_a_view_shares(shared: float) -> None:
     assert 0.92 <= coverage(shared) <= 0.99

@@ -268,6 +268,7 @@ def test_no_random_jump_within_the_papers_range_fails(dt: float, variant: str) -
         assert np.isfinite(shape.p_m).all()
 
 
+@pytest.mark.slow
 def test_thousands_of_jumps_a_millisecond_apart_do_not_fail_once() -> None:
     """Step 8737 of these needs pressures that are led in strides shorter than an eighth of the jump."""
     dynamics = Dynamics(Arm.paper("inhomogeneous+rpe"), 0.001)

@@ -40,6 +40,7 @@ def extrapolated(peer: Peer, duration_s: float, damping: float, samples: int, co
     return (8 * fine - 6 * middle + coarse) / 3
 
 
+@pytest.mark.slow
 def test_a_tip_load_bends_it_as_in_pyelastica(peer: Peer) -> None:
     ours = statics(ROD, (0,), Loads(tip_force_n=FORCE)).tip_m
     # Nearly critical damping of the first mode: what is left of the motion then is a ten-thousandth.

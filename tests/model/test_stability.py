@@ -186,6 +186,7 @@ def check_against_the_energy(seed: int, count: int, force_n: float) -> None:
     assert stable > 0.9 * count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("force_n", "count"), [(1.0, 40), (10.0, 80)])
 def test_a_stable_equilibrium_is_a_minimum_of_a_separately_programmed_energy(force_n: float, count: int) -> None:
     check_against_the_energy(20231, count, force_n)

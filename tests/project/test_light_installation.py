@@ -105,6 +105,7 @@ def test_runs_is_imported_without_the_compiler_and_without_locks(tmp_path: Path)
     assert python(program, tmp_path).stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_an_archive_is_shown_exported_and_reported_without_what_only_unix_has(archive: Path, tmp_path: Path) -> None:
     done = python(WITHOUT_UNIX + commands(["show", "run.h5"], ["export", "run.h5"], ["report", "run.h5"]), tmp_path)
     assert done.returncode == 0, done.stderr

@@ -56,6 +56,7 @@ def test_a_run_can_be_repeated_when_its_files_are_gone(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.tip.measured_mm, first.tip.measured_mm)
 
 
+@pytest.mark.slow
 def test_the_parameters_of_a_protocol_stay_with_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     without_figures(monkeypatch)
     protocol = tmp_path / "wave.yaml"

@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 HOUSE = Path(__file__).parents[2]
 
 
+@pytest.mark.slow
 def test_the_record_of_a_killed_run_equals_the_start_of_the_whole_run() -> None:
     command = [sys.executable, "-m", "benchmarks.kills", "--trials", "2"]
     env = os.environ | {"PYTHONPATH": str(HOUSE)}

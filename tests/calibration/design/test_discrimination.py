@@ -87,6 +87,7 @@ def test_the_expected_share_is_that_of_a_normal_likelihood_ratio() -> None:
     assert replace(far, distance2=0.0, more=2).share == pytest.approx(chi2.cdf(2 * np.log(1e6) - 2, 2))
 
 
+@pytest.mark.slow
 def test_the_design_separates_better_than_random_ones(laws: dict[str, RivalLaw]) -> None:
     pair = (laws["inhomogeneous+rpe, pointwise"], laws["inhomogeneous+rpe, secant"])
     chosen = t_optimal(pair, PLANNED, 8)

@@ -47,6 +47,7 @@ def test_expected_error_bars_are_those_that_the_identification_states(unknowns: 
     np.testing.assert_allclose(expected.alone, stated, rtol=0.15)
 
 
+@pytest.mark.slow
 def test_measured_sections_narrow_the_expected_error_bars_as_those_of_the_identification() -> None:
     free, errors = ("a1_per_n", "base_x_m", "base_z_m"), replace(ERRORS, section_m=(5e-5, 5e-5, 5e-5))
     start = Setup(model_arm(load("mock")))
@@ -79,6 +80,7 @@ def test_a_hundred_repeats_make_bars_that_measurement_decides_ten_times_smaller(
     np.testing.assert_allclose(often.alone, once.alone / 10, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_expected_error_bars_contain_the_model_error_that_an_identification_adds(unknowns: Unknowns) -> None:
     """Few plateaus do not exclude it: the bars would be a tenth too small."""
     data = plan("levels", PRESSURES, errors=ERRORS)

@@ -55,6 +55,7 @@ def test_softening_law_and_radial_pressure_effect_are_identified_within_error_ba
     assert fit.discrepancy_m == 0.0
 
 
+@pytest.mark.slow
 def test_error_bars_hold_in_repeated_experiments() -> None:
     # `python -m benchmarks.identify` does the paper's four runs 200 times.
     found = coverage(PLANNED[:2], true_setup(), START, ("law", "rpe_per_bar"), 24, seed=5, workers=1)
@@ -268,6 +269,7 @@ def test_profile_and_curvature_intervals_agree_for_identified_parameters() -> No
         assert not found.flat
 
 
+@pytest.mark.slow
 def test_the_profile_of_an_unidentified_parameter_is_flat() -> None:
     fit = identify(done(true_setup()), START, ["law", "damping_s", "base_rz_rad", "actuator_angles"])
     by_name = {found.name: found for found in profiles(fit)}
@@ -279,6 +281,7 @@ def test_the_profile_of_an_unidentified_parameter_is_flat() -> None:
     assert any("base_rz_rad" in words and "actuator_2_turn_rad" in words for words in fit.open_directions)
 
 
+@pytest.mark.slow
 def test_profile_intervals_are_those_of_minos() -> None:
     """MINOS of iminuit minimises the same loss by a method of its own (MIGRAD, without gradients of the model)."""
     fit = identify(measured_precisely(true_setup(shear_ratio=0.2)), START, ["law", "rpe_per_bar", "shear_ratio"])

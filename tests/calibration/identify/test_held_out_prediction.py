@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import model
 from calibration.identify import Prior, Setup, identify, split_at
@@ -30,6 +31,7 @@ def predicted(seed: int, errors: MeasurementErrors = ERRORS) -> tuple[Fit, Predi
     return fit, predict(fit, perform(plan("new", pressures, errors=errors), START, rng, errors))
 
 
+@pytest.mark.slow
 def test_95_percent_of_the_prediction_intervals_hold_on_an_arm_that_obeys_the_model() -> None:
     shares = np.array([predicted(seed)[1].share_in_95 for seed in range(16)])
     # The poses of one run share the errors of the parameters and offsets: 160 tips count as about 30.

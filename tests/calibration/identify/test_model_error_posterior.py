@@ -127,6 +127,7 @@ def test_the_error_of_the_linearisation_is_zero_at_the_solution_and_grows_with_t
     assert found[2] == pytest.approx(float(np.sqrt((error**2).mean())), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_noise_is_no_smaller_than_the_error_of_the_linearisation() -> None:
     """The effects explain the residuals of very unequal actuators to a few micrometres, but only when linearised."""
     fit = identified((1.25, 1.0, 0.8))
@@ -235,6 +236,7 @@ def identified(gains: tuple[float, float, float]) -> Fit:
     return identify(data, START, ("law", "rpe_per_bar", "base"), stated=stated)
 
 
+@pytest.mark.slow
 def test_unequal_actuators_are_found_with_their_size_and_nothing_is_found_in_an_arm_that_obeys_the_model() -> None:
     unequal, ideal = identified((1.0, 1.06, 0.95)).model_error, identified((1.0, 1.0, 1.0)).model_error
     assert unequal is not None
@@ -260,6 +262,7 @@ def test_effects_that_are_found_are_named_with_their_size_and_make_the_parameter
     assert findings(identified((1.0, 1.0, 1.0)), ()).effective == ""
 
 
+@pytest.mark.slow
 def test_error_bars_hold_for_an_arm_with_coupled_chambers_that_single_combinations_do_not_reveal() -> None:
     rng, errors = np.random.default_rng(1), MeasurementErrors((3e-5, 3e-5, 6e-5), 20.0, 0.0)
     planned = [

@@ -124,6 +124,7 @@ def test_a_doubtful_search_starts_again_until_two_results_agree(monkeypatch: pyt
     assert any(line.startswith("start 2, step 1: rms ") for line in lines)
 
 
+@pytest.mark.slow
 def test_a_number_stated_to_nine_digits_narrows_no_error_bar_but_its_own() -> None:
     planned = (plan("sine", 1e5 * (0.35 + 0.2 * np.sin(np.arange(90) / 6))[:, None] * np.eye(3)[0], period_s=1 / 30),)
     data = [perform(planned[0], START, np.random.default_rng(3), FINE)]

@@ -71,6 +71,7 @@ def test_position_alone_hides_an_angle_that_the_orientation_shows() -> None:
     assert fit.measured == 2 * by_position.measured
 
 
+@pytest.mark.slow
 def test_error_bars_with_orientations_hold_in_repeated_experiments() -> None:
     found = coverage(
         [plan("one", RAMP * [1, 0, 0], errors=WITH), plan("two", RAMP * [0, 1, 0.5], errors=WITH)],

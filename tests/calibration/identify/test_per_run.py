@@ -73,6 +73,7 @@ def test_a_new_run_is_expected_at_the_mean_mounting_with_the_stated_uncertainty_
     assert predict(own, replace(RUNS[0], run_id="monday again")).std_m < 3e-4
 
 
+@pytest.mark.slow
 def test_a_new_run_scatters_about_the_runs_of_the_fit_not_about_a_stated_place_far_away() -> None:
     away = replace(START, base_translation_m=(0.02, 0.0, -0.01))
     fit = identify(RUNS, away, ["law", *BASE], per_run=["base_translation"], stated=stated_values(away, {}))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
@@ -57,6 +58,7 @@ def test_what_does_not_vary_within_a_run_has_no_verdict() -> None:
     assert not found["load"].significant
 
 
+@pytest.mark.slow
 def test_correlated_frames_are_called_significant_no_more_often_than_stated() -> None:
     rng = np.random.default_rng(4)
     level: list[float] = []

@@ -37,6 +37,7 @@ def shared_errors(rng: np.random.Generator, memory: float) -> np.ndarray:
     return out
 
 
+@pytest.mark.slow
 def test_correlated_frames_of_a_slow_motion_count_as_fewer_entries() -> None:
     planned = slow_motion()
     true = Predictor(planned)(START)

@@ -72,6 +72,7 @@ def test_a_run_without_errors_is_fitted_exactly_and_says_which_sections_count() 
     assert low.rms_rad < 1e-5
 
 
+@pytest.mark.slow
 def test_error_bars_with_sections_hold_in_repeated_experiments() -> None:
     planned = [
         plan("one", RAMP * [1, 0, 0], errors=ORIENTED, sections_m=SECTIONS),

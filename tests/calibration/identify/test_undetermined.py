@@ -31,6 +31,7 @@ def fit_of(share: float, stated: dict[str, Prior] | None) -> Fit:
     return identify([poses], START, ("law", "rpe_per_bar", "base"), stated=stated)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("uncertain", [False, True])
 def test_finer_data_widen_no_error_bar_where_an_unknown_becomes_determined(uncertain: bool) -> None:
     stated = {name: Prior(p.mean, 0.05 * p.std) for name, p in stated_values(START, {}).items()} if uncertain else None
@@ -49,6 +50,7 @@ def test_an_unknown_without_effect_is_held_with_half_a_span() -> None:
     assert np.sqrt(fit.joint_covariance[0, 0]) == pytest.approx(0.5, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("growth_per_bar", [0.12, 0.3])
 def test_an_effect_that_the_model_lacks_is_not_published_as_a_parameter_far_from_its_start(
     growth_per_bar: float,

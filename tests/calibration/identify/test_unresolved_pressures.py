@@ -105,6 +105,7 @@ def vented_courses(seed: int) -> tuple[Poses, Setup]:
     return poses, truth
 
 
+@pytest.mark.slow
 def test_error_bars_hold_where_vented_chambers_follow_below_the_noise() -> None:
     z: dict[bool, list[float]] = {True: [], False: []}
     for seed in range(4):

@@ -45,6 +45,7 @@ def test_corners_have_the_boards_order_for_any_rotation(name: str, roll_deg: flo
     assert np.abs(found - exact).max() < 3.0
 
 
+@pytest.mark.slow
 def test_with_a_third_covered_the_stated_intervals_hold_the_truth_and_are_wider() -> None:
     board, where = BOARDS["charuco 9x8"], list(poses(40, 2))
     whole = measure(board, where, (None,), lambda occlusion: ours(board, occlusion, 1))

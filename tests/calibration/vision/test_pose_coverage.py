@@ -17,6 +17,7 @@ def _setting(name: str) -> Setting:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "look"),
     [

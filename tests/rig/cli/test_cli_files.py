@@ -132,6 +132,7 @@ def test_an_export_overwrites_no_file_without_consent(data: Path, form: str) -> 
     assert status_of("export", archive, "--format", form) == 2
 
 
+@pytest.mark.slow
 def test_figures_overwrite_no_file_without_consent(data: Path) -> None:
     folder = Path("figures")
     folder.mkdir()

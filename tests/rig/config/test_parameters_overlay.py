@@ -86,6 +86,7 @@ def test_simulate_applies_the_overlay_and_records_it_verbatim(found: Path, tmp_p
     assert np.linalg.norm(expected - 1e3 * statics(model_arm(load("mock")), [0.3e5, 0, 0]).tip_m) > 5
 
 
+@pytest.mark.slow
 def test_run_and_replay_measure_from_the_identified_base_and_do_not_change_the_simulated_arm(
     found: Path, tmp_path: Path
 ) -> None:

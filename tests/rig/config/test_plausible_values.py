@@ -77,6 +77,7 @@ def test_the_true_geometry_is_checked_like_the_stated_one() -> None:
     assert found["simulator, camera_errors, frnt"] == "one of the cameras: front"
 
 
+@pytest.mark.slow
 def test_a_simulated_arm_without_equilibrium_is_refused_in_one_sentence() -> None:
     text = MOCK.replace("cap_mass_g: 52", "cap_mass_g: 5000").replace("a1_per_N: 0.00765", "a1_per_N: 5")
     with pytest.raises(CardError, match="cannot carry its own weight"):

@@ -24,6 +24,7 @@ def rms_bar(played: Played, pressure_pa: Floats, actuator: int) -> float:
 
 @pytest.mark.parametrize("actuators", [[0], [1, 2]], ids=["one chamber", "two chambers on one valve"])
 class TestOnTheMockRig:
+    @pytest.mark.slow
     def test_every_small_step_settles_in_half_a_second_without_overshoot(self, actuators: list[int]) -> None:
         played = play(mock_rig(), staircase(RAMP, 0.7, actuators), 0.7 * len(RAMP), moving_arm=True)
         assert played.trip is None
@@ -43,6 +44,7 @@ class TestOnTheMockRig:
             assert rms_bar(played, played.measured_pa, actuator) < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("dead_zone_v", "leakage_l_min", "flow_scale"),
     [(0.28, 0.0, 1.4), (0.28, 7.0, 0.7), (0.55, 0.0, 0.7), (0.55, 7.0, 1.4), (0.4, 7.0, 0.7), (0.55, 1.5, 1.0)],
@@ -169,6 +171,7 @@ class TestFaults:
         assert played.trip is not None
         assert played.trip.source in ("tracking", "sensor 1")
 
+    @pytest.mark.slow
     def test_vented_chambers_and_long_holds_trip_no_interlock(self) -> None:
         for noise_bar, leakage_l_min in ((0.001, 0.0), (0.0, 1.5)):
             config = mock_rig(simulator__sensor__noise_bar=noise_bar, simulator__valve__leakage_l_min=leakage_l_min)

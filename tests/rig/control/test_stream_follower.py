@@ -132,6 +132,7 @@ def test_silence_trips_the_interlock_after_the_time_of_the_step_but_not_in_a_pau
     assert loop.follower.silence is None
 
 
+@pytest.mark.slow
 @given(
     packets=st.lists(
         st.tuples(

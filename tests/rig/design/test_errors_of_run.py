@@ -21,6 +21,8 @@ from tests.support.command_line import status_of
 from tests.support.sectioned_bench import sectioned_rig
 from tests.support.virtual_runs import virtual_run
 
+pytestmark = pytest.mark.slow
+
 STEPS = """title: levels
 steps:
   - {hold: {actuators: [1, 2, 3], level_bar: 0.1, duration_s: 2.5}}

@@ -26,6 +26,8 @@ from rig.identify.law_names import laws_named
 from rig.identify.model_comparison import compare
 from tests.support.command_line import status_of
 
+pytestmark = pytest.mark.slow
+
 CONFIG = load("mock-ideal")
 LAWS = ("homogeneous+rpe", "pointwise")
 

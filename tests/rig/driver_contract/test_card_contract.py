@@ -118,6 +118,7 @@ def test_the_serial_driver_keeps_the_contract(tmp_path: Path) -> None:
     assert {result.check: result.verdict for result in found} == expected, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("check", "fault", "says"),
     [

@@ -57,6 +57,7 @@ def setup(device: str, **changes: object) -> CardSetup:
     return replace(CardSetup("daq", device, inputs, outputs, 1000.0), **changes)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_card_keeps_the_contract(device: str, stand_in: ModuleType, tmp_path: Path) -> None:
     text = loader.text("pci1716")
     card = f"  daq: {{driver: nidaqmx, device: {device}, inputs: 8, outputs: 8}}\n"

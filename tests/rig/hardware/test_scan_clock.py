@@ -29,6 +29,7 @@ def play(clock: ScanClock, start_ns: int, true_period_ns: float, cycles: int, rn
     return errors
 
 
+@pytest.mark.slow
 @examples(4)
 @given(ppm=st.floats(-200, 200), seed=st.integers(0, 2**32 - 1))
 def test_five_minutes_of_drift_stay_below_a_period(ppm: float, seed: int) -> None:

@@ -108,6 +108,7 @@ def test_an_archive_without_usable_data_is_refused_in_one_sentence(
     assert "Traceback" not in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [
@@ -137,6 +138,7 @@ def test_a_camera_slower_than_asked_does_not_change_the_arms_time(tmp_path: Path
     assert in_motion(run).period_s == pytest.approx(1 / HZ, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_run_that_is_named_twice_counts_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

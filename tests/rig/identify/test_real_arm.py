@@ -23,6 +23,8 @@ from rig.config.loader import load
 from tests.support.command_line import status_of
 from tests.support.shared_data import shared_data
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 EXAMPLES = Path(__file__).parents[3] / "docs" / "examples"

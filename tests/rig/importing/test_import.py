@@ -163,6 +163,7 @@ class TestAnotherLayout:
         assert np.isnan(run.tip.uncertainty_mm[2]).all()
         assert "the tip's position is missing in 1 of 3 rows, the first in line 9" in warnings_of(run)
 
+    @pytest.mark.slow
     @examples(12, HealthCheck.function_scoped_fixture)
     @given(data=st.data())
     def test_an_exported_csv_is_imported_unchanged(self, data: st.DataObject, tmp_path: Path) -> None:

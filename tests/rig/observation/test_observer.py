@@ -83,6 +83,7 @@ def test_after_lost_frames_the_model_has_taken_every_step_in_between(
     assert np.allclose(last["model_m"], rows[-1]["model_m"], atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [15.0, 24.0, 40.0])
 def test_a_camera_at_another_rate_than_stated_changes_nothing_in_the_model(
     config: rig.config.schema.RigConfig, rate_hz: float

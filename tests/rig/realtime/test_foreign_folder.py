@@ -36,6 +36,7 @@ def hostile(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "how", [("--fast",), pytest.param(("--no-report",), marks=pytest.mark.realtime)], ids=["virtual time", "real time"]
 )

@@ -23,6 +23,7 @@ def command(folder: Path, duration_s: float) -> list[str]:
     return [sys.executable, "-m", "rig", "run", str(protocol), "--fast", "--yes", "--no-report", *out]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "<&- >&- 2>&-"])
 def test_a_run_with_closed_standard_streams_finishes(tmp_path: Path, closed: str) -> None:
     done = subprocess.run(["/bin/sh", "-c", f'exec "$@" {closed}', "sh", *command(tmp_path, 0.2)], check=False)
@@ -30,6 +31,7 @@ def test_a_run_with_closed_standard_streams_finishes(tmp_path: Path, closed: str
     assert len(list((tmp_path / "out").glob("*.h5"))) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_run_that_is_signalled_repeatedly_still_reports_how_it_ended(tmp_path: Path, number: int) -> None:
     with subprocess.Popen(

@@ -22,6 +22,8 @@ from runs.archive.writer import finalise
 from tests.support.command_line import status_of
 from tests.support.synthetic_runs import write_journal
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_text_alone_defines_average_rmse() -> None:
     # Table 4's best is the mean of Table 5's four numbers, to the last printed digit.

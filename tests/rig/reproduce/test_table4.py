@@ -10,6 +10,8 @@ from rig.reproduce.table4 import SCHEMES, Table4Row, drawing, table4
 from runs.report.drawing import save
 from scripts.backbones import backbones
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def rows() -> tuple[Table4Row, ...]:

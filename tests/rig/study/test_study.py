@@ -162,6 +162,7 @@ class ScriptedOperator:
         self.steps.append(step)
 
 
+@pytest.mark.slow
 def test_prompts_rest_and_conditioning_come_between_the_runs_also_after_an_interruption(plan: Path) -> None:
     plan.write_text(
         "title: t\nprotocol: step.yaml\nfactors: {peak_bar: [0.1, 0.2]}\nrepeats: 2\nblocks: 2\nrest_s: 7\n"
@@ -221,6 +222,7 @@ def test_the_dry_plan_has_the_total_time_and_moves_nothing(plan: Path, capsys: p
     assert not list(plan.parent.glob("data/*.h5"))
 
 
+@pytest.mark.slow
 def test_a_study_from_python_returns_its_runs_and_continues_itself(plan: Path) -> None:
     plan.write_text("title: t\nprotocol: step.yaml\nfactors: {peak_bar: [0.1, 0.2]}\nblock_prompt: turn the arm\n")
     data = plan.parent / "data"

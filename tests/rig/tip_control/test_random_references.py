@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -109,6 +110,7 @@ def _task(played: SetPointTrajectory, settings: TipControlSettings) -> Task:
     )
 
 
+@pytest.mark.slow
 @examples(4)
 @given(tip_steps(), st.integers(0, 10**6))
 def test_an_accepted_path_is_followed_within_the_limits_and_a_refused_one_has_a_reason(
@@ -132,6 +134,7 @@ def test_an_accepted_path_is_followed_within_the_limits_and_a_refused_one_has_a_
     assert off_mm[-round(0.2 / CYCLE_S) :].mean() < 0.5 * NEAR_MM
 
 
+@pytest.mark.slow
 def test_a_path_of_the_benchmark_is_run_with_interlocks_and_kept_where_the_program_is_stopped(
     tmp_path: Path,
 ) -> None:

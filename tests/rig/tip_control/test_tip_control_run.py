@@ -240,6 +240,7 @@ class Raises(StaticInverse):
 """
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_without_a_controller_that_raises_as_in_real_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -88,6 +88,7 @@ def test_a_corner_that_is_missed_before_a_point_out_of_reach_does_not_hide_it() 
     assert "of this speed" not in problem.expected
 
 
+@pytest.mark.slow
 def test_a_path_that_is_too_fast_is_refused_with_speed_and_size_that_are_possible() -> None:
     problem = refused(circle(30, 0.8))
     assert "too fast for actuator" in problem.expected

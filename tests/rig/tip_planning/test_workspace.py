@@ -65,6 +65,7 @@ def test_a_rig_with_two_valves_has_a_surface_and_no_sections() -> None:
     assert np.abs(space.tip_mm[:, 1]).max() < 0.01
 
 
+@pytest.mark.slow
 def test_the_command_draws_what_can_be_reached_and_refuses_other_files(tmp_path: Path) -> None:
     to = tmp_path / "reach.png"
     done = CliRunner().invoke(app, ["workspace", "--rig", "mock-3", "--to", str(to), "--json"])

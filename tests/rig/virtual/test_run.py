@@ -84,6 +84,7 @@ def test_the_archive_names_every_number_that_the_model_used(ramp_a: Run) -> None
     assert named["youngs_modulus"].unit == "Pa"
 
 
+@pytest.mark.slow
 def test_the_sinusoid_is_tracked_within_ten_millibar_rms(tmp_path: Path) -> None:
     (tmp_path / "sine-2.yaml").write_text(protocols.load("sine-2").text.replace("periods: 4", "periods: 1"))
     run = virtual_run(tmp_path / "sine-2.yaml", folder=tmp_path)

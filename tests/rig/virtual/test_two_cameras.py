@@ -61,6 +61,7 @@ def test_two_cameras_hold_the_truth_and_err_less_than_one(stereo: Run, tmp_path:
     assert np.linalg.norm(error, axis=1).mean() < 0.5 * np.linalg.norm(alone, axis=1).mean()
 
 
+@pytest.mark.slow
 def test_the_truth_is_held_where_the_arm_starts_and_stops_between_two_exposures(tmp_path: Path) -> None:
     _, distances = errors(run_of(tmp_path, "mock-stereo", STARTS))
     assert np.mean(distances < 7.815) > 0.88

@@ -95,6 +95,7 @@ def test_measurements_without_model_and_set_points_are_drawn_without_them(archiv
     assert "Timing of the control loop" not in report.page([run])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "begins"), [("pdf", b"%PDF"), ("png", b"\x89PNG"), ("svg", b"<?xml")])
 def test_figures_can_be_exported_as_files(short: Path, tmp_path: Path, kind: str, begins: bytes) -> None:
     written = figure_export.write([short], tmp_path / "figures", kind)
@@ -106,6 +107,7 @@ def test_figures_can_be_exported_as_files(short: Path, tmp_path: Path, kind: str
         assert all(">simulated</text>" in path.read_text(encoding="utf-8") for path in written)
 
 
+@pytest.mark.slow
 def test_the_data_of_a_figure_lie_beside_it(archive: Path, tmp_path: Path) -> None:
     written = figure_export.write([archive], tmp_path, "svg")
     assert {path.with_suffix(".csv") for path in written} == set(tmp_path.glob("*.csv"))
@@ -118,6 +120,7 @@ def test_the_data_of_a_figure_lie_beside_it(archive: Path, tmp_path: Path) -> No
     np.testing.assert_allclose(drawn[np.isfinite(drawn)], measured[np.isfinite(measured)])
 
 
+@pytest.mark.slow
 def test_figures_for_print_are_as_wide_as_a_column_with_every_word_inside(
     archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -254,6 +254,7 @@ def test_means_do_not_mix_measured_and_simulated_runs(archive: Path) -> None:
     assert cells == ["4.00", "2", "2.00", "1 (simulated)"]
 
 
+@pytest.mark.slow
 def test_several_runs_have_figures_that_compare_them(short: Path, tmp_path: Path) -> None:
     written = {path.stem for path in figure_export.write([short, short], tmp_path, "svg")}
     assert {"compared-tips", "compared-errors"} <= written
