@@ -64,35 +64,22 @@ def identify(
     at the maximum of the likelihood: for a comparison, in which no law is refuted by a wrong number of the start.
 
     Raises:
-        NoDataError: no measured tip.
+        NoDataError: no measured tip, or arms with different numbers of actuators.
         UnknownParameter: a name in `free`, `priors` or `per_run`.
     """
-    if not any(poses.has_tip.any() for poses in data):
-        raise NoDataError("no run holds a measured tip")
-    actuators = data[0].actuators
-    if any(poses.actuators != actuators for poses in data):
-        raise NoDataError("the runs are of arms with different numbers of actuators")
-    parameters = named(free, actuators)
-    held = () if stated is None else nuisance_parameters(start, data, parameters)
-    stated_priors = {**mount_priors(data), **(stated or {})}
-    given = {p.name: prior for name, prior in (priors or {}).items() for p in named([name], actuators)}
-    known = {p.name: stated_priors[p.name] for p in held} | given
-    every = with_own_values((*parameters, *held), per_run, actuators)
-    problem = LeastSquaresProblem(data, start, every, known, substeps=substeps)
+    problem, stated_priors, nuisances = _problem(data, start, free, priors or {}, stated, per_run, substeps)
     first = initial_point(problem, progress) if initial_values is None else point_of(problem, initial_values)
     searched = search(problem, first, starts, seed, progress)
     joint = searched.best
-    nuisances = {p.name for p in held}
     found = determined_fit(
         problem, joint, nuisances, with_model_error=stated is not None, hold=hold_undetermined, progress=progress
     )
     solution, fixed, posterior = found.solution, found.held, found.posterior
     wide = posterior.wide
     estimates, covariance = _estimates(problem, solution, joint, fixed, nuisances, wide)
+    if stated is not None:
+        estimates = tuple(replace(one, stated=stated_priors.get(one.name)) for one in estimates)
     rates = problem.rates(solution.z)
-    estimates = tuple(
-        replace(e, stated=stated_priors.get(e.name) if stated else None, prior=known.get(e.name)) for e in estimates
-    )
     return Fit(
         setup=with_means_of_runs(problem.setup(solution.z), estimates),
         start=start,
@@ -116,6 +103,30 @@ def identify(
         solution=solution,
         model_error=posterior.model_error,
     )
+
+
+def _problem(
+    data: Sequence[Poses],
+    start: Setup,
+    free: Iterable[str],
+    priors: Mapping[str, Prior],
+    stated: Mapping[str, Prior] | None,
+    per_run: Iterable[str],
+    substeps: int,
+) -> tuple[LeastSquaresProblem, Mapping[str, Prior], Collection[str]]:
+    """The problem, the stated value of every parameter by name, and the names of the nuisance parameters."""
+    if not any(poses.has_tip.any() for poses in data):
+        raise NoDataError("no run holds a measured tip")
+    actuators = data[0].actuators
+    if any(poses.actuators != actuators for poses in data):
+        raise NoDataError("the runs are of arms with different numbers of actuators")
+    parameters = named(free, actuators)
+    held = () if stated is None else nuisance_parameters(start, data, parameters)
+    stated_priors = {**mount_priors(data), **(stated or {})}
+    given = {p.name: prior for name, prior in priors.items() for p in named([name], actuators)}
+    known = {p.name: stated_priors[p.name] for p in held} | given
+    every = with_own_values((*parameters, *held), per_run, actuators)
+    return LeastSquaresProblem(data, start, every, known, substeps=substeps), stated_priors, {p.name for p in held}
 
 
 def _estimates(
@@ -146,7 +157,7 @@ def _estimates(
             verdict = Verdict.PRIOR
         partners = partners_of(scaled, i) if verdict is Verdict.ENTANGLED else []
         estimate = _estimate(problem, unknown, float(solution.z[i]), std, verdict, partners, float(wide_std[i]))
-        out.append(replace(estimate, nuisance=nuisance))
+        out.append(replace(estimate, nuisance=nuisance, prior=problem.priors.get(estimate.name)))
     return tuple(out), covariance * np.outer(rates, rates)
 
 
