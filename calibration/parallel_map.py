@@ -1,4 +1,4 @@
-"""Parallel map over all cores or a Dask cluster, with stored results and restart after a crash of workers."""
+"""Parallel map over processors or a Dask cluster, with stored results and restart after a crash of workers."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from model.processors import usable_processors
 
 Array = NDArray[np.float64]
 Task = TypeVar("Task")
@@ -51,10 +53,10 @@ def parallel_map(
 ) -> list[Array]:
     """Do `work` on every task; results in the order of the tasks.
 
-    workers: processes on this machine, by default one per core; 1 works in this process. scheduler: address of a Dask
-    scheduler (tcp://host:port), whose workers are used instead. store: folder for the results, written one by one; a
-    later call with the same tasks reads them. progress(done, all) is called after each task. If a worker dies,
-    only its unfinished tasks are repeated.
+    workers: processes on this machine, by default one per processor of this process; 1 works in this process.
+    scheduler: address of a Dask scheduler (tcp://host:port), whose workers are used instead. store: folder for the
+    results, written one by one; a later call with the same tasks reads them. progress(done, all) is called after each
+    task. If a worker dies, only its unfinished tasks are repeated.
 
     Raises:
         WorkerDiedError: workers died too often.
@@ -92,7 +94,7 @@ def parallel_results(
     Arguments and errors are those of `parallel_map`. Close the generator to cancel the other tasks;
     on this machine those that have begun are ended, too.
     """
-    count = min(workers or os.cpu_count() or 1, max(len(remaining), 1))
+    count = min(workers or usable_processors(), max(len(remaining), 1))
     if scheduler is not None:
         yield from _on_cluster(work, tasks, remaining, scheduler)
     elif count == 1:

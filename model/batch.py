@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from model.kernels import layout
 from model.kernels.arguments import ArmArguments
 from model.kernels.axis import equilibria
 from model.kernels.shooting import TOLERANCE_AT_REST, workspace_size
+from model.processors import usable_processors
 from model.schemes import DEFAULT_ALPHA
 from model.statics import steps_along
 
@@ -133,9 +133,9 @@ def _check(arms: list[Arm], pressure: Array, axes: int) -> None:
 def spread(part: Callable[[range], None], count: int, workers: int | None, least: int = 1) -> None:
     """Run part(range) over contiguous ranges of the rows on `workers` threads; the kernels release the GIL.
 
-    By default one thread per core, as long as each has at least `least` rows.
+    By default one thread per processor of this process, as long as each has at least `least` rows.
     """
-    threads = max(1, min(count, workers) if workers is not None else min(count // least, os.cpu_count() or 1))
+    threads = max(1, min(count, workers) if workers is not None else min(count // least, usable_processors()))
     edges = [count * k // threads for k in range(threads + 1)]
     spans = [range(a, b) for a, b in pairwise(edges)]
     if threads == 1:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
+
+from model.processors import usable_processors
 
 Array = NDArray[np.float64]
 Criterion = Callable[[Array], Array]
@@ -73,6 +74,6 @@ def choose(
         greedy.append(int(np.argmin(value(prior + information[greedy].sum(axis=0) + information))))
     random = [rng.integers(len(information), size=count).tolist() for _ in range(restarts)]
     # The inversions release the interpreter.
-    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+    with ThreadPoolExecutor(max_workers=usable_processors()) as pool:
         found = list(pool.map(exchanged, (greedy, *random)))
     return tuple(sorted(min(found, key=lambda one: one[0])[1]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -19,6 +18,7 @@ from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import located, scaled_errors
 from calibration.identify.undetermined import UNDETERMINED_SPANS
+from model.processors import usable_processors
 
 Array = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ def error_bars_of_repeats(
         return [_bars(problem, count, draws, rng) for count in repeats]
 
     # The kernels of the rod model release the interpreter.
-    with ThreadPoolExecutor(max_workers=min(len(arms), os.cpu_count() or 1)) as pool:
+    with ThreadPoolExecutor(max_workers=min(len(arms), usable_processors())) as pool:
         found = list(pool.map(of_arm, arms, range(len(arms))))
     problem = unknowns.problem([])
     chosen = [i for i, one in enumerate(problem.unknowns) if one.parameter in unknowns.free]

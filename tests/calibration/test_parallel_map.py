@@ -16,7 +16,15 @@ from pathlib import Path
 import pytest
 
 from calibration.parallel_map import NoClusterError, WorkerDiedError, parallel_map, parallel_results
-from tests.support.parallel_tasks import Task, deadly, profiled, squared, squared_but_killed_once, written_or_waiting
+from tests.support.parallel_tasks import (
+    Task,
+    deadly,
+    process_number,
+    profiled,
+    squared,
+    squared_but_killed_once,
+    written_or_waiting,
+)
 
 
 def tasks(folder: Path, n: int = 6) -> list[Task]:
@@ -32,6 +40,16 @@ def test_results_are_in_the_order_of_the_tasks_and_progress_is_reported(tmp_path
     found = parallel_map(squared, tasks(tmp_path), workers=1, progress=lambda done, of: told.append((done, of)))
     assert [float(r[0]) for r in found] == [0, 1, 4, 9, 16, 25]
     assert told == [(k, 6) for k in range(1, 7)]
+
+
+def test_a_process_limited_to_one_processor_starts_no_worker() -> None:
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(before)})
+    try:
+        found = parallel_map(process_number, [0, 1])
+    finally:
+        os.sched_setaffinity(0, before)
+    assert [int(one[0]) for one in found] == [os.getpid()] * 2
 
 
 def test_a_killed_worker_loses_no_result(tmp_path: Path) -> None:

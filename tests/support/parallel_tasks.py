@@ -31,6 +31,11 @@ def squared(task: Task) -> Array:
     return np.array([float(task.number**2)])
 
 
+def process_number(_: int) -> Array:
+    """The number of the process that does the task."""
+    return np.array([float(os.getpid())])
+
+
 def squared_but_killed_once(task: Task) -> Array:
     """The same, but the first worker that gets the number 2 is killed."""
     mark = Path(task.folder) / "killed"
