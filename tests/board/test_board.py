@@ -68,10 +68,10 @@ def test_a_survey_lists_the_conversion_rate_of_the_board() -> None:
 
 def test_what_is_written_stands_at_the_registers(board: Monitor, open_board: OpenBoard) -> None:
     card = open_board()
-    for told in ([2.5, 7.5], [10.0, 0.0], [5.0, 4.62]):
-        card.write(np.array(told))
-        np.testing.assert_allclose(board.outputs_v, told, atol=OUT_V)
-        np.testing.assert_allclose(card.readback(), told, atol=OUT_V)
+    for volts in ([2.5, 7.5], [10.0, 0.0], [5.0, 4.62]):
+        card.write(np.array(volts))
+        np.testing.assert_allclose(board.outputs_v, volts, atol=OUT_V)
+        np.testing.assert_allclose(card.readback(), volts, atol=OUT_V)
 
 
 def test_attaching_the_driver_puts_the_outputs_to_0_v(board: Monitor, open_board: OpenBoard) -> None:
@@ -102,13 +102,13 @@ def test_each_input_reads_the_voltage_at_its_plug(
 ) -> None:
     if acquisition == "command":
         request.getfixturevalue("own_clock")
-    told = dict(zip(CHANNELS, (1.0, -2.5, 9.5), strict=False))
-    for channel, volts in told.items():
+    applied = dict(zip(CHANNELS, (1.0, -2.5, 9.5), strict=False))
+    for channel, volts in applied.items():
         board.set(f"ai{channel}", volts)
-    card = open_board(tuple(told), acquisition=acquisition)
+    card = open_board(tuple(applied), acquisition=acquisition)
     card.start()
     scans = scans_until(card, 20 if acquisition == "command" else 1)
-    np.testing.assert_allclose(scans.volts, np.tile(list(told.values()), (len(scans.volts), 1)), atol=IN_V)
+    np.testing.assert_allclose(scans.volts, np.tile(list(applied.values()), (len(scans.volts), 1)), atol=IN_V)
 
 
 @pytest.mark.usefixtures("own_clock")
@@ -133,7 +133,7 @@ def test_the_period_is_rounded_to_the_pacer(board: Monitor, open_board: OpenBoar
 
 
 @pytest.mark.usefixtures("own_clock")
-def test_the_board_converts_at_the_rate_that_the_driver_tells(board: Monitor, open_board: OpenBoard) -> None:
+def test_the_board_converts_at_the_rate_that_the_driver_states(board: Monitor, open_board: OpenBoard) -> None:
     card = open_board(CHANNELS)
     card.start()
     began, before = time.monotonic(), board.get("conversions")
