@@ -54,17 +54,12 @@ class EffectsProblem(LeastSquaresProblem):
             self._affected = coefficients.copy(), [self.predictor(one) for one in poses]
         return self._affected[1]
 
-    def slopes(self, z: Array, only: Sequence[int]) -> list[Array]:
-        """Derivatives (K, D, n) of every run's predictions by the unknowns and coefficients `only`, in this order."""
-        n, coefficients = len(self.unknowns), self._split(z)[1]
-        by_unknowns = super().slopes(z, [i for i in only if i < n])
-        chosen = [i - n for i in only if i >= n]
-        out = []
-        for run, (own, predictor) in enumerate(zip(self._inputs, self.predictors(z), strict=True)):
-            by_coefficients = own.columns(predictor.push_response(self.setup(z, run)))
-            # The response to the load is per change of the load that the effects leave.
-            by_coefficients = by_coefficients / np.where(own.load > 0, 1.0 + own.load @ coefficients, 1.0)
-            out.append(np.concatenate([by_unknowns[run], by_coefficients[:, :, chosen]], axis=2))
+    def _slopes_of_run(self, z: Array, run: int, only: Sequence[int]) -> Array:
+        """Derivatives (K, D, n) of a run's predictions by the unknowns and coefficients `only`."""
+        n, out = len(self.unknowns), super()._slopes_of_run(z, run, only)
+        mine = [column for column, i in enumerate(only) if i >= n]
+        by_all = self._inputs[run].slopes(self.predictors(z)[run], self.setup(z, run), self._split(z)[1])
+        out[:, :, mine] = by_all[:, :, [only[column] - n for column in mine]]
         return out
 
     def prior_rows(self, z: Array) -> tuple[Array, Array]:

@@ -14,11 +14,13 @@ _MAX_STEP = 1.0
 _FIRST_DAMPING, _LAST_DAMPING = 1.0, 1e-3
 # Growth of the damping after a step that was refused.
 _MORE_DAMPING = 4.0
-# A step longer than so many spans is corrected for the curvature of its path, probed at this share of the step.
-# It is refused if the correction is a larger share of it than the last number.
-_STRAIGHT, _PROBE, _MAX_BEND = 3e-3, 0.1, 0.4
-# Predicted decrease of the sum of squares at convergence: a step of a hundredth of an error bar.
-_CONVERGED = 1e-4
+# A step longer than so many spans and an error bar, which is a predicted decrease of one, is corrected for the
+# curvature of its path, probed at a share of the step: in a shorter one the probe would see the tolerance of the model.
+_STRAIGHT, _ERROR_BAR, _PROBE = 3e-3, 1.0, 0.1
+# A step is refused if this correction is a larger share of it.
+_MAX_BEND = 0.4
+# Predicted decrease of the sum of squares at convergence: a step of some hundredths of an error bar.
+_CONVERGED = 1e-3
 
 
 def gauss_newton(
@@ -55,13 +57,13 @@ def gauss_newton(
         predicted_decrease = float(step @ descent)
         step *= min(1.0, _MAX_STEP / max(np.abs(step).max(initial=0.0), 1e-300))
         bend = np.zeros(len(x))
-        if np.abs(step).max(initial=0.0) > _STRAIGHT:
+        if np.abs(step).max(initial=0.0) > _STRAIGHT and predicted_decrease > _ERROR_BAR:
             second = _second_derivative(residuals, x, residual, slope @ step, step)
             bend[inside] = -0.5 * np.linalg.solve(curvature, slope[:, inside].T @ second)
         trial = np.clip(x + step + bend, lower, upper)
-        there = residuals(trial)
         straight = np.abs(bend).max(initial=0.0) <= _MAX_BEND * np.abs(step).max(initial=0.0)
-        if straight and float(there @ there) <= float(residual @ residual):
+        there = residuals(trial) if straight else None
+        if there is not None and float(there @ there) <= float(residual @ residual):
             x, residual, slope = trial, there, None
             progress(x)
             damping = damping / 10 if damping > _LAST_DAMPING else 0.0

@@ -15,7 +15,6 @@ from calibration.identify.model_error import error_inputs
 from calibration.identify.poses import Poses
 from calibration.identify.results import NORMAL_95, Fit, SectionFit, rms
 from calibration.identify.scaled_parameter import ScaledParameter
-from calibration.identify.tip_predictor import Predictor
 
 Array = NDArray[np.float64]
 
@@ -129,9 +128,8 @@ def predict(fit: Fit, poses: Poses) -> Prediction:
     by_fit[:, :, [i for i in at if i is not None]] = slope[:, :, fitted]
     second, noise_m = fit.joint_covariance, fit.discrepancy_m
     if (found := fit.model_error) is not None:
-        response = Predictor(poses).push_response(problem.setup(z, 0))
-        terms = [effect.term for effect in found.effects]
-        of_effects = error_inputs(poses, found.reference_pa, terms).columns(response)[:, :3]
+        inputs = error_inputs(poses, found.reference_pa, [effect.term for effect in found.effects])
+        of_effects = inputs.slopes(problem.predictor(poses), problem.setup(z, 0), np.zeros(len(inputs.load)))[:, :3]
         by_fit = np.concatenate([by_fit, of_effects], axis=2)
         second, noise_m = found.second, found.noise_m
     by_pressure = problem.pressure_errors(z)[0].covariance[:, :3, :3]

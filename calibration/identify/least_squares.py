@@ -153,14 +153,16 @@ class LeastSquaresProblem:
             if set(only) <= set(columns) and np.abs(z - last_z).max(initial=0.0) < _SAME_SLOPE:
                 chosen = [columns.index(i) for i in only]
                 return [slope[:, :, chosen] for slope in kept]
-        out = []
-        for run, predictor in enumerate(self.predictors(z)):
-            mine = [(column, i) for column, i in enumerate(only) if i in self._columns[run]]
-            perturbed, steps = self._perturbed(z, run, [i for _, i in mine])
-            slope = np.zeros((len(self.data[run]), self.data[run].numbers, len(only)))
-            slope[:, :, [column for column, _ in mine]] = predictor.slopes(self.setup(z, run), perturbed, steps)
-            out.append(np.nan_to_num(slope, nan=0.0))
+        out = [np.nan_to_num(self._slopes_of_run(z, run, only), nan=0.0) for run in range(len(self.data))]
         self._kept_slopes = (z.copy(), tuple(only), out)
+        return out
+
+    def _slopes_of_run(self, z: Array, run: int, only: Sequence[int]) -> Array:
+        """Derivatives (K, D, n) of a run's predictions by the unknowns `only`; NaN where there is no solution."""
+        mine = [(column, i) for column, i in enumerate(only) if i in self._columns[run]]
+        perturbed, steps = self._perturbed(z, run, [i for _, i in mine])
+        out = np.zeros((len(self.data[run]), self.data[run].numbers, len(only)))
+        out[:, :, [column for column, _ in mine]] = self.predictors(z)[run].slopes(self.setup(z, run), perturbed, steps)
         return out
 
     def whitened_slopes(self, z: Array, masked: bool = True) -> tuple[list[Array], Array]:

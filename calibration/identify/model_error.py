@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.poses import Poses
-from calibration.identify.tip_predictor import PushResponse
+from calibration.identify.setup import Setup
+from calibration.identify.tip_predictor import Predictor
 from model.arm import Arm
 
 Array = NDArray[np.float64]
@@ -26,6 +27,8 @@ _PA_PER_BAR = 1e5
 # Highest pressure and way of the pressure, over the reference pressure, at which most of the softening has happened.
 _SOFT_PEAK, _SOFT_TRAVEL = 0.5, 3.0
 _HALF_NORMAL_MEAN = math.sqrt(2.0 / math.pi)
+# Change of a coefficient for derivatives: some hundredths of a pascal.
+_STEP = 1e-7
 
 
 @dataclass(frozen=True)
@@ -179,11 +182,25 @@ class ErrorInputs:
     load: Array
     prior: CoefficientPrior
 
-    def columns(self, response: PushResponse) -> Array:
-        """Derivatives (K, D, m) of predictions by the coefficients, for predictions that respond so."""
-        by_push = np.einsum("kin,knm->kim", response.by_pressure, self.push_pa)
-        out: Array = by_push + response.by_load[:, :, None] * self.load
-        return out
+    def slopes(self, predictor: Predictor, setup: Setup, coefficients: Array) -> Array:
+        """Derivatives (K, D, m) of predictions for a setup by the coefficients, at coefficients (m,).
+
+        predictor: of the poses with the errors by the coefficients. In a motion the tip lags behind the pressures, and
+        each coefficient is differentiated on its own. At rest, the derivatives by the pressures serve all coefficients.
+        """
+        poses = predictor.poses
+        if poses.moving:
+            out = np.empty((len(poses), poses.numbers, len(self.load)))
+            pressing = np.flatnonzero(self.push_pa.any(axis=(0, 1)))
+            pressed = [self.added_to(poses, row) for row in _STEP * np.eye(len(self.load))[pressing]]
+            out[:, :, :] = predictor.slopes_by_load(setup)[:, :, None] * self.load
+            out[:, :, pressing] = np.nan_to_num(predictor.slopes_by_pressure(setup, pressed, _STEP))
+        else:
+            response = predictor.push_response(setup)
+            by_push = np.einsum("kin,knm->kim", response.by_pressure, self.push_pa)
+            out = by_push + response.by_load[:, :, None] * self.load
+        # The response to the load is per change of the load that the coefficients leave.
+        return out / np.where(self.load > 0, 1.0 + self.load @ coefficients, 1.0)
 
     def added_to(self, poses: Poses, coefficients: Array) -> Poses:
         """The poses with the errors by coefficients (m,) in their pressures and loads.

@@ -130,7 +130,7 @@ def effect_columns(problem: LeastSquaresProblem, z: Array) -> tuple[list[Array],
     terms, reference_pa = lacking(problem.start.arm), reference_pressure_pa(problem.data)
     inputs = [error_inputs(poses, reference_pa, terms) for poses in problem.data]
     columns = [
-        own.columns(predictor.push_response(problem.setup(z, run)))
+        own.slopes(predictor, problem.setup(z, run), np.zeros(len(own.load)))
         for run, (own, predictor) in enumerate(zip(inputs, problem.predictors(z), strict=True))
     ]
     return columns, inputs[0].prior

@@ -172,27 +172,31 @@ class Predictor:
         if (course := self._course(setup)) is not None:
             along = self._along(course).slopes(_without_inertia(setup), [_without_inertia(p) for p in perturbed], steps)
             return along[course.at]
-        poses, key = self.poses, self._key(setup)
+        key = self._key(setup)
         new = [k for k, other in enumerate(perturbed) if self._key(other) != key]
-        repeats = self.substeps if poses.moving else 1
+        repeats = self.substeps if self.poses.moving else 1
         changes = [
             Variation(
                 steps[k],
                 perturbed[k].turned_arm,
                 self._pressure(perturbed[k]),
-                _tip_wrench(perturbed[k], poses, repeats),
+                _tip_wrench(perturbed[k], self.poses, repeats),
             )
             for k in new
         ]
-        rows, wrench = self._pressure(setup), _tip_wrench(setup, poses, repeats)
+        return self._slopes(changes, MountedChange(setup, perturbed, steps, new))
+
+    def _slopes(self, changes: Sequence[Variation], changed: MountedChange) -> Array:
+        """Derivatives (K, D, P) of predictions by changes of a setup, of which `changes` are those of its arm."""
+        poses, setup = self.poses, changed.setup
+        rows, wrench = self._pressure(setup), _tip_wrench(setup, poses, self.substeps if poses.moving else 1)
         if poses.moving:
             found = _dynamic_sensitivities(setup, rows, changes, poses, self.substeps, wrench)
         else:
             found = sensitivities.statics(
                 setup.turned_arm, rows, changes, poses.weight_kg, wrench, sections_m=_at_m(poses)
             )
-        self._keep(key, _with_tip(found))
-        changed = MountedChange(setup, perturbed, steps, new)
+        self._keep(self._key(setup), _with_tip(found))
         tip = PoseDerivatives(found.tip_m, found.tip_rotation, found.tip_by, found.turn_by)
         parts = [changed.slopes(tip, poses.orientation, Setup.tool)]
         for k, one in enumerate(poses.sections):
@@ -201,6 +205,26 @@ class Predictor:
             )
             parts.append(changed.slopes(section, one.orientation, partial(Setup.mount, section=one.name)))
         return np.concatenate(parts, axis=1)
+
+    def slopes_by_pressure(self, setup: Setup, pressed: Sequence[Poses], step: float) -> Array:
+        """Derivatives (K, D, P) of the predictions of a motion by changes of its pressures, per unit of `step`.
+
+        pressed: the poses with one change each of the pressures that push the arm, as its sensors read them.
+        """
+        arm = setup.turned_arm
+        changes = [Variation(step, arm, Predictor(one, self.substeps)._pressure(setup)) for one in pressed]
+        count = len(pressed)
+        return self._slopes(changes, MountedChange(setup, [setup] * count, [step] * count, range(count)))
+
+    def slopes_by_load(self, setup: Setup) -> Array:
+        """Derivatives (K, D) of predictions by a relative change of the load; zero without a load."""
+        poses, more = self.poses, 1.0 + _LOAD_STEP
+        if not (poses.weight_kg.any() or poses.wrench.any()):
+            return np.zeros((len(poses), poses.numbers))
+        heavier = replace(poses, weight_kg=poses.weight_kg * more, wrench=poses.wrench * more)
+        moved = Predictor(heavier, self.substeps)._moved_from(Predictor(poses, self.substeps), setup)
+        out: Array = np.nan_to_num(moved / _LOAD_STEP)
+        return out
 
     def _course(self, setup: Setup) -> PressureCourse | None:
         """The course that leads to the poses, where the arm remembers it."""
@@ -229,13 +253,7 @@ class Predictor:
     def push_response(self, setup: Setup) -> PushResponse:
         """How predictions at rest respond to the pressures that push the arm, and to the load."""
         still, nearest = self._at_rest()
-        poses = still.poses
-        by_pressure = -_by_pressure(still, setup)
-        by_load = np.zeros((len(poses), poses.numbers))
-        if poses.weight_kg.any() or poses.wrench.any():
-            more = 1.0 + _LOAD_STEP
-            heavier = Predictor(replace(poses, weight_kg=poses.weight_kg * more, wrench=poses.wrench * more))
-            by_load = np.nan_to_num(heavier._moved_from(still, setup) / _LOAD_STEP)
+        by_pressure, by_load = -_by_pressure(still, setup), still.slopes_by_load(setup)
         return PushResponse(by_pressure[nearest], by_load[nearest])
 
     def _moved_from(self, other: Predictor, setup: Setup) -> Array:

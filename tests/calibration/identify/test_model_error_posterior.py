@@ -41,6 +41,12 @@ NOISE_M = 3e-5
 RIDGE = 1 / 25
 
 
+def effect_slopes(poses: Poses, setup: Setup) -> Array:
+    """Derivatives of the predictions of some poses by the coefficients of the model error, at zero."""
+    inputs = error_inputs(poses, 0.65e5, TERMS)
+    return inputs.slopes(Predictor(poses), setup, np.zeros(len(inputs.load)))
+
+
 def linear_problem() -> tuple[NormalEquations, Array, Array, Array, Array]:
     """The normal equations of a small fit, and the whitened residual, Jacobian, columns and prior covariance."""
     planned = [plan("one", RAMP * [1, 0, 0], errors=ERRORS), plan("two", RAMP * [0, 1, 1], errors=ERRORS)]
@@ -48,12 +54,7 @@ def linear_problem() -> tuple[NormalEquations, Array, Array, Array, Array]:
     priors = {"rpe_per_bar": Prior(0.05, 0.01)}
     problem = LeastSquaresProblem(data, START, named(("a1_per_n", "rpe_per_bar", "base_x_m"), 3), priors)
     solution = problem.solve(np.zeros(3), [])
-    columns = [
-        error_inputs(one, 0.65e5, TERMS).columns(Predictor(one).push_response(problem.setup(solution.z, run)))[
-            :, :, :12
-        ]
-        for run, one in enumerate(data)
-    ]
+    columns = [effect_slopes(one, problem.setup(solution.z, run))[:, :, :12] for run, one in enumerate(data)]
     root = 1 / np.sqrt(1e-8 + NOISE_M**2)
     predicted, slopes = problem.predicted(solution.z), problem.slopes(solution.z, range(3))
     residual = np.concatenate([(one.tip_m - p).ravel() for one, p in zip(data, predicted, strict=True)]) * root
@@ -290,7 +291,7 @@ def test_a_single_ramp_that_leaves_most_parameters_open_has_a_posterior() -> Non
     stated = stated_values(START, {})
     data = [perform(planned, drawn_setup(START, stated, rng), rng, errors)]
     fit = identify(data, START, ("law", "rpe_per_bar", "base"), stated=stated)
-    columns = [error_inputs(one, 0.65e5, TERMS).columns(Predictor(one).push_response(START)) for one in data]
+    columns = [effect_slopes(one, START) for one in data]
     for noise_m in (0.0, NOISE_M):
         seen = normal_equations(
             fit.problem, fit.solution, np.zeros(len(fit.solution.z)), columns, Discrepancy(noise_m)
