@@ -78,6 +78,11 @@ class StepSummary:
     normalised_percent: float
     """Of dwells."""
 
+    @property
+    def extreme_bar(self) -> float:
+        """The set-point at the end that is farthest from zero, pressure or vacuum."""
+        return max(self.level_bar, key=abs)
+
 
 @dataclass(frozen=True)
 class TruthSummary:
@@ -163,7 +168,8 @@ def summarise(run: ArchiveReader) -> Summary:
     plane = plane_of_motion((tip.model_mm if modelled else tip.measured_mm)[measured if measured.any() else ...])
     difference = tip.measured_mm - tip.model_mm
     steps = _steps(run, measured, plane)
-    moving = [step.tracking_rms_bar for step in steps if not step.dwell]
+    moving = [step for step in steps if not step.dwell and np.isfinite(step.tracking_rms_bar)]
+    moving_s = np.array([step.stop_s - step.start_s for step in moving])
     late = timing.lateness_us
     return Summary(
         run_id=run.header.run_id,
@@ -180,7 +186,7 @@ def summarise(run: ArchiveReader) -> Summary:
         normalised_percent=_mean([step.normalised_percent for step in settled_steps(steps)]),
         settling_s=max((step.settling_s for step in steps if not np.isnan(step.settling_s)), default=NAN),
         overshoot_bar=max((step.overshoot_bar for step in steps if not np.isnan(step.overshoot_bar)), default=NAN),
-        tracking_rms_bar=_rms(np.array(moving)),
+        tracking_rms_bar=_weighted_rms(np.array([step.tracking_rms_bar for step in moving]), moving_s),
         cycles=len(pressure.time_s),
         missed_deadlines=int(timing.overruns.sum()),
         lateness_p50_us=_percentile(late, 50),
@@ -206,7 +212,7 @@ def summarise(run: ArchiveReader) -> Summary:
 def settled_steps(steps: Iterable[StepSummary]) -> tuple[StepSummary, ...]:
     """Return the dwells that have a settled error: those under pressure or weight, or all if there are none."""
     every = tuple(steps)
-    loaded = [max(step.level_bar) > 0 or step.weight_g > 0 for step in every]
+    loaded = [step.extreme_bar != 0 or step.weight_g > 0 for step in every]
     idle = all(step.dwell for step in every) and not any(loaded)
     return tuple(
         s for s, load in zip(every, loaded, strict=True) if s.dwell and np.isfinite(s.error_mm) and (load or idle)
@@ -235,7 +241,7 @@ def in_plane(difference_mm: Floats, plane: Floats | None) -> Floats:
 
 def rest_mm(tip: Tip, measured: NDArray[np.bool_]) -> Floats:
     """Return the mean measured tip (3,) at rest without pressure and weight; NaN if there is none."""
-    rest = measured & (tip.pressure_bar < _REST_BAR).all(axis=1) & ~(tip.weight_g > 0)
+    rest = measured & (np.abs(tip.pressure_bar) < _REST_BAR).all(axis=1) & ~(tip.weight_g > 0)
     return tip.measured_mm[rest].mean(axis=0) if rest.any() else np.full(3, NAN)
 
 
@@ -357,6 +363,10 @@ def _mean(values: Floats | list[float]) -> float:
 def _rms(values: Floats) -> float:
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else NAN
+
+
+def _weighted_rms(values: Floats, weights: Floats) -> float:
+    return float(np.sqrt(np.average(values**2, weights=weights))) if weights.sum() > 0 else NAN
 
 
 def _percentile(values: Floats, percent: float) -> float:

@@ -53,10 +53,10 @@ def _trajectory(run: Run, summary: Summary) -> FigureSpecification | None:
         caption = f"In the rod-base frame. {Z_DOWN}"
         if dwells := settled_steps(summary.steps):
             loads = (
-                ("pressure in bar", any(max(step.level_bar) > 0 for step in dwells)),
+                ("pressure in bar", any(step.extreme_bar != 0 for step in dwells)),
                 (
                     "weight in g",
-                    any(max(step.level_bar) <= 0 for step in dwells),
+                    any(step.extreme_bar == 0 for step in dwells),
                 ),
             )
             numbers = " or ".join(name for name, present in loads if present)

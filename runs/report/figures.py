@@ -78,7 +78,7 @@ def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
         axes.plot(*settled.T, "o", ms=6, mfc="white", mec=MEASURED, mew=1.3, label="measured, settled")
         axes.plot(*at.T, "x", ms=5.5, color=MODEL, mew=1.4, label="model, settled")
         for step, (x, z) in _labelled(dwells, settled, LABEL_SPACING_NARROW if narrow(figure) else LABEL_SPACING):
-            text = f"{max(step.level_bar):.2f}" if max(step.level_bar) > 0 else f"{step.weight_g:.0f} g"
+            text = f"{step.extreme_bar:.2f}" if step.extreme_bar != 0 else f"{step.weight_g:.0f} g"
             axes.annotate(text, (x, z), (0, 9), textcoords="offset points", ha="center", fontsize=7.5, color=MUTED)
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.05, 0.25)
@@ -155,11 +155,11 @@ def _shapes(run: Run, summary: Summary) -> tuple[list[int], list[float], str]:
     tip = run.tip
     ends: dict[int, float] = {}
     dwells = settled_steps(summary.steps) or tuple(step for step in summary.steps if step.dwell)
-    by_weight = len({round(max(step.level_bar), 6) for step in dwells}) < len({s.weight_g for s in dwells})
+    by_weight = len({round(step.extreme_bar, 6) for step in dwells}) < len({s.weight_g for s in dwells})
     for step in dwells:
         within = np.flatnonzero((tip.protocol_s >= step.start_s) & (tip.protocol_s < step.stop_s) & tip.model_ok)
         if len(within):
-            ends[int(within[-1])] = step.weight_g if by_weight else max(step.level_bar)
+            ends[int(within[-1])] = step.weight_g if by_weight else step.extreme_bar
     # Rest before and after a motion is no step.
     if len(set(ends.values())) > 1:
         return [*ends], [*ends.values()], "weight [g]" if by_weight else "pressure [bar]"
@@ -364,7 +364,7 @@ def _plane(summary: Summary) -> Floats:
 
 def _abscissa(dwells: Sequence[StepSummary]) -> tuple[Floats, str]:
     """Return the abscissae of steps: their pressures or weights where each has its own, else their numbers."""
-    choices = (("pressure [bar]", [max(s.level_bar) for s in dwells]), ("weight [g]", [s.weight_g for s in dwells]))
+    choices = (("pressure [bar]", [s.extreme_bar for s in dwells]), ("weight [g]", [s.weight_g for s in dwells]))
     for label, values in choices:
         if len(set(np.round(values, 6))) == len(values):
             return np.array(values), label

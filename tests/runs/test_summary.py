@@ -107,6 +107,48 @@ def test_a_moving_set_point_is_judged_by_its_tracking(tmp_path: Path) -> None:
     assert np.isnan(found.settled_error_mm)
 
 
+def test_the_tracking_of_a_run_is_that_of_all_its_moving_samples(tmp_path: Path) -> None:
+    n = 600
+    setpoint = np.zeros((n, 3))
+    setpoint[:, 0] = 35000 + 25000 * np.sin(np.arange(n) / 200)
+    intervals = (
+        Interval(0.0, 0.5, "sine", "fast", (0.0, 0.0, 0.0)),
+        Interval(0.5, 3.0, "sine", "slow", (0.0, 0.0, 0.0)),
+    )
+    samples, observations = made_up.samples(3.0), made_up.observations(3.0)
+    samples["setpoint_pa"], samples["measured_pa"] = setpoint, setpoint
+    samples["measured_pa"][:100] += 10000.0
+    writer = JournalWriter(tmp_path / "a.mcap", dataclasses.replace(made_up.header("a", 3.0), intervals=intervals))
+    writer.samples(samples)
+    writer.observations(observations)
+    writer.close(RunFooter(made_up.START_NS + 3_000_000_000, Status.FINISHED, ""))
+    found = summarise(runs.open(finalise(tmp_path / "a.mcap")))
+    assert found.tracking_rms_bar == pytest.approx(0.1 / np.sqrt(6), rel=1e-3)
+
+
+def test_a_chamber_under_vacuum_is_not_at_rest(tmp_path: Path) -> None:
+    n = 3.0
+    samples, observations = made_up.samples(n), made_up.observations(n)
+    samples["setpoint_pa"] = 0.0
+    samples["setpoint_pa"][300:, 0] = -60000.0
+    samples["measured_pa"] = samples["setpoint_pa"]
+    later = observations["protocol_s"] >= 1.5
+    observations["pressure_pa"] = np.where(later[:, None], [-60000.0, 0.0, 0.0], 0.0)
+    intervals = (
+        Interval(0.0, 1.5, "hold", "rest", (0.0, 0.0, 0.0)),
+        Interval(1.5, 3.0, "hold", "vacuum", (-60000.0, 0.0, 0.0)),
+    )
+    writer = JournalWriter(tmp_path / "a.mcap", dataclasses.replace(made_up.header("a", n), intervals=intervals))
+    writer.samples(samples)
+    writer.observations(observations)
+    writer.close(RunFooter(made_up.START_NS + 3_000_000_000, Status.FINISHED, ""))
+    run = runs.open(finalise(tmp_path / "a.mcap"))
+    measured = np.isfinite(run.tip.measured_mm).all(axis=1)
+    at_rest = run.tip.measured_mm[measured & (run.tip.protocol_s < 1.5)]
+    assert summary.rest_mm(run.tip, measured) == pytest.approx(at_rest.mean(axis=0))
+    assert [step.label for step in summary.settled_steps(summarise(run).steps)] == ["vacuum"]
+
+
 def test_the_normalised_error_is_relative_to_the_way_from_rest(tmp_path: Path) -> None:
     rows = made_up.observations(3.0)
     pressure = rows["pressure_pa"].copy()

@@ -20,7 +20,7 @@ def test_backbones_of_a_sinusoid_do_not_alias_with_its_period() -> None:
         pressure=SimpleNamespace(protocol_s=control, setpoint_bar=setpoint[:, None]),
     )
     summary: Any = SimpleNamespace(
-        steps=(SimpleNamespace(dwell=False, start_s=0.0, stop_s=11.0, level_bar=(0.5,), weight_g=0.0, error_mm=0.0),)
+        steps=(SimpleNamespace(dwell=False, start_s=0.0, stop_s=11.0, extreme_bar=0.5, weight_g=0.0, error_mm=0.0),)
     )
     rows, phases, label = _shapes(run, summary)
     assert len(rows) == SHAPES
