@@ -211,6 +211,14 @@ def test_a_rig_with_pressure_regulators_is_accepted() -> None:
     assert [valve.type for valve in rig_of(written).valves] == ["pressure", "pressure"]
 
 
+def test_a_regulator_without_a_closed_position_cannot_hold_the_pressure() -> None:
+    valve = "  - {type: pressure, actuators: [1, 2, 3], card: daq, channel: 0, span_bar: [0, 2], safe_state: hold}\n"
+    written = MOCK.split("valves:\n")[0] + "valves:\n" + valve + "sensors:\n" + MOCK.split("sensors:\n")[1]
+    (problem,) = problems_of(written)
+    assert problem.where == "valves #1, safe_state"
+    assert "vent: a valve of type pressure has no closed position" in problem.expected
+
+
 def test_two_cards_may_form_one_rig() -> None:
     second = "  daq2: {driver: mock, device: mock1, sampling_hz: 1000, inputs: 0, outputs: 1}\n"
     written = changed((r"(cards:\n.*\n)", r"\1" + second), ("card: daq\n    channel: 1", "card: daq2\n    channel: 0"))
