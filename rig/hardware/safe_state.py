@@ -206,7 +206,7 @@ def unsafe_output(config: RigConfig) -> str:
 
 
 class WatchdogOutputs:
-    """Cards that are open for writing; if a card allows one process only, they are opened when they are needed.
+    """Cards with outputs, open for writing; if one allows one process only, all are opened when they are needed.
 
     Such a card is open in control, so the watchdog can write only once control is dead.
     """
@@ -218,10 +218,11 @@ class WatchdogOutputs:
             CardError: a card cannot be opened at all.
         """
         self._config = config
-        outputs = open_outputs(config, *config.cards)
+        names = cards_with_outputs(config)
+        outputs = open_outputs(config, *names)
         self._outputs: SafeOutputs | None = outputs
         try:
-            open_outputs(config, *config.cards).close()
+            open_outputs(config, *names).close()
         except CardBusyError:
             outputs.close()
             self._outputs = None

@@ -102,6 +102,20 @@ def test_the_watchdog_keeps_any_other_card_open(device: str) -> None:
     grip.close()
 
 
+def test_the_watchdog_does_not_open_a_card_that_has_no_outputs(device: str) -> None:
+    with mock_registers(f"{device}-inputs", 0.0):
+        text = rig_text(device, one_opener=False).replace(
+            "cards:\n",
+            f"cards:\n  aux: {{driver: mock, device: {device}-inputs, sampling_hz: 1000, inputs: 8, outputs: 0, "
+            "one_opener: true}\n",
+        )
+        config = rig.config.loader.parse(text, "rig.yaml")
+        assert set(config.cards) == {"aux", "daq"}
+        watchdog = WatchdogOutputs(config)
+        assert watchdog.shared
+        watchdog.close()
+
+
 def test_the_failsafe_ends_the_process_that_has_the_card(
     config: RigConfig, device: str, holder: subprocess.Popen[str]
 ) -> None:
