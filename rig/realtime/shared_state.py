@@ -83,6 +83,7 @@ _FLAGS = np.dtype(
         ("start_ns", "<i8"),
         ("stop_request", "<i8"),
         ("vented", "<i8"),
+        ("vent_requested", "<i8"),
         ("paused", "<i8"),
         ("skips", "<i8"),
         ("viewer_ns", "<i8"),
@@ -159,7 +160,7 @@ class _Flag(Generic[T]):
 class SharedState:
     """A view of the shared memory of one run. It exists as long as a process holds its file descriptor.
 
-    `flags` is one structured row; each flag has one writer and is read and written through the property of
+    `flags` is one structured row; each flag is read and written through the property of
     the same name. Times are CLOCK_MONOTONIC [ns], 0 before the event; a process id is 0 before the process exists.
     `samples`, `observations`, `adaptations`, `plans`, `streamed` and `pulses` are rings of the records of
     `runs.records`;
@@ -181,6 +182,8 @@ class SharedState:
     simulator_starting = _Flag(bool)
     start_ns = _Flag(int)
     stop_request = _Flag(Stop)
+    vent_requested = _Flag(bool)
+    """Set once by a request to vent, which another process cannot take back by a stop reason of the same moment."""
     vented = _Flag(bool)
     """True where valves that the safe state would hold are vented: by another program, or for an emergency stop."""
     paused = _Flag(bool)
@@ -271,13 +274,15 @@ class SharedState:
 
     def request_stop(self, reason: Stop) -> None:
         """Request that every process ends with the valves safe. The first stop reason is kept; VENT overrides it."""
+        if reason is Stop.VENT:
+            self.vent_requested = True
         if reason is Stop.VENT or self.stop_request is Stop.NONE:
             self.stop_request = reason
 
     @property
     def vents(self) -> bool:
         """True where the safe state vents every valve, also those that the rig holds."""
-        return self.stop_request is Stop.VENT or self.vented
+        return self.vent_requested or self.vented
 
     @property
     def granted(self) -> Scheduling:

@@ -26,7 +26,7 @@ from rig.hardware.lock import cards_locked, holders, lock_file
 from rig.hardware.safe_state import SafeOutputs, open_outputs
 from rig.hardware.vent import vent
 from rig.realtime import control_process as control
-from rig.realtime.shared_state import SharedState, StateLayout, Stop
+from rig.realtime.shared_state import SharedState, StateLayout
 from rig.simulator.mock_card import MockCard
 from rig.simulator.registers import Registers
 from tests.support.mock_registers import mock_registers
@@ -151,7 +151,7 @@ def test_control_that_stalled_within_a_cycle_does_not_overwrite_a_venting(
     os.close(memory.fd)
 
 
-@pytest.mark.parametrize("flags", [{"stop_request": Stop.VENT}, {"watchdog_trip_ns": 1}])
+@pytest.mark.parametrize("flags", [{"vent_requested": True}, {"watchdog_trip_ns": 1}])
 def test_writes_of_the_own_watchdog_are_neither_overwritten_nor_taken_for_foreign_ones(
     config: RigConfig, registers: Registers, flags: dict[str, int]
 ) -> None:

@@ -321,6 +321,13 @@ def test_the_first_stop_reason_is_kept_and_vent_overrides_it(memory: SharedState
         assert memory.stop_request == told
 
 
+def test_a_request_to_vent_stays_where_another_process_stops_at_the_same_moment(memory: SharedState) -> None:
+    memory.request_stop(Stop.VENT)
+    # What a process writes that has read the flag before the request.
+    memory.stop_request = Stop.TERMINATED
+    assert memory.vents
+
+
 def test_a_process_waits_for_its_start_and_gives_up_once_the_run_is_over(
     config: RigConfig, memory: SharedState
 ) -> None:
