@@ -139,11 +139,12 @@ def digest_of(path: Path | str) -> str:
 
 def _known(path: Path, stamp: Stamp, file: h5py.File) -> Fields:
     """Return the datasets of an archive; the result is cached while the file is unchanged."""
-    if (path, stamp) not in _CHECKED:
+    if (known := _CHECKED.get((path, stamp))) is None:
+        known = _checked(path, file, None)
         if len(_CHECKED) >= _REMEMBERED:
             _CHECKED.clear()
-        _CHECKED[path, stamp] = _checked(path, file, None)
-    return _CHECKED[path, stamp]
+        _CHECKED[path, stamp] = known
+    return known
 
 
 @contextmanager

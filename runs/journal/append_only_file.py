@@ -167,9 +167,12 @@ class BufferedFile:
         self._outstanding: deque[tuple[float, bytes]] = deque()
         """Time and content of each block; the first is being written."""
         self._bytes = 0
+        self._appended = self._synced = 0
+        """Number of blocks so far, and of those that a sync has covered."""
         self._syncing_since: float | None = None
         self._fault: JournalError | None = None
         self._closing = threading.Event()
+        self._sync_due = threading.Event()
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._write, self._sync)]
         for thread in self._threads:
             thread.start()
@@ -189,6 +192,7 @@ class BufferedFile:
             self._raise_fault()
             idle = not self._outstanding
             self._outstanding.append((time.monotonic(), data))
+            self._appended += 1
             self._bytes += len(data)
             self._changed.notify_all()
             if idle:
@@ -196,15 +200,19 @@ class BufferedFile:
                 self._raise_fault()
 
     def wait_until_synced(self, timeout_s: float) -> bool:
-        """Wait for the disk."""
+        """Wait until a sync has covered all that was appended before, or has failed; False on timeout."""
+        until = time.monotonic() + timeout_s
         with self._changed:
-            return self._changed.wait_for(
-                lambda: not self._outstanding and self._syncing_since is None, timeout=timeout_s
-            )
+            wanted = self._appended
+            if not self._changed.wait_for(lambda: not self._outstanding, timeout_s):
+                return False
+            self._sync_due.set()
+            return self._changed.wait_for(lambda: self._synced >= wanted, max(0.0, until - time.monotonic()))
 
     def close(self, last: bytes) -> None:
         """Wait for the disk without limit, then close; raises a pending error."""
         self._closing.set()
+        self._sync_due.set()
         with self._changed:
             self._changed.notify_all()
         for thread in self._threads:
@@ -242,12 +250,18 @@ class BufferedFile:
                 self._changed.notify_all()
 
     def _sync(self) -> None:
-        while not self._closing.wait(SYNC_S):
+        while True:
+            self._sync_due.wait(SYNC_S)
+            self._sync_due.clear()
+            if self._closing.is_set():
+                return
             with self._changed:
                 self._syncing_since = time.monotonic()
+                covered = self._appended - len(self._outstanding)
             self._attempt(self._file.sync)
             with self._changed:
                 self._syncing_since = None
+                self._synced = covered
                 self._changed.notify_all()
 
     def _attempt(self, step: Callable[..., None], *arguments: bytes) -> bool:

@@ -104,6 +104,16 @@ def test_written_data_survive_a_stalled_sync(syncs: Gate, writer: JournalWriter)
     writer.close(FOOTER)
 
 
+def test_data_are_on_the_disk_only_after_a_sync_that_began_later(syncs: Gate, writer: JournalWriter) -> None:
+    record(writer)
+    syncs.shut()
+    assert not writer.wait_until_synced(0.05)
+    assert syncs.reached.wait(PATIENCE_S)
+    syncs.open.set()
+    assert writer.wait_until_synced(PATIENCE_S)
+    writer.close(FOOTER)
+
+
 def test_a_stalled_sync_alone_does_not_end_a_run(
     syncs: Gate, writer: JournalWriter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
