@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import subprocess
 from functools import cache
@@ -38,6 +39,9 @@ def git_state() -> tuple[str, str]:
 
     Read once: a process that runs several experiments runs the code that it has imported.
     """
+    # An installed package may lie inside the checkout of another project.
+    if _git("rev-parse", "--show-toplevel").strip() != str(_ROOT):
+        return "", ""
     return _git("rev-parse", "HEAD").strip(), _git("diff", "HEAD")
 
 
@@ -50,6 +54,7 @@ def _git(*arguments: str) -> str:
             errors="replace",
             timeout=10,
             check=False,
+            env={name: value for name, value in os.environ.items() if not name.startswith("GIT_")},
         )
     except (OSError, subprocess.TimeoutExpired):
         return ""
