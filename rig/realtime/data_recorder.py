@@ -93,14 +93,19 @@ class DataRecorder:
 
     def counters(self) -> dict[str, int]:
         """Losses of the run by name."""
+        memory = self._memory
         return {
             "missed_deadlines": self._missed,
             **({} if self.dropped is None else {"dropped_frames": self.dropped}),
             "lost_scans": self._lost_scans,
             **({"lost_pulses": self._lost_pulses} if self._config.triggered else {}),
-            "sample_ring_overflows": self._memory.samples.lost,
-            "observation_ring_overflows": self._memory.observations.lost,
-            "picture_ring_overflows": self._memory.pictures.lost,
+            "sample_ring_overflows": memory.samples.lost,
+            "observation_ring_overflows": memory.observations.lost,
+            "picture_ring_overflows": memory.pictures.lost,
+            "adaptation_ring_overflows": memory.adaptations.lost,
+            "plan_ring_overflows": memory.plans.lost,
+            "streamed_ring_overflows": memory.streamed.lost,
+            "pulse_ring_overflows": memory.pulses.lost,
         }
 
     def event(self, level: Level, source: str, message: str) -> None:

@@ -21,11 +21,11 @@ from rig.realtime.child_process import ChildJob
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.process_group import ProcessFault, ProcessGroup
 from rig.realtime.scheduling import Scheduling
-from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
+from rig.realtime.shared_state import SETPOINTS, SharedState, Stage, StateLayout, Stop
 from rig.realtime.timing_limits import TimingLimits
 from rig.simulator.registers import Registers
 from runs.journal.append_only_file import JournalError
-from runs.records import Event, Level, Picture, Status
+from runs.records import Event, Level, Picture, Status, streamed_dtype
 from tests.support.child_programs import SLEEPS, child
 
 HOLD_STILL = (
@@ -54,6 +54,9 @@ class Unwritten:
     def picture(self, picture: Picture) -> None:
         """Discard it."""
 
+    def streamed(self, rows: np.ndarray) -> None:  # type: ignore[type-arg]
+        """Discard it."""
+
     def event(self, event: Event) -> None:
         """Discard it."""
 
@@ -69,6 +72,18 @@ class FullDisk(Unwritten):
 def recorded(parent: supervisor.Supervisor, plan: RunPlan, journal: Recorder | None = None) -> None:
     """Let a supervisor record into a journal; without one its records are discarded."""
     parent.record = DataRecorder(plan.config, parent.memory, journal or Unwritten(), NullOperator())
+
+
+def test_rows_that_were_overwritten_before_they_were_recorded_are_counted(own_plan: RunPlan) -> None:
+    memory = SharedState.create(StateLayout.of(own_plan.config))
+    recorder = DataRecorder(own_plan.config, memory, Unwritten(), NullOperator())
+    for _ in range(SETPOINTS + 99):
+        memory.streamed.push(np.zeros((), streamed_dtype(own_plan.config.actuators)))
+    recorder.drain()
+    counters = recorder.counters()
+    assert counters["streamed_ring_overflows"] == 100
+    assert counters["plan_ring_overflows"] == 0
+    os.close(memory.fd)
 
 
 def test_an_error_in_control_is_reported_by_name_and_the_valves_are_safe(
