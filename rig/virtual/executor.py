@@ -35,6 +35,7 @@ from rig.simulator.mock_camera import Exposure, MockCamera
 from rig.simulator.mock_tracker import LEAD_S, MockTracker
 from rig.simulator.plant import Plant
 from rig.tip_control.monitor import SOURCE, TipControlMonitor, failure_message
+from rig.virtual import time_limit
 from rig.virtual.frame_pipeline import MOST_IN_FLIGHT, FramePipeline, FrameProcessError, FrameSamples, FrameStages
 from rig.virtual.recent_rows import RecentRows
 from rig.virtual.triggered_exposures import FrameExposures, TriggeredExposures
@@ -304,7 +305,8 @@ class _VirtualRun:
             self._receive()
             samples = self._samples.recent(round(HISTORY_S * 1e9 / self._loop.period_ns))
             try:
-                found = controller.step(self._observations.recent(1)[0], protocol_s, samples)
+                with time_limit.time_limit(time_limit.LONGEST_CALL_S):
+                    found = controller.step(self._observations.recent(1)[0], protocol_s, samples)
             except Exception as error:
                 # It may be code of the user. As in real time the run continues without it.
                 self._tip_control, self._tip_failure = None, failure_message(error)
@@ -376,8 +378,9 @@ def _tip_control(plan: RunPlan) -> TipControlSession | None:
     from rig.tip_control.session import TipControlSession
 
     try:
-        session = TipControlSession(plan)
-        session.warm_up()
+        with time_limit.time_limit(2 * time_limit.LONGEST_CALL_S):
+            session = TipControlSession(plan)
+            session.warm_up()
     except Exception as error:
         raise StartError(failure_message(error)) from error
     return session

@@ -19,6 +19,7 @@ from rig.config.schema import RigConfig
 from rig.live.archived_run import ArchivedRun
 from rig.tip_control.session import TipControlSession
 from rig.tip_planning.inverse import RigTipInverse
+from rig.virtual import time_limit
 from runs.columns.tip_control import reference_error_mm
 from runs.records import Status, observation_dtype
 from runs.report.comparison import reference_distances
@@ -259,6 +260,35 @@ def test_a_run_goes_on_without_a_controller_that_raises_as_in_real_time(
     assert "the set-points are held" in events
     assert "the set-points return to those of the protocol" in events
     assert "in step" in events
+
+
+HANGS = """
+from rig.tip_control.baselines import StaticInverse
+
+
+class Hangs(StaticInverse):
+    def step(self, state, reference, measurement):
+        while reference.times_s[0] > FROM_S:
+            pass
+        return super().step(state, reference, measurement)
+"""
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_without_a_controller_that_does_not_return(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "hanging_controller.py").write_text(HANGS.replace("FROM_S", "0.5"), encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "circle.yaml").write_text(PROTOCOL, encoding="utf-8")
+    monkeypatch.setattr(time_limit, "LONGEST_CALL_S", 10.0)
+    command = ["run", str(tmp_path / "circle.yaml"), "--rig", "mock-3", "--fast", "--yes", "--no-report"]
+    result = invoke(*command, "--out", str(tmp_path), "--controller", "hanging_controller:Hangs")
+    assert result.exit_code == 1, result.output
+    (archive,) = tmp_path.glob("*.h5")
+    run = runs.open(archive)
+    assert run.status is Status.FINISHED
+    assert "TimeoutError: it did not return within 10 s" in run.message
 
 
 def test_a_controller_that_raises_at_once_does_not_start_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
