@@ -18,7 +18,7 @@ from model.kernels.arguments import ArmArguments
 from model.kernels.axis import equilibria
 from model.kernels.shooting import TOLERANCE_AT_REST, workspace_size
 from model.processors import usable_processors
-from model.schemes import DEFAULT_ALPHA
+from model.schemes import DEFAULT_ALPHA, DEFAULT_SCHEME
 from model.statics import steps_along
 
 Array = NDArray[np.float64]
@@ -94,7 +94,7 @@ def motions(
     arms: Arm | Sequence[Arm],
     pressure_pa: ArrayLike,
     dt_s: float,
-    scheme: str = "bdf-alpha",
+    scheme: str = DEFAULT_SCHEME,
     alpha: float = DEFAULT_ALPHA,
     nodes: int | None = None,
     workers: int | None = None,

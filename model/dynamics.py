@@ -20,7 +20,7 @@ from model.kernels.shooting import TOLERANCE_IN_MOTION, workspace_in, workspace_
 from model.kernels.time_stepping import initialise_history
 from model.loads import Loads
 from model.pressures import pressures
-from model.schemes import DEFAULT_ALPHA, Coefficients, scheme_named
+from model.schemes import DEFAULT_ALPHA, DEFAULT_SCHEME, Coefficients, scheme_named
 from model.shape import Shape
 from model.statics import MOST_NODES, shape, states, steps_along
 from model.viscoelasticity import branch_factors
@@ -47,7 +47,12 @@ class Dynamics:
     """
 
     def __init__(
-        self, arm: Arm, dt_s: float, scheme: str = "bdf-alpha", alpha: float = DEFAULT_ALPHA, nodes: int | None = None
+        self,
+        arm: Arm,
+        dt_s: float,
+        scheme: str = DEFAULT_SCHEME,
+        alpha: float = DEFAULT_ALPHA,
+        nodes: int | None = None,
     ) -> None:
         self._rule, self._alpha, self._dt_s = scheme_named(scheme), alpha, dt_s
         self._scheme = self._rule.coefficients(dt_s, alpha)

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+DEFAULT_SCHEME = "bdf-alpha"
 DEFAULT_ALPHA = -0.2
 
 
@@ -84,7 +85,7 @@ SCHEMES = {
             lambda dt_s, last_s, alpha: _varying_bdf_alpha(dt_s, last_s, 0.0),
         ),
         Scheme("bdf3", _bdf3),
-        Scheme("bdf-alpha", _bdf_alpha, _varying_bdf_alpha),
+        Scheme(DEFAULT_SCHEME, _bdf_alpha, _varying_bdf_alpha),
         Scheme(
             "trapezoidal",
             lambda dt_s, alpha: _bdf_alpha(dt_s, -0.5),

@@ -19,7 +19,7 @@ from model.errors import NotConverged
 from model.loads import Loads
 from model.paper.kernels import SAMPLE, STATE, RodArguments, SectionArguments, jacobian, shoot, turn
 from model.pressures import pressures
-from model.schemes import DEFAULT_ALPHA, scheme_named
+from model.schemes import DEFAULT_ALPHA, DEFAULT_SCHEME, scheme_named
 from model.shape import Shape
 
 Array = NDArray[np.float64]
@@ -90,7 +90,7 @@ class PaperRod:
         self,
         arm: Arm,
         dt_s: float = 1 / 30,
-        scheme: str = "bdf-alpha",
+        scheme: str = DEFAULT_SCHEME,
         alpha: float = DEFAULT_ALPHA,
         space: Literal["euler", "rk4"] = "rk4",
         steps: int = 50,

@@ -24,7 +24,7 @@ def advance(
     `paused` whether the run is paused.
     """
     if paused:
-        return ProtocolPosition(position.protocol_s, position.prompts_passed, position.waiting)
+        return position
     target = position.protocol_s + dt_s
     passed = position.prompts_passed
     while passed < len(prompts_s) and prompts_s[passed] <= target:

@@ -13,7 +13,7 @@ from rig.config.schema import RigConfig
 from rig.driver_contract.card_subject import CardSubject, needs_outputs, polled
 from rig.driver_contract.check import BrokenContractError, Check, NotApplicableError
 from rig.hardware.cards.base import Card
-from rig.hardware.vent_verification import VENTED_PA, VentVerification, real_time
+from rig.hardware.vent_verification import VENTED_TOLERANCE_PA, VentVerification, real_time
 from rig.sections.quantities import PA_PER_BAR
 from rig.valves.base import RegulatorState, ValveSection
 
@@ -65,7 +65,7 @@ def pressures(subject: CardSubject) -> str:
             _vent(subject, card, sensors)
             reached_pa = _pressurised(subject, card, sensors, output, valve)
             own = [a - 1 for a in valve.actuators]
-            raised = np.abs(reached_pa - valve.vented_pa) >= VENTED_PA
+            raised = np.abs(reached_pa - valve.vented_pa) >= VENTED_TOLERANCE_PA
             if not raised.any() and not supplied:
                 raise NotApplicableError("no pressure rises: the valves have no supply")
             _judge(subject, valve, reached_pa, raised)

@@ -30,7 +30,7 @@ LEAST_DROP_PER_S = 0.05
 """Share of the excess that a slowly venting chamber loses in a second: a time constant of 20 s."""
 UNREADABLE_S = 1.0
 """How long a card whose inputs cannot be read is tried again."""
-VENTED_PA = 0.1 * PA_PER_BAR
+VENTED_TOLERANCE_PA = 0.1 * PA_PER_BAR
 """A chamber is vented when its pressure is within this of that at the exhaust of its valve."""
 FULL_SCALE_SHARE = 1e-3
 """A reading within this share of the input's range of its upper end is at full scale."""
@@ -115,7 +115,7 @@ class VentVerification:
                 self._read()
             except CardError as error:
                 self._failure = str(error)
-            if self._answers() and (self._excess_pa() < VENTED_PA).all():
+            if self._answers() and (self._excess_pa() < VENTED_TOLERANCE_PA).all():
                 return VentOutcome(True, self._confirmation())
             if excess_pa is None and self._pressure_pa is not None:
                 excess_pa = self._excess_pa()
@@ -148,7 +148,7 @@ class VentVerification:
             return False
         now_pa = self._excess_pa()
         kept = (1.0 - LEAST_DROP_PER_S) ** self._patience_s
-        return bool(((now_pa < VENTED_PA) | (now_pa <= kept * before_pa)).all())
+        return bool(((now_pa < VENTED_TOLERANCE_PA) | (now_pa <= kept * before_pa)).all())
 
     def _silent_cards(self) -> list[str]:
         """Cards that give full scale at each pressure sensor: what a board answers that is pulled or hangs."""
@@ -183,7 +183,7 @@ class VentVerification:
         full = ", ".join(
             f"actuator {a + 1} at {self._pressure(a) / PA_PER_BAR:.2f} bar"
             for a, excess in zip(self._venting.tolist(), self._excess_pa().tolist(), strict=True)
-            if excess >= VENTED_PA
+            if excess >= VENTED_TOLERANCE_PA
         )
         return (
             f"{full} {waited_s:.0f} s after the valves were commanded to vent: a valve is stuck or its ports are the "

@@ -32,7 +32,7 @@ FLOW_FUNCTION_FLOOR = 0.15
 LARGEST_LEAK = 0.15
 """Bound of the integral as a fraction of the full choked flow from the supply: data sheets specify at most 0.07."""
 
-VENTED_PA = 500.0
+ZERO_REFERENCE_PA = 500.0
 """A lower reference means an empty chamber: the valve is opened to the exhaust without regulation."""
 
 
@@ -59,7 +59,7 @@ class FlowRegulator(Regulator):
     ) -> RegulatorState:
         """The opening whose flow changes the pressure by the wanted rate."""
         integral = integral_pa_s
-        if reference_pa < VENTED_PA and reference_rate_pa_s <= 0.0:
+        if reference_pa < ZERO_REFERENCE_PA and reference_rate_pa_s <= 0.0:
             return RegulatorState(reference_pa, integral, integral, self.vent_v)
         error = reference_pa - measured_pa
         demand = reference_rate_pa_s + self.gain_per_s * error + integral
