@@ -56,6 +56,7 @@ def run(request: CameraCalibrationRequest, operator: BenchOperator) -> tuple[Cal
         ViewsError, CalibrationError: the views do not determine a camera.
         CameraError: a live camera delivers no pictures.
     """
+    _refuse_of_other_source(request)
     rig = inputs.rig_of(request.rig)
     board = inputs.shown_board(request.corners, request.square_mm, rig)
     _check_output(request)
@@ -78,6 +79,17 @@ def run(request: CameraCalibrationRequest, operator: BenchOperator) -> tuple[Cal
             found = calibrate(source.views, board.board(), request.every)
             listed.append((source.camera, request.output.path(f"camera-{source.camera}"), found))
     return tuple(_written(request, rig, name, board, file, found) for name, file, found in listed)
+
+
+def _refuse_of_other_source(request: CameraCalibrationRequest) -> None:
+    """Refuse options that apply only to captured views, or only to existing ones."""
+    default = CameraCalibrationRequest()
+    of_captured = {"--count": (request.count, default.count), "--seed": (request.seed, default.seed)}
+    of_existing = {"--every": (request.every, default.every)}
+    given, other = ("captured", "existing") if request.capture else ("existing", "captured")
+    for option, (value, unset) in (of_existing if request.capture else of_captured).items():
+        if value != unset:
+            raise bad_input(option, str(value), f"no such option: it is of {other} views, and these are {given}")
 
 
 def _check_output(request: CameraCalibrationRequest) -> None:

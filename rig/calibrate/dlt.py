@@ -102,6 +102,7 @@ def _refuse_of_other_input(request: DLTCalibrationRequest, from_points: bool) ->
         "--square-mm": request.square_mm,
         "--world-view": request.world_view,
         "--base": request.base,
+        "--every": request.every if request.every > 1 else None,
     }
     of_points = {"--size": request.size, "--points-std-mm": request.points_std_mm}
     for option, value in (of_boards if from_points else of_points).items():
