@@ -60,8 +60,6 @@ class PaperIdentification:
     """What the elongations give of 5.2."""
 
     modulus_pa: float
-    modulus_std_pa: float
-    modulus_r2: float
     softening: Softening
     rpe_measured: RegressionLine
     """Free strain per bar left over when the push on the caps is taken off by eq 32."""
@@ -145,11 +143,9 @@ def softening(force_n: Array, strain: Array) -> Softening:
     return Softening(float(a1), float(a2), covariance, _r2(strain, rest))
 
 
-def published_modulus(
-    material: model.Material | None = None, geometry: model.Geometry | None = None
-) -> PublishedModulus:
+def published_modulus() -> PublishedModulus:
     """Derive E from the printed polynomial, eq 32."""
-    material, geometry = material or model.Material.paper(), geometry or model.Geometry.paper()
+    material, geometry = model.Material.paper(), model.Geometry.paper()
     force: Array = PUBLISHED_WEIGHTS_KG * GRAVITY_M_S2
     strain = material.a1_per_n * force + material.a2_per_n2 * force**2
     area = geometry.wall_area_m2
@@ -174,7 +170,7 @@ def identify_paper(
     push = under_pressure.pressure_pa * geometry.chamber_area_m2
     left = under_pressure.strain - soft.a1_per_n * push - soft.a2_per_n2 * push**2
     measured = line(under_pressure.pressure_pa / PA_PER_BAR, left)
-    return PaperIdentification(modulus, modulus * beta.slope_std / beta.slope, beta.r2, soft, measured)
+    return PaperIdentification(modulus, soft, measured)
 
 
 def _r2(values: Array, rest: Array) -> float:

@@ -8,7 +8,7 @@ from rig.config.finding import Finding
 from rig.config.schema import RigConfig
 from rig.config.tracker_sections import UdpTrackerConfig
 from rig.hardware.trackers.base import TrackerError
-from rig.hardware.trackers.registry import open_tracker
+from rig.hardware.trackers.opening import open_tracker
 from runs.records import DATAGRAM_COUNTS
 
 LISTENS_S = 1.5

@@ -12,7 +12,7 @@ from rig.config.schema import RigConfig
 from rig.driver_contract.check import BrokenContractError, Check
 from rig.driver_contract.time_stamps import rate_and_age
 from rig.hardware.cameras.base import Frame
-from rig.hardware.cameras.registry import open_camera
+from rig.hardware.cameras.opening import open_camera
 
 FRAMES = 15
 TIMEOUT_S = 2.0

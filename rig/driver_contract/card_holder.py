@@ -15,7 +15,7 @@ import numpy as np
 
 from rig.config import loader
 from rig.hardware.cards.base import CardBusyError, CardError
-from rig.hardware.cards.registry import open_card
+from rig.hardware.cards.opening import open_card
 from rig.hardware.cards.setup import card_setup
 
 HELD_PERIOD_S = 0.005

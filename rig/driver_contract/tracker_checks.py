@@ -12,7 +12,7 @@ from rig.config.schema import RigConfig
 from rig.driver_contract.check import BrokenContractError, Check
 from rig.driver_contract.time_stamps import rate_and_age
 from rig.hardware.trackers.base import TrackerReading
-from rig.hardware.trackers.registry import open_tracker
+from rig.hardware.trackers.opening import open_tracker
 
 READINGS = 50
 FIRST_S, NEXT_S = 5.0, 1.0

@@ -12,7 +12,7 @@ from rig.config.input_sections import AuxiliaryInput
 from rig.config.schema import RigConfig
 from rig.config.sections import Sensor
 from rig.hardware.cards.base import Card, CardError, DigitalInputCard, Scans, SelfClockedCard
-from rig.hardware.cards.registry import open_card
+from rig.hardware.cards.opening import open_card
 from rig.hardware.cards.setup import card_setup
 from rig.hardware.release import release
 from rig.hardware.safe_state import SafeOutputs

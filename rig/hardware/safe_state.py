@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import Card, CardBusyError, CardError, DigitalOutputCard
-from rig.hardware.cards.registry import open_card
+from rig.hardware.cards.opening import open_card
 from rig.hardware.cards.setup import card_setup
 from rig.hardware.release import release
 
@@ -160,7 +160,7 @@ def cards_with_outputs(config: RigConfig) -> tuple[str, ...]:
     return tuple(name for name, setup in setups.items() if setup.outputs or setup.digital_outputs)
 
 
-def failure_of(write: Callable[[], None], patience_s: float = 0.0, pause_s: float = RETRY_S) -> str:
+def failure_of(write: Callable[[], None], patience_s: float = 0.0) -> str:
     """Write the safe state by `write`, again while it fails, for `patience_s`; return the failure, empty on success."""
     until = time.monotonic() + patience_s
     while True:
@@ -169,7 +169,7 @@ def failure_of(write: Callable[[], None], patience_s: float = 0.0, pause_s: floa
         except CardError as error:
             if time.monotonic() >= until:
                 return str(error)
-            time.sleep(pause_s)
+            time.sleep(RETRY_S)
         else:
             return ""
 

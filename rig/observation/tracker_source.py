@@ -8,7 +8,7 @@ from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import FrameSet
 from rig.hardware.release import release
 from rig.hardware.trackers.base import TrackerError, TrackerReading
-from rig.hardware.trackers.registry import open_tracker
+from rig.hardware.trackers.opening import open_tracker
 from rig.observation.reading_sequence import ReadingSequence
 from runs.records import DATAGRAM_COUNTS
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from rig.execution.plan import OpenRecord, OperatorInterface, Outcome, RunPlan, StartError, StoppedError
 from rig.hardware.cards.base import CardError
-from rig.hardware.cards.registry import card_type
+from rig.hardware.cards.opening import card_type
 from rig.hardware.safe_state import UNSAFE, armed_sentence
 from rig.hardware.vent_verification import UNCONFIRMED
 from rig.realtime import sampling_clocks

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import Camera, CameraError, Frame, FrameSet
-from rig.hardware.cameras.registry import open_camera
+from rig.hardware.cameras.opening import open_camera
 from rig.hardware.cameras.trigger import PulseRows, TriggeredCamera
 from rig.hardware.release import release
 

@@ -170,7 +170,7 @@ def test_an_unexpected_error_of_one_card_does_not_stop_the_safe_state_of_others(
             raise bug("oddly broken")
         return cards[setup.name]
 
-    monkeypatch.setattr(rig.hardware.cards.registry, "card_type", lambda card: opened)
+    monkeypatch.setattr(rig.hardware.cards.opening, "card_type", lambda card: opened)
     with pytest.raises(CardError, match=f"card daq: {bug.__name__}: oddly broken"):
         make_safe(two_card_rig(), vent=False)
     assert cards["other"].outputs.tolist() == [5.0]

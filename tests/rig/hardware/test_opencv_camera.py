@@ -13,7 +13,7 @@ import rig.config.loader
 import rig.config.schema
 from rig.config.sections import CameraTrigger
 from rig.hardware.cameras.base import CameraError
-from rig.hardware.cameras.registry import open_camera
+from rig.hardware.cameras.opening import open_camera
 
 
 @pytest.fixture(scope="module")
