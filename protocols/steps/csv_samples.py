@@ -51,12 +51,16 @@ def read_columns(path: Path, columns: Bounds, *, timed: bool = True) -> tuple[Sa
     if not rows[0].strip():
         raise BadInputError([Problem(str(path), 1, 1, "", "nothing", _header_wish(wanted))])
     places = _header(path, rows[0], tuple(wanted))
+    width = len(_cells(rows[0]))
     table: list[list[float]] = []
     problems: list[Problem] = []
     for number, row in enumerate(rows[1:], start=2):
         if not row.strip():
             continue
         values = _row(path, number, row, places, wanted, problems)
+        if len(_cells(row)) > width:
+            problems.append(_surplus(path, number, row, width))
+            values = None
         if timed and values is not None and table and values[0] <= table[-1][0]:
             problems.append(
                 Problem(
@@ -125,6 +129,13 @@ def _row(
             return None
         values.append(value)
     return values
+
+
+def _surplus(path: Path, line: int, row: str, width: int) -> Problem:
+    """A row that is longer than the header, as one with decimal commas is."""
+    column = sum(len(cell) + 1 for cell in row.split(",")[:width]) + 1
+    expected = f"{width} numbers as in the first line, separated by commas and with decimal points"
+    return Problem(str(path), line, column, "", f"{len(_cells(row))} numbers", expected)
 
 
 def _cells(row: str) -> list[str]:

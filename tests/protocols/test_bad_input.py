@@ -284,6 +284,7 @@ def test_an_impossible_name_is_refused_like_any_other(name: str) -> None:
 @pytest.mark.parametrize(
     ("csv", "line", "column", "said"),
     [
+        ("time_s,actuator_1_bar\n0,0\n1,0,15\n", 3, 5, "2 numbers as in the first line, separated by commas"),
         ("", 1, 1, "time_s,actuator_1_bar"),
         ("time,actuator_1_bar\n0,0\n1,0\n", 1, 1, "one column 'time_s'"),
         ("time_s;actuator_1_bar\n0;0\n", 1, 7, "commas"),
