@@ -66,7 +66,8 @@ def _assess(
     off = (motion.predicted_m - motion.position_m)[on_path][:, axes]
     speed = np.linalg.norm(motion.velocity_m_s[on_path][:, axes], axis=1)
     pressure = trajectory.sample(times)
-    rates = np.array([trajectory.rate_pa_s(t) for t in times[:-1].tolist()])
+    # A path of one time has no rate of its own.
+    rates = np.array([trajectory.rate_pa_s(t) for t in times[: max(1, len(times) - 1)].tolist()])
     some = pressure[np.linspace(0, len(pressure) - 1, POSTURES).astype(int)]
     shares, needed = _propagated(config, some, axes, trajectory.weight_kg(motion.path_s), variant)
     order = sorted(shares, key=shares.__getitem__, reverse=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,8 @@ LONGEST_STEP_S = 0.05
 """The same for a path that is slowed down."""
 SETTLED_S = 1.5
 """Time after which a periodic path has periodic pressures."""
+BETWEEN = (0.25, 0.382, 0.5, 0.618, 0.75)
+"""Shares of a time step at which a path is compared with the straight line between its targets."""
 RATE_SHARE = 0.995
 """Share of the rate limit that a solution uses: its times are rounded."""
 MAP_SAMPLES, MAP_ACCURACY_M = 50, 5e-5
@@ -80,7 +83,7 @@ class PathFollower:
         self._maps: dict[float, StaticMap | None] = {}
 
     def follow(self, request: TipRequest, path: TipPath, slowed: float = 1.0, enough_m: float = 0.0) -> PathSolution:
-        """The pressures of `path`, whether within the tolerance or not; `slowed` is its share of the asked speed.
+        """The pressures of `path`, whether within the tolerance or not; `slowed` is its share of the stated speed.
 
         With `enough_m` it answers only whether the largest error can be at most that: it ends as soon as that is known.
 
@@ -101,7 +104,11 @@ class PathFollower:
         times: Array = np.arange(-lead, math.ceil(path.duration_s / dt_s - 1e-9) + 1.0) * dt_s
         target, _ = fade(start, path, lead * dt_s, times)
         following = inverse.follow(target, request.coordinates, before, enough_m)
-        return PathSolution(times, target, start, following, following.error_m(target, request.coordinates))
+        error = following.error_m(target, request.coordinates)
+        between = _between_m(path, times, request.coordinates)
+        # Pressures are linear between the times, so there the tip cannot be where the path leaves its chord.
+        error = np.where(between > request.tolerance_m, np.maximum(error, between), error)
+        return PathSolution(times, target, start, following, error)
 
     def _static_map(self, weight_kg: float) -> StaticMap | None:
         """The map of the arm with a weight; None where the rod itself has to be solved."""
@@ -147,6 +154,20 @@ class TruncatedPath(TipPath):
 
     def centre_m(self) -> Array:
         return self.path.centre_m()
+
+
+def _between_m(path: TipPath, times_s: Array, coordinates: Sequence[int]) -> Array:
+    """How far (n,) a path leaves its chord between each time of the grid and the next one."""
+    out = np.zeros(len(times_s))
+    on_path = np.flatnonzero((times_s[:-1] >= 0.0) & (times_s[1:] <= path.duration_s))
+    axes = list(coordinates)
+    at, step_s = times_s[on_path], np.diff(times_s)[on_path]
+    first, last = path.positions_m(at)[:, axes], path.positions_m(at + step_s)[:, axes]
+    for share in BETWEEN:
+        line = (1.0 - share) * first + share * last
+        off = np.linalg.norm(path.positions_m(at + share * step_s)[:, axes] - line, axis=1)
+        out[on_path] = np.maximum(out[on_path], off)
+    return out
 
 
 def _resampled(before_pa: Array, dt_s: float) -> Array:

@@ -15,6 +15,7 @@ from protocols import BadInputError, Problem, SetPointTrajectory
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
 from rig.experiment.preflight import check
+from rig.tip_planning.assessment import assess
 from rig.tip_planning.infeasible_path import RESOLUTION, largest_share
 from rig.tip_planning.inverse import RigTipInverse
 
@@ -102,6 +103,19 @@ def test_a_path_that_is_too_fast_is_refused_with_speed_and_size_that_are_possibl
         expanded(circle(30, 0.8 / (speed + 0.05)))
     with pytest.raises(BadInputError):
         expanded(circle(30 * (size + 0.05), 0.8))
+
+
+@pytest.mark.parametrize("period_s", [0.01, 0.005, 0.001])
+def test_a_path_that_moves_between_the_times_of_the_solution_is_refused(period_s: float) -> None:
+    problem = refused(circle(20, period_s))
+    assert "mm off" in problem.value
+    assert "neither 0.1 of its speed nor 0.1 of its size" in problem.expected
+
+
+def test_a_path_shorter_than_a_time_step_is_assessed() -> None:
+    config = load("mock-3")
+    (found,) = assess(config, expanded("{hold: {at_mm: [0, 0, 190], duration_s: 0.001}}"), None)
+    assert found.rate_margin_bar_s <= config.limits.rate_bar_per_s
 
 
 def test_a_lead_in_that_is_too_short_is_named_as_the_reason() -> None:
