@@ -11,7 +11,7 @@ SOURCE = "tip controller"
 _UNCONTROLLED = (SetPointSource.HELD, SetPointSource.LOST)
 
 
-def failure_message(error: Exception) -> str:
+def failure_message(error: BaseException) -> str:
     """The message of an exception in a controller."""
     return f"the tip controller failed: {type(error).__name__}: {error}"
 

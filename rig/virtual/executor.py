@@ -307,7 +307,7 @@ class _VirtualRun:
             try:
                 with time_limit.time_limit(time_limit.LONGEST_CALL_S):
                     found = controller.step(self._observations.recent(1)[0], protocol_s, samples)
-            except Exception as error:
+            except (Exception, SystemExit) as error:
                 # It may be code of the user. As in real time the run continues without it.
                 self._tip_control, self._tip_failure = None, failure_message(error)
                 self._recorder.event(Event(now, Level.WARNING, SOURCE, traceback.format_exc()))
@@ -381,7 +381,7 @@ def _tip_control(plan: RunPlan) -> TipControlSession | None:
         with time_limit.time_limit(2 * time_limit.LONGEST_CALL_S):
             session = TipControlSession(plan)
             session.warm_up()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise StartError(failure_message(error)) from error
     return session
 

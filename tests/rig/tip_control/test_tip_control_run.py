@@ -291,6 +291,17 @@ def test_a_run_goes_on_without_a_controller_that_does_not_return(
     assert "TimeoutError: it did not return within 10 s" in run.message
 
 
+def test_a_controller_that_exits_at_once_does_not_start_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    exits = RAISES.replace("FROM_S", "-1.0").replace('RuntimeError("no idea")', "SystemExit(0)")
+    (tmp_path / "exiting_controller.py").write_text(exits, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "circle.yaml").write_text(PROTOCOL, encoding="utf-8")
+    command = ["run", str(tmp_path / "circle.yaml"), "--rig", "mock-3", "--fast", "--yes", "--no-report"]
+    result = invoke(*command, "--out", tmp_path, "--controller", "exiting_controller:Raises")
+    assert result.exit_code == 1
+    assert "the tip controller failed: SystemExit: 0" in result.output
+
+
 def test_a_controller_that_raises_at_once_does_not_start_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "failing_controller.py").write_text(RAISES.replace("FROM_S", "-1.0"), encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
