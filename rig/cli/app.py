@@ -201,7 +201,7 @@ def check(protocol: ProtocolName, settings: Settings = None, rig: RigName = None
     else:
         screen = console()
         screen.print(run_output.check_screen(request, decided))
-        screen.print(run_output.sketch(decided, screen.width))
+        screen.print(run_output.setpoint_plot(decided, screen.width))
         if decided.trajectory.tip:
             screen.print(run_output.tip_paths(decided))
         screen.print(run_output.verdict(request), soft_wrap=not screen.is_terminal)

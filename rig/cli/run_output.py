@@ -17,7 +17,7 @@ from rig.cli.column_table import ColumnTable, facts_table
 from rig.cli.exit_status import DONE, FAULT, INTERRUPTED
 from rig.config.schema import RigConfig
 from rig.execution.plan import RunPlan
-from rig.experiment.preflight import peak_pa
+from rig.experiment.preflight import peak_pa, trough_pa
 from rig.experiment.run import RunRequest, RunResult
 from rig.hardware.safe_state import safe_voltages
 from rig.realtime.scheduling import obtainable
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _EXIT = {Status.FINISHED: DONE, Status.ABORTED: FAULT, Status.INTERRUPTED: INTERRUPTED}
 _VERDICT = {"ok": "green", "missing": "bold red", "note": "yellow"}
 _STATUS = {Status.FINISHED: "bold green", Status.ABORTED: "bold red", Status.INTERRUPTED: "bold yellow"}
-_SKETCH_LINES = 10
+_PLOT_LINES = 10
 
 
 def title(request: RunRequest) -> str:
@@ -136,7 +136,7 @@ def _tip_paths_json(plan: RunPlan) -> dict[str, object]:
     return {"tip_paths": assess(plan.config, plan.trajectory, plan.variant)}
 
 
-def sketch(plan: RunPlan, width: int) -> Text:
+def setpoint_plot(plan: RunPlan, width: int) -> Text:
     """Plot the set-points over time as text; actuators with equal set-points share a symbol."""
     columns = max(20, min(width, 110) - 12)
     times = np.linspace(0.0, plan.trajectory.duration_s, columns)
@@ -144,14 +144,15 @@ def sketch(plan: RunPlan, width: int) -> Text:
     alike: dict[bytes, list[int]] = {}
     for actuator, column in enumerate(levels.T, 1):
         alike.setdefault(column.tobytes(), []).append(actuator)
-    top = max(peak_bar(plan))
-    lines_up = _SKETCH_LINES if top > 0 else 0
+    low, top = min(0.0, trough_pa(plan.trajectory) / PA_PER_BAR), max(0.0, max(peak_bar(plan)))
+    span = top - low
+    lines_up = _PLOT_LINES if span > 0 else 0
     grid = [[" "] * columns for _ in range(lines_up + 1)]
     for numbers in reversed(alike.values()):
         for column, level in enumerate(levels[:, numbers[0] - 1]):
-            grid[round(lines_up * (1 - float(level) / top)) if lines_up else 0][column] = str(numbers[0])
-    digits = 2 if top >= 0.1 or not lines_up else 4
-    lines = [f"{top * (1 - i / max(lines_up, 1)):6.{digits}f} bar {''.join(row)}" for i, row in enumerate(grid)]
+            grid[round(lines_up * (top - float(level)) / span) if lines_up else 0][column] = str(numbers[0])
+    digits = 2 if span >= 0.1 or not lines_up else 4
+    lines = [f"{top - span * i / max(lines_up, 1):6.{digits}f} bar {''.join(row)}" for i, row in enumerate(grid)]
     end = f"{plan.trajectory.duration_s:.0f} s"
     lines.append(" " * 11 + "0 s" + end.rjust(columns - 3))
     lines += [f"{numbers[0]}: actuators {', '.join(map(str, numbers))}" for numbers in alike.values() if numbers[1:]]
@@ -228,7 +229,7 @@ def result_facts(result: RunResult) -> dict[str, object]:
         "archive": str(result.archive) if result.archive else None,
         "report": str(result.report) if result.report else None,
         "parameters": str(result.parameters) if result.parameters else None,
-        "trouble": result.warnings,
+        "warnings": result.warnings,
         "counters": result.outcome.counters,
         "summary": summary_facts(result.archive) if result.archive else None,
     }

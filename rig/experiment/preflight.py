@@ -33,6 +33,11 @@ def peak_pa(trajectory: SetPointTrajectory) -> list[float]:
     return [max(levels) for levels in highest]
 
 
+def trough_pa(trajectory: SetPointTrajectory) -> float:
+    """Return the lowest set-point of all actuators [Pa]."""
+    return min(low for segment in trajectory.segments for low, _, _ in _extremes(segment))
+
+
 class _PreflightCheck:
     def __init__(self, config: RigConfig, trajectory: SetPointTrajectory, protocol: Protocol | None, rig: str) -> None:
         self._config = config
@@ -91,8 +96,17 @@ class _PreflightCheck:
                 expected = f"at most {limits.rate_bar_per_s:g} bar/s (limits, rate_bar_per_s{self._rig})"
                 yield "rate", slope - fastest, self._problem(segment, f"{who} at {_bar(slope)}/s", expected)
         first = segment.level_at(segment.start_s)
+        # The reference needs this long for a jump; the tracking interlock then ends the run before it has arrived.
+        farthest = fastest * limits.tracking_s + limits.tracking_bar * PA_PER_BAR
         for index, (old, new) in enumerate(zip(before, first, strict=True)):
             jump = abs(new - old)
+            if segment.jumps and jump > farthest and segment.stop_s - segment.start_s > limits.tracking_s:
+                found = f"actuator {index + 1} jumps from {_bar(old)} to {_bar(new)}"
+                expected = (
+                    f"a jump of at most {_bar(farthest)}, which {limits.rate_bar_per_s:g} bar/s permits within "
+                    f"{limits.tracking_s:g} s (limits, rate_bar_per_s, tracking_s{self._rig}); or put a ramp before it"
+                )
+                yield "far jump", jump, self._problem(segment, found, expected)
             if not segment.jumps and jump > JUMP_PA:
                 found = f"actuator {index + 1} jumps from {_bar(old)} to {_bar(new)}"
                 expected = "a start at the current set-point; give this step lead_in_s, or put a ramp before it"

@@ -19,6 +19,7 @@ from rig.execution.plan import Progress
 from rig.experiment import run as experiment
 from runs.records import DetectionStatus, Quantity, adaptation_dtype, observation_dtype, sample_dtype
 from tests.support.bus_rig import bus_text
+from tests.support.vacuum_rig import vacuum_text
 
 
 def drawn(what: RenderableType, columns: int) -> str:
@@ -35,9 +36,9 @@ def checked(protocol: str | Path, rig: str | Path, columns: int) -> str:
 
 
 def plotted(protocol: Path, columns: int = 80) -> list[str]:
-    return drawn(run_output.sketch(experiment.plan(experiment.request(str(protocol), "mock")), columns), columns).split(
-        "\n"
-    )
+    return drawn(
+        run_output.setpoint_plot(experiment.plan(experiment.request(str(protocol), "mock")), columns), columns
+    ).split("\n")
 
 
 def protocol_to(folder: Path, level_bar: float) -> Path:
@@ -104,6 +105,18 @@ def test_the_scale_of_a_plot_ends_at_the_peak_however_brief_it_is(tmp_path: Path
     steps = "".join(f"  - ramp: {{actuators: [1], to_bar: {level}, duration_s: 1}}\n" for level in (0.7, 0))
     (tmp_path / "p.yaml").write_text(f"title: T\nsteps:\n{steps}  - hold: {{duration_s: 7000}}\n")
     assert plotted(tmp_path / "p.yaml")[0].startswith("  0.70 bar")
+
+
+def test_the_scale_of_a_plot_with_vacuum_has_both_signs(tmp_path: Path) -> None:
+    rig, protocol = tmp_path / "vacuum.yaml", tmp_path / "p.yaml"
+    rig.write_text(vacuum_text())
+    steps = "".join(f"  - ramp: {{actuators: [1], to_bar: {level}, duration_s: 2}}\n" for level in (-0.6, 0.4))
+    protocol.write_text(f"title: T\nsteps:\n{steps}")
+    lines = drawn(run_output.setpoint_plot(experiment.plan(experiment.request(str(protocol), str(rig))), 80), 80)
+    labels = [line[:10].strip() for line in lines.split("\n") if "bar" in line]
+    assert labels[0] == "0.40 bar"
+    assert labels[4] == "0.00 bar"
+    assert labels[-1] == "-0.60 bar"
 
 
 class Keyboard(io.StringIO):

@@ -92,6 +92,18 @@ def test_a_step_of_the_set_point_is_accepted(tmp_path: Path) -> None:
     assert checked(tmp_path, "hold: {actuators: [1], level_bar: 0.6, duration_s: 1}") == ()
 
 
+def test_a_jump_that_the_tracking_interlock_would_end_is_refused(tmp_path: Path) -> None:
+    config = load("mock")
+    slow = config.model_copy(update={"limits": config.limits.model_copy(update={"rate_bar_per_s": 0.3})})
+    file = tmp_path / "p.yaml"
+    file.write_text("title: t\nsteps:\n  - hold: {actuators: [1], level_bar: 0.5, duration_s: 3}\n")
+    protocol = protocols.load(file)
+    (problem,) = check(slow, protocol.expand(slow.actuators), protocol, Path("rigs/bench.yaml"))
+    assert (problem.line, problem.value) == (3, "actuator 1 jumps from 0 bar to 0.5 bar")
+    assert "at most 0.35 bar, which 0.3 bar/s permits within 1 s" in problem.expected
+    assert check(config, protocol.expand(config.actuators), protocol) == ()
+
+
 def test_a_protocol_that_takes_too_long_is_refused(tmp_path: Path) -> None:
     (problem,) = checked(tmp_path, "hold: {duration_s: 4000}")
     assert (problem.value, problem.where) == ("4000 s", "the whole protocol")
