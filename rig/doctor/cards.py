@@ -143,8 +143,8 @@ def _called(path: str, kernel: ComediModule | None) -> str:
 
 
 def _card(found: ComediCardSurvey, kernel: ComediModule | None) -> list[Finding]:
-    if found.trouble:
-        what = f"{_called(found.path, kernel)}{found.trouble}"
+    if found.failure:
+        what = f"{_called(found.path, kernel)}{found.failure}"
         return [Finding("card", "missing", what, found.remedy or SEE_DMESG)]
     parts = Counter((kind, channels) for kind, channels in found.subdevices if kind != "unused")
     has = ", ".join(

@@ -47,9 +47,9 @@ def pictures(subject: CameraSubject) -> str:
 def stamps(subject: CameraSubject) -> str:
     """Every picture is new, with a time of CLOCK_MONOTONIC."""
     frames = subject.frames()
-    said = rate_and_age(frames, "pictures", subject.config.cameras[subject.name].rate_hz)
+    measured = rate_and_age(frames, "pictures", subject.config.cameras[subject.name].rate_hz)
     dropped = frames[-1][0].index - frames[0][0].index - (len(frames) - 1)
-    return f"{said}, {dropped} dropped"
+    return f"{measured}, {dropped} dropped"
 
 
 def reopening(subject: CameraSubject) -> str:

@@ -126,13 +126,13 @@ def _judge(
     """Raise BrokenContractError where the pressures are not those that the valve was given."""
     target_pa = _target_pa(subject)
     own = ", ".join(map(str, valve.actuators))
-    said = f"{valve.output_unit} for {target_pa / PA_PER_BAR:.2f} bar at actuator {own}"
+    written = f"{valve.output_unit} for {target_pa / PA_PER_BAR:.2f} bar at actuator {own}"
     for actuator, pressure_pa in enumerate(reached_pa.tolist(), 1):
         reads = f"the sensor of actuator {actuator} reads {pressure_pa / PA_PER_BAR:.2f} bar"
         if actuator in valve.actuators and not LEAST * target_pa <= pressure_pa <= MOST * target_pa:
-            raise BrokenContractError(f"{said} were written and {reads}: in which unit, to which channel?")
+            raise BrokenContractError(f"{written} were written and {reads}: in which unit, to which channel?")
         if actuator not in valve.actuators and raised[actuator - 1]:
-            raise BrokenContractError(f"{said} were written and {reads}: are two channels swapped?")
+            raise BrokenContractError(f"{written} were written and {reads}: are two channels swapped?")
 
 
 def _vent(subject: CardSubject, card: Card, sensors: CardSensors) -> str:

@@ -201,8 +201,8 @@ def _open_node(name: str, node: Path) -> int:
 
         if error.errno == errno.EBUSY:
             raise why_closed(os.fspath(node), error) from None
-        trouble = why_closed(os.fspath(node), error)
-        raise CardError(f"card '{name}': {trouble.what}", trouble.remedy) from None
+        failure = why_closed(os.fspath(node), error)
+        raise CardError(f"card '{name}': {failure.what}", failure.remedy) from None
     if not stat.S_ISCHR(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise CardError(f"card '{name}': {node} is not a device node")

@@ -99,7 +99,7 @@ def force_safe_state(config: RigConfig, memory: SharedState) -> str:
     time.sleep(0.005)
     # A card with exclusive access is free only once its process has released its memory; and a killed process may have
     # written once more before it died.
-    trouble = failure_of(lambda: make_safe(config, vent=memory.vents), RELEASE_S)
+    failure = failure_of(lambda: make_safe(config, vent=memory.vents), RELEASE_S)
     # Set only after the second write: other processes stop checking when it is set.
-    memory.safe_ns = 0 if trouble else time.monotonic_ns()
-    return trouble
+    memory.safe_ns = 0 if failure else time.monotonic_ns()
+    return failure

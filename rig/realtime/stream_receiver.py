@@ -59,7 +59,7 @@ class StreamReceiver:
         self._interval: StreamInterval | None = None
         self._reported: StreamInterval | None = None
         self._owner = 0
-        self._said_s = 0.0
+        self._reported_s = 0.0
         self._refusing = 0
 
     def update(self, place: str) -> None:
@@ -166,12 +166,12 @@ class StreamReceiver:
             case StreamStatus.FOLLOWED:
                 return ""
             case StreamStatus.OUT_OF_LIMITS:
-                asked = ", ".join(f"{_bar(value):.6g}" for value in packet["setpoint_bar"])
+                given = ", ".join(f"{_bar(value):.6g}" for value in packet["setpoint_bar"])
                 if (unequal := self._limits.unequal(self._row["setpoint_pa"])) is not None:
                     names = " and ".join(str(index + 1) for index in unequal)
-                    return f"{asked} bar; actuators {names} are on one valve: the same pressure is expected"
+                    return f"{given} bar; actuators {names} are on one valve: the same pressure is expected"
                 lowest, highest = (pa / PA_PER_BAR for pa in (self._limits.lowest_pa, self._limits.pressure_pa))
-                return f"{asked} bar; expected {lowest:g} to {highest:g} bar (limits, pressure_bar)"
+                return f"{given} bar; expected {lowest:g} to {highest:g} bar (limits, pressure_bar)"
             case StreamStatus.OUT_OF_ORDER:
                 return f"a sequence number above {client.sequence} is expected"
             case StreamStatus.OTHER_CLIENT:
@@ -186,24 +186,24 @@ class StreamReceiver:
             self._event(Level.INFO, SOURCE, f"{client.sender} sends the set-points of {_actuators(interval)}")
         missing = sequence - client.sequence - 1 if client.sequence >= 0 else 0
         client.followed, client.lost, client.sequence = client.followed + 1, client.lost + missing, sequence
-        if missing and self._loud():
+        if missing and self._may_report():
             message = f"set-points {sequence - missing} to {sequence - 1} of {client.sender} did not arrive"
             self._event(Level.WARNING, SOURCE, f"{message}; the run continues")
-        if self._refusing and self._loud():
+        if self._refusing and self._may_report():
             self._event(Level.INFO, SOURCE, f"set-points are followed again, after {self._refusing} refused ones")
             self._refusing = 0
 
     def _refuse(self, client: _Client, message: str) -> None:
         client.refused, self._refusing = client.refused + 1, self._refusing + 1
-        if self._loud():
+        if self._may_report():
             self._event(Level.WARNING, SOURCE, f"{message}; the set-points stay")
 
-    def _loud(self) -> bool:
+    def _may_report(self) -> bool:
         """Whether an event may be recorded now: a program that sends nonsense must not fill the record."""
         now_s = time.monotonic()
-        loud = now_s - self._said_s > QUIET_S
-        self._said_s = now_s if loud else self._said_s
-        return loud
+        due = now_s - self._reported_s > QUIET_S
+        self._reported_s = now_s if due else self._reported_s
+        return due
 
 
 def _sequence(packet: Mapping[str, Any]) -> int:

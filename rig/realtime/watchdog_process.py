@@ -58,24 +58,24 @@ def main() -> int:
             ended = memory.card_holder_pid
             _kill(ended or memory.control_pid)  # only its exit releases the card
         # A safe state that control has written is not written again: another program may have vented held valves since.
-        trouble = "" if not reason and memory.safe_ns else _make_safe(outputs, memory)
+        failure = "" if not reason and memory.safe_ns else _make_safe(outputs, memory)
     # The outputs are safe; the rest is not urgent.
     if reason:
         memory.watchdog_trip_ns = time.monotonic_ns()
         _kill(memory.control_pid)
         time.sleep(0.005)
         # A control process that was only slow may have written once more before it died.
-        trouble = _make_safe(outputs, memory)
-    message = f"{reason}; then {trouble}" if reason and trouble else reason or trouble
-    memory.publish_stage("watchdog", Stage.FAILED if trouble else Stage.DONE, message)
+        failure = _make_safe(outputs, memory)
+    message = f"{reason}; then {failure}" if reason and failure else reason or failure
+    memory.publish_stage("watchdog", Stage.FAILED if failure else Stage.DONE, message)
     if ended:
         # No other process is left to report it.
         print(f"{reason}: the process that held the card was ended to make the valves safe", file=sys.stderr)
     outputs.close()
     disable_realtime_scheduling()
     if (reason and _supervisor_exits(memory, supervisor)) or (not memory.safe_ns and supervisor.exited):
-        report_end(trouble and message, lambda: verify_venting(job.plan.config, vent=memory.vents))
-    return 1 if trouble else 0
+        report_end(failure and message, lambda: verify_venting(job.plan.config, vent=memory.vents))
+    return 1 if failure else 0
 
 
 def _make_safe(outputs: WatchdogOutputs, memory: SharedState, patience_s: float = RETRY_S) -> str:

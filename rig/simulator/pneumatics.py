@@ -310,8 +310,8 @@ def advance(
         for a in range(n):
             i = c.valve[a]
             if v.regulates[i]:
-                asked = v.pa_at_zero_v[i] + v.pa_per_v[i] * air.spool_v[i]
-                target = min(max(asked, v.lowest_pa[i]), v.highest_pa[i])
+                demanded = v.pa_at_zero_v[i] + v.pa_per_v[i] * air.spool_v[i]
+                target = min(max(demanded, v.lowest_pa[i]), v.highest_pa[i])
                 air.pressure_pa[a] += c.regulator_gain * (target - air.pressure_pa[a])
             else:
                 air.pressure_pa[a] += dt * rate[a]

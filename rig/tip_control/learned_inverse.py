@@ -54,13 +54,13 @@ class EarlierRun:
         frame_s = np.interp(tip.time_s, pressure.time_s, pressure.protocol_s)
         seen = (reference.motion > 0) & np.isfinite(tip.measured_mm).all(axis=1)
         for motion in range(1, int(reference.motion.max()) + 1):
-            asked, found = frame_s[reference.motion == motion], frame_s[seen & (reference.motion == motion)]
-            gaps = np.diff(np.concatenate([asked[:1], found, asked[-1:]]))
+            in_motion, found = frame_s[reference.motion == motion], frame_s[seen & (reference.motion == motion)]
+            gaps = np.diff(np.concatenate([in_motion[:1], found, in_motion[-1:]]))
             if len(gaps) and gaps.max() > LONGEST_GAP_S:
                 found_s = f"{gaps.max():.2f} s of a tip path without one"
                 raise NotRepeatedError(f"a run with a measured tip every {LONGEST_GAP_S:g} s; this one has {found_s}")
             # At the start of a motion the protocol may have waited for a prompt.
-            moving = (pressure.protocol_s > asked[0]) & (pressure.protocol_s <= asked[-1])
+            moving = (pressure.protocol_s > in_motion[0]) & (pressure.protocol_s <= in_motion[-1])
             if (np.diff(pressure.protocol_s[moving]) <= 0).any():
                 raise NotRepeatedError("a run that was not paused on its tip paths")
         samples = _last_of_equal(pressure.protocol_s)

@@ -49,7 +49,7 @@ def own_clock() -> None:
 
 def test_a_survey_lists_what_the_documentation_says_of_the_board() -> None:
     (found,) = survey()
-    assert (found.board, found.driver, found.trouble) == (BOARD, "adv_pci1710", "")
+    assert (found.board, found.driver, found.failure) == (BOARD, "adv_pci1710", "")
     assert found.inputs is not None
     assert found.outputs is not None
     assert (found.inputs.channels, found.inputs.bits) == (16, STEPS.bit_length())

@@ -78,7 +78,7 @@ class AnalogueChannel:
         self._what = what
         self.range_index = int(channel.range.value)
         self.max_raw = int(channel.get_maxdata())
-        with _told(path, f"{what}: no calibration"):
+        with _as_card_error(path, f"{what}: no calibration"):
             converter = channel.get_converter()
         self.to_volts = Polynomial(
             tuple(converter.get_to_physical_coefficients().tolist()), converter.get_to_physical_expansion_origin()
@@ -94,12 +94,12 @@ class AnalogueChannel:
 
     def read(self) -> int:
         """One conversion of an input, or the last value of an output."""
-        with _told(self._path, f"{self._what} cannot be read"):
+        with _as_card_error(self._path, f"{self._what} cannot be read"):
             return int(self._channel.data_read())
 
     def write(self, raw: int) -> None:
         """Set an output."""
-        with _told(self._path, f"{self._what} cannot be written"):
+        with _as_card_error(self._path, f"{self._what} cannot be written"):
             self._channel.data_write(raw)
 
 
@@ -127,7 +127,7 @@ class Subdevice:
         """A channel in the range of that index."""
         pc = _pycomedi()
         what = f"{self.word} {channel}"
-        with _told(self._path, what):
+        with _as_card_error(self._path, what):
             own = self._subdevice.channel(
                 channel,
                 factory=pc.AnalogChannel,
@@ -138,7 +138,7 @@ class Subdevice:
 
     def triggers(self) -> tuple[Trigger, Trigger]:
         """The triggers that the card has for the begin of a scan and for a conversion."""
-        with _told(self._path, "its command abilities cannot be read"):
+        with _as_card_error(self._path, "its command abilities cannot be read"):
             mask = self._subdevice.get_cmd_src_mask()
         return _triggers(mask.scan_begin_src), _triggers(mask.convert_src)
 
@@ -166,12 +166,12 @@ class Subdevice:
 
     def command(self) -> None:
         """Start the prepared command; its samples are read from the device's file descriptor."""
-        with _told(self._path, "sampling cannot be started; it may be sampling for another process already"):
+        with _as_card_error(self._path, "sampling cannot be started; it may be sampling for another process already"):
             self._subdevice.command()
 
     def cancel(self) -> None:
         """Stop the command."""
-        with _told(self._path, "sampling cannot be stopped"):
+        with _as_card_error(self._path, "sampling cannot be stopped"):
             self._subdevice.cancel()
 
 
@@ -186,12 +186,12 @@ class DigitalLines:
 
     def read(self, channels: Sequence[int]) -> list[bool]:
         """Whether each channel is high."""
-        with _told(self._path, "the digital inputs cannot be read"):
+        with _as_card_error(self._path, "the digital inputs cannot be read"):
             return [bool(self._subdevice.dio_bitfield(base_channel=channel) & 1) for channel in channels]
 
     def write(self, channels: Sequence[int], *, high: bool) -> None:
         """Set each channel; the others keep their levels."""
-        with _told(self._path, "the digital outputs cannot be written"):
+        with _as_card_error(self._path, "the digital outputs cannot be written"):
             for channel in channels:
                 self._subdevice.dio_bitfield(bits=int(high), write_mask=1, base_channel=channel)
 
@@ -209,18 +209,18 @@ class Device:
         self.path = path
         # The error of Comedilib is unreliable, so the kernel is asked first, and again if the card was taken meanwhile.
         for again in (True, False):
-            if (trouble := closed(path)) is not None:
-                raise trouble
+            if (failure := closed(path)) is not None:
+                raise failure
             self._device = pc.Device(os.fsencode(path))
             try:
-                with _told(path, "it exists, but no card is attached to it"):
+                with _as_card_error(path, "it exists, but no card is attached to it"):
                     self._device.open()
                 break
             except CardError:
                 if not again:
                     raise
         try:
-            with _told(path, "it cannot be asked what it is"):
+            with _as_card_error(path, "it cannot be asked what it is"):
                 self.driver = _text(self._device.get_driver_name())
                 self.board = _text(self._device.get_board_name())
                 self.subdevices = tuple((s.get_type().name, int(s.get_n_channels())) for s in self._device.subdevices())
@@ -326,7 +326,7 @@ def _pycomedi() -> _Names:
 
 
 @contextlib.contextmanager
-def _told(path: str, what: str) -> Iterator[None]:
+def _as_card_error(path: str, what: str) -> Iterator[None]:
     """Turn pycomedi's error into a `CardError` that names the device and what was tried."""
     try:
         yield

@@ -32,7 +32,7 @@ class SubdeviceSurvey:
 
 @dataclass(frozen=True)
 class ComediCardSurvey:
-    """One device node: its card, or `trouble`, why it cannot be queried, with the remedy.
+    """One device node: its card, or `failure`, why it cannot be queried, with the remedy.
 
     `subdevices` are what the card has, in its order: Comedi's short name of the kind, and how many channels.
     """
@@ -43,12 +43,12 @@ class ComediCardSurvey:
     subdevices: tuple[tuple[str, int], ...] = ()
     inputs: SubdeviceSurvey | None = None
     outputs: SubdeviceSurvey | None = None
-    trouble: str = ""
+    failure: str = ""
     remedy: str = ""
 
 
 def survey() -> tuple[ComediCardSurvey, ...]:
-    """Query every Comedi device; one that cannot be opened is listed with its trouble."""
+    """Query every Comedi device; one that cannot be opened is listed with its failure."""
     return tuple(_look(path) for path in device_paths())
 
 
@@ -56,12 +56,12 @@ def _look(path: str) -> ComediCardSurvey:
     try:
         device = Device(path)
     except CardError as error:
-        return ComediCardSurvey(path, trouble=error.what, remedy=error.remedy)
+        return ComediCardSurvey(path, failure=error.what, remedy=error.remedy)
     known = ComediCardSurvey(path, device.board, device.driver, device.subdevices)
     try:
         return replace(known, inputs=_lines(device.inputs), outputs=_lines(device.outputs))
     except CardError as error:
-        return replace(known, trouble=error.what, remedy=error.remedy)
+        return replace(known, failure=error.what, remedy=error.remedy)
     finally:
         device.close()
 

@@ -51,7 +51,7 @@ class NidaqmxCard:
         self._inputs: Any = None
         self._tasks: list[Any] = []
         try:
-            with self._told("it cannot be opened"):
+            with self._as_card_error("it cannot be opened"):
                 self._outputs = self._task()
                 for one in setup.outputs:
                     self._outputs.ao_channels.add_ao_voltage_chan(
@@ -71,7 +71,7 @@ class NidaqmxCard:
         self._stop()
         rate_hz = self._setup.sampling_hz
         wiring = self._ni.constants.TerminalConfiguration
-        with self._told("sampling cannot be started"):
+        with self._as_card_error("sampling cannot be started"):
             self._inputs = self._task()
             for one in self._setup.inputs:
                 self._inputs.ai_channels.add_ai_voltage_chan(
@@ -96,7 +96,7 @@ class NidaqmxCard:
         if self._inputs is None:
             return Scans.none(count)
         lost = 0
-        with self._told("the inputs cannot be read"):
+        with self._as_card_error("the inputs cannot be read"):
             try:
                 volts = np.empty((count, self._inputs.in_stream.avail_samp_per_chan))
                 if volts.size:
@@ -114,14 +114,14 @@ class NidaqmxCard:
 
     def read_digital(self) -> NDArray[np.bool_]:
         """Whether each digital input is high."""
-        with self._told("the digital inputs cannot be read"):
+        with self._as_card_error("the digital inputs cannot be read"):
             return np.atleast_1d(np.array(self._digital.read(), bool))
 
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the outputs, each clipped to its range; again for a moment while another process is writing."""
         inside = self._setup.clipped(volts).tolist()
         until = time.monotonic() + WRITE_AGAIN_S
-        with self._told("the outputs cannot be written"):
+        with self._as_card_error("the outputs cannot be written"):
             while True:
                 try:
                     self._outputs.write(inside if len(inside) > 1 else inside[0], auto_start=True)
@@ -147,7 +147,7 @@ class NidaqmxCard:
     def _stop(self) -> None:
         if self._inputs is not None:
             self._tasks.remove(self._inputs)
-            with self._told("sampling cannot be stopped"):
+            with self._as_card_error("sampling cannot be stopped"):
                 self._inputs.close()
             self._inputs = None
 
@@ -157,7 +157,7 @@ class NidaqmxCard:
         return task
 
     @contextmanager
-    def _told(self, what: str) -> Iterator[None]:
+    def _as_card_error(self, what: str) -> Iterator[None]:
         """Turn NI's error into a `CardError` that names the device and what was tried."""
         try:
             yield

@@ -73,7 +73,7 @@ class SerialCard:
         self._applied: Acknowledgement | None = None
         self._sequence = 0
         self._sent: dict[int, tuple[int, ...]] = {}
-        self._asked_pa: tuple[int, ...] | None = None
+        self._setpoint_pa: tuple[int, ...] | None = None
         self._written_ns = 0
         self._unconfirmed_since_ns = 0
         self._clock: ScanClock | None = None
@@ -168,20 +168,20 @@ class SerialCard:
 
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the pressures [bar], each clipped to its range; also the heartbeat. Other channels are vented."""
-        asked = [self._controller.vent_pa] * self._controller.channels
+        setpoint_pa = [self._controller.vent_pa] * self._controller.channels
         for channel, bar in zip(self._setup.outputs, self._setup.clipped(volts).tolist(), strict=True):
-            asked[channel.number] = round(bar * PA_PER_BAR)
-        self._asked_pa = tuple(asked)
+            setpoint_pa[channel.number] = round(bar * PA_PER_BAR)
+        self._setpoint_pa = tuple(setpoint_pa)
         self._send()
 
     def _send(self) -> None:
-        assert self._asked_pa is not None
+        assert self._setpoint_pa is not None
         self._sequence = (self._sequence + 1) % SEQUENCES
-        self._sent[self._sequence] = self._asked_pa
+        self._sent[self._sequence] = self._setpoint_pa
         self._sent.pop((self._sequence - KEPT) % SEQUENCES, None)
         self._written_ns = time.monotonic_ns()
         self._unconfirmed_since_ns = self._unconfirmed_since_ns or self._written_ns
-        self._port.write(drive(self._sequence, self._asked_pa))
+        self._port.write(drive(self._sequence, self._setpoint_pa))
 
     def readback(self) -> NDArray[np.float64]:
         """The set-points that hold [bar]; NaN where the newest command is not acknowledged within a short wait.
@@ -190,7 +190,7 @@ class SerialCard:
         """
         self._receive()
         until_ns, again_ns = self._written_ns + round(CONFIRMED_S * 1e9), self._written_ns + round(REPEATED_S * 1e9)
-        while self._asked_pa is not None and not self._confirmed and (now := time.monotonic_ns()) < until_ns:
+        while self._setpoint_pa is not None and not self._confirmed and (now := time.monotonic_ns()) < until_ns:
             if now > again_ns:
                 again_ns = until_ns
                 self._send()

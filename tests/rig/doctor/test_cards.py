@@ -90,11 +90,11 @@ class Machine:
         self._monkeypatch.setattr(cards, "device_paths", lambda: tuple(one.path for one in found))
         self._monkeypatch.setattr(cards, "require", lambda: None)
 
-    def without_pycomedi(self, *paths: str, trouble: CardError | None = None) -> None:
+    def without_pycomedi(self, *paths: str, failure: CardError | None = None) -> None:
         """Nodes are there, the binding is not."""
         self.binding_fails(CardError("pycomedi is not installed", "run `make comedi`"))
         self._monkeypatch.setattr(cards, "device_paths", lambda: paths)
-        self._monkeypatch.setattr(cards, "closed", lambda path: trouble)
+        self._monkeypatch.setattr(cards, "closed", lambda path: failure)
 
     def binding_fails(self, error: Exception) -> None:
         """Let the import of pycomedi raise this."""
@@ -231,13 +231,13 @@ def test_a_card_without_a_clock_or_outputs_is_reported(machine: Machine) -> None
 
 def test_for_a_card_without_permission_the_group_to_join_is_named(machine: Machine) -> None:
     machine.write("proc/comedi", TWO_CARDS)
-    trouble = CardError("no permission to open /dev/comedi11", "`sudo adduser $USER iocard`, then log in again")
-    machine.survey(ComediCardSurvey("/dev/comedi11", trouble=trouble.what, remedy=trouble.remedy))
+    failure = CardError("no permission to open /dev/comedi11", "`sudo adduser $USER iocard`, then log in again")
+    machine.survey(ComediCardSurvey("/dev/comedi11", failure=failure.what, remedy=failure.remedy))
     expected = Finding(
-        "card", "missing", "pci1716 (driver adv_pci1710): no permission to open /dev/comedi11", trouble.remedy
+        "card", "missing", "pci1716 (driver adv_pci1710): no permission to open /dev/comedi11", failure.remedy
     )
     assert machine.said()["card"] == expected
-    machine.without_pycomedi("/dev/comedi11", trouble=trouble)
+    machine.without_pycomedi("/dev/comedi11", failure=failure)
     assert machine.said()["card"] == expected
 
 
@@ -249,7 +249,7 @@ def test_a_missing_binding_is_reported(machine: Machine) -> None:
 
 
 def test_a_device_that_cannot_be_opened_for_an_unknown_reason_still_gets_a_remedy(machine: Machine) -> None:
-    machine.without_pycomedi("/dev/comedi0", trouble=CardError("/dev/comedi0 cannot be opened: Is a directory"))
+    machine.without_pycomedi("/dev/comedi0", failure=CardError("/dev/comedi0 cannot be opened: Is a directory"))
     assert "dmesg" in machine.said()["card"].remedy
 
 

@@ -80,26 +80,26 @@ def test_a_second_opener_is_refused_with_the_holder(config: RigConfig) -> None:
 
 
 def test_the_watchdog_releases_a_one_opener_card_and_opens_it_to_write(config: RigConfig, device: str) -> None:
-    grip = WatchdogOutputs(config)
-    assert not grip.shared
+    watchdog = WatchdogOutputs(config)
+    assert not watchdog.shared
     control = open_bench(config)
     with pytest.raises(CardBusyError):
-        grip.make_safe(vent=False)
+        watchdog.make_safe(vent=False)
     control.close()
-    grip.make_safe(vent=False)
+    watchdog.make_safe(vent=False)
     assert volts(device) == [0.0, 0.0]
-    grip.close()
+    watchdog.close()
 
 
 def test_the_watchdog_keeps_any_other_card_open(device: str) -> None:
     config = rig.config.loader.parse(rig_text(device, one_opener=False), "rig.yaml")
-    grip = WatchdogOutputs(config)
-    assert grip.shared
+    watchdog = WatchdogOutputs(config)
+    assert watchdog.shared
     control = open_bench(config)
-    grip.make_safe(vent=False)
+    watchdog.make_safe(vent=False)
     assert volts(device) == [0.0, 0.0]
     control.close()
-    grip.close()
+    watchdog.close()
 
 
 def test_the_watchdog_does_not_open_a_card_that_has_no_outputs(device: str) -> None:
