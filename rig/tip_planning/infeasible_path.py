@@ -95,15 +95,32 @@ def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_re
         return "give a point within its reach"
     # Almost no lead-in shows as a missed start of the path.
     in_lead_in = t_s < (LEAD_IN_FELT_S if request.lead_in_s < SHORTEST_LEAD_IN_S else 0.0)
-    if not out_of_reach and (in_lead_in or still):
-        if lead_in_s := _long_enough_lead_in_s(follower, request):
-            return f"a lead_in_s of {lead_in_s:g} is long enough"
-        if still:
+    if out_of_reach or not (in_lead_in or still):
+        if possible := _possible(follower, request, worst_m, out_of_reach):
+            return f"largest possible: {possible}"
+        if out_of_reach or request.lead_in_s >= USUAL_LEAD_IN_S:
+            return f"neither {SMALLEST:g} of its speed nor {SMALLEST:g} of its size makes it possible"
+        lead_in_s = 0.0
+    else:
+        lead_in_s = _long_enough_lead_in_s(follower, request)
+        if still and not lead_in_s:
             return f"a lead_in_s of {LONGEST_LEAD_IN_S:g} is not long enough either"
-        request = replace(request, lead_in_s=max(request.lead_in_s, USUAL_LEAD_IN_S))
-        worst_m = follower.worst_m(request, 1.0, 1.0)
-    found, longer = [], f"with a lead_in_s of {request.lead_in_s:g} " if in_lead_in and not out_of_reach else ""
-    tolerance_m = request.tolerance_m
+    # A lead-in with which the path can be begun may not be long enough for the rest of it.
+    for longer_s in (
+        (lead_in_s, max(lead_in_s, request.lead_in_s, USUAL_LEAD_IN_S)) if lead_in_s else (USUAL_LEAD_IN_S,)
+    ):
+        request = replace(request, lead_in_s=longer_s)
+        if (worst_m := follower.worst_m(request, 1.0, 1.0)) <= request.tolerance_m:
+            return f"a lead_in_s of {longer_s:g} is long enough"
+    longer = f"with a lead_in_s of {request.lead_in_s:g}"
+    if possible := _possible(follower, request, worst_m, out_of_reach):
+        return f"largest possible {longer}: {possible}"
+    return f"{longer} neither {SMALLEST:g} of its speed nor {SMALLEST:g} of its size makes it possible"
+
+
+def _possible(follower: PathFollower, request: TipRequest, worst_m: float, out_of_reach: bool) -> str:
+    """Largest speed and size with which the path can be followed, `worst_m` being its error; empty without any."""
+    found, tolerance_m = [], request.tolerance_m
     speed = 0.0 if out_of_reach else largest_share(lambda s: follower.worst_m(request, s, 1.0), worst_m, tolerance_m)
     if speed:
         period = request.path.period_s
@@ -112,9 +129,7 @@ def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_re
     size = largest_share(lambda s: follower.worst_m(request, 1.0, s), worst_m, tolerance_m)
     if size:
         found.append(f"{size:.2f} of this size about {_point(request.path.centre_m(), request.coordinates)}")
-    if not found:
-        return f"{longer}neither {SMALLEST:g} of its speed nor {SMALLEST:g} of its size makes it possible"
-    return f"largest possible {longer}".rstrip() + f": {', or '.join(found)}"
+    return ", or ".join(found)
 
 
 def _in_metres(path: TipPath) -> bool:

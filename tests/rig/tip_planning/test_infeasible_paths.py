@@ -143,6 +143,21 @@ def test_a_path_without_a_lead_in_is_told_the_one_that_it_needs(lead_in_s: float
     expanded(circle(20, 10, lead_in_s=number[1]))
 
 
+def test_a_lead_in_that_helps_only_the_beginning_of_a_path_is_not_called_long_enough() -> None:
+    way = (
+        "[[-8.5, -26.4, 195.1], [38.6, 21.6, 196.3], [28.8, -21.4, 195.5], [36.2, 6.2, 193.6], [-18.5, 3.8, 210.5], "
+        "[-39.5, 22.7, 205.9]]"
+    )
+    problem = refused(f"{{points: {{at_mm: {way}, move_s: 0.7}}, lead_in_s: 0}}")
+    assert "largest possible with a lead_in_s of 3: 0.84 of this size" in problem.expected
+
+
+def test_a_lead_in_is_named_where_no_speed_and_no_size_helps() -> None:
+    shape = "centre_mm: [-18.7, -14.4, 204.5], normal: [-0.45, -0.43, 1.0], radius_mm: 8.44, period_s: 5.9, periods: 2"
+    problem = refused(f"{{circle: {{{shape}}}, lead_in_s: 0.2}}")
+    assert problem.expected.endswith("a lead_in_s of 3 is long enough")
+
+
 def test_no_lead_in_helps_a_path_that_is_too_fast_itself() -> None:
     problem = refused("{points: {at_mm: [[20, 0, 190], [0, 40, 190]], speed_mm_per_s: 200}, lead_in_s: 0.3}")
     found = re.search(r"largest possible with a lead_in_s of 3: ([\d.]+) of this speed", problem.expected)
