@@ -65,7 +65,7 @@ PATHS: dict[str, Callable[[], Array]] = {"S": letter, "spiral": spiral, "square"
 def soft(data: Row) -> None:
     """A softer arm with less damping, 25 g more on its tip, other chambers, valves and sensors."""
     simulator = data["simulator"]
-    simulator["material"] |= {"youngs_modulus_pa": 275e3, "a1_per_N": 0.0079, "a2_per_N2": 0.00029}
+    simulator["material"] |= {"a1_per_N": 0.0079, "a2_per_N2": 0.00029}
     simulator["material"] |= {"rpe_per_bar": 0.056, "shear_ratio": 0.39, "density_kg_m3": 1040, "damping_s": 0.006}
     simulator["cap_mass_g"] = 75
     simulator["chamber"] = {"dead_volume_ml": 25}

@@ -65,6 +65,12 @@ def _remove_stale_sockets() -> None:
                 continue
 
 
+_COMMANDS = ["watch", "attach", "state", "stream", *(kind.value for kind in CommandKind)]
+_REFUSAL = json.dumps(
+    {"done": False, "message": f'expected a JSON object whose "do" is one of {", ".join(_COMMANDS)}'}
+).encode()
+
+
 class ControlSocket:
     """The listening control socket of one run. `close` may be called more than once."""
 
@@ -129,21 +135,22 @@ class ControlSocket:
                 packet = client.recv(PACKET_BYTES)
                 if not packet:
                     return False
-                self._answer(client, json.loads(packet), handle)
+                if (decoded := _decoded(packet)) is None:
+                    client.send(_REFUSAL)
+                else:
+                    self._answer(client, decoded, handle)
         except BlockingIOError:
             return True
-        except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        except OSError:
             return False
         return True
 
     def _answer(self, client: socket.socket, packet: dict[str, Any], handle: HandleCommand) -> None:
-        do = packet.get("do")
+        do = packet["do"]
         if do == "watch":
             self._memory.viewer_ns = time.monotonic_ns()
         elif do == "attach":
             socket.send_fds(client, [b'{"done": true, "message": ""}'], [self._view_fd, self._plan_fd])
-        elif not isinstance(do, str):
-            raise TypeError("a command is a string")
         elif do == "state":
             client.send(json.dumps({"done": True, "message": "", **self._stream.state()}).encode())
         elif do == "stream":
@@ -154,6 +161,15 @@ class ControlSocket:
                 OperatorCommand(CommandKind(do), _named(_uid(client), packet.get("who"), packet.get("via")))
             )
             client.send(json.dumps({"done": answer.accepted, "message": answer.message}).encode())
+
+
+def _decoded(packet: bytes) -> dict[str, Any] | None:
+    """A packet with a known command; None for any other."""
+    try:
+        content = json.loads(packet)
+    except (ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) and content.get("do") in _COMMANDS else None
 
 
 def _uid(client: socket.socket) -> int:

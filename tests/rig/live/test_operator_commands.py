@@ -200,13 +200,17 @@ def test_commands_are_passed_on_with_their_account(served: ServedRun, memory: Sh
         b"[" * 4096,
     ],
 )
-def test_an_invalid_client_is_closed_and_the_socket_stays_open(served: ServedRun, packet: bytes) -> None:
+def test_an_invalid_packet_is_answered_and_the_connection_stays_open(served: ServedRun, packet: bytes) -> None:
     visitor = connect(served.socket.path)
     assert visitor is not None
     visitor.send(packet)
-    assert visitor.recv(100) == b""
-    visitor.close()
+    answer = json.loads(visitor.recv(1000))
+    assert answer["done"] is False
+    assert 'expected a JSON object whose "do" is one of watch, attach' in answer["message"]
     assert served.asked == []
+    visitor.send(b'{"do": "pause"}')
+    assert json.loads(visitor.recv(1000))["done"]
+    visitor.close()
     with closing(ClientSession(served.socket.path)) as session:
         assert session.request("pause", "ada")["done"]
 
