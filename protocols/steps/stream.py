@@ -7,11 +7,14 @@ from pydantic import Field, model_validator
 from protocols.steps.base import Actuators, MotionStep, Seconds, TrajectoryBuilder, fits
 from protocols.validation import faults
 
+CONNECT_SHARE = 0.9
+"""Share of the step by which the first set-point must have come: a step that nobody drives must not end in silence."""
+
 
 class Stream(MotionStep):
     """For `duration_s` another program of the same user sets the pressures of these actuators, over the control socket
     of the run. A set-point out of the rig's limits is refused. The run ends in its safe state if no set-point has come
-    for `timeout_s`, or none within `connect_s` from the start of the step. Only in real time.
+    for `timeout_s`, or none within `connect_s`, at most nine tenths of the step, from its start. Only in real time.
     """
 
     actuators: Actuators
@@ -31,5 +34,5 @@ class Stream(MotionStep):
             self.actuators,
             self.duration_s,
             self.timeout_s,
-            self.connect_s,
+            min(self.connect_s, CONNECT_SHARE * self.duration_s),
         )

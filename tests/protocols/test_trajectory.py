@@ -244,3 +244,10 @@ def test_a_fade_stays_between_its_start_and_the_sinusoid(
     value = SinusoidLeadIn(start, sine, 2.0).at(at)
     low, high = min(start, mean - share * mean), max(start, mean + share * mean)
     assert low - 1e-12 <= value <= high + 1e-12
+
+
+def test_a_stream_that_nobody_drives_is_noticed_before_its_step_ends() -> None:
+    played = trajectory(
+        "  - stream: {actuators: [1], duration_s: 20}\n  - stream: {actuators: [1], duration_s: 20, connect_s: 5}\n"
+    )
+    assert [interval.connect_s for interval in played.streams] == [18.0, 5.0]
