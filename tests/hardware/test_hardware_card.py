@@ -232,7 +232,7 @@ def test_a_wrong_card_channel_or_range_is_refused_with_the_existing_ones(setup: 
 
 def test_a_survey_lists_the_abilities_of_the_card() -> None:
     (found,) = survey()
-    assert (found.path, found.board, found.driver, found.trouble) == (CARD, BOARD, BOARD, "")
+    assert (found.path, found.board, found.driver, found.failure) == (CARD, BOARD, BOARD, "")
     assert found.inputs == SubdeviceSurvey(8, 16, ((-10.0, 10.0), (-5.0, 5.0)), 1e6)
     assert found.outputs == SubdeviceSurvey(8, 16, ((-10.0, 10.0), (-5.0, 5.0)), None)
     assert str(found.inputs) == (
