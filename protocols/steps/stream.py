@@ -8,7 +8,7 @@ from protocols.steps.base import Actuators, MotionStep, Seconds, TrajectoryBuild
 from protocols.validation import faults
 
 CONNECT_SHARE = 0.9
-"""Share of the step by which the first set-point must have come: a step without any set-point must not end unnoticed."""
+"""Share of the step by which the first set-point must have come: a step without one must not end unnoticed."""
 
 
 class Stream(MotionStep):
