@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -10,22 +9,26 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-import model
 from calibration.identify.mounted_change import MountedChange, PoseDerivatives, rotation_between
+from calibration.identify.pose_solutions import (
+    Solved,
+    dynamic_sensitivities,
+    richardson,
+    section_places_m,
+    solve_dynamic,
+    solve_static,
+    tip_wrench,
+    with_tip,
+)
 from calibration.identify.poses import Poses
 from calibration.identify.pressure_course import PressureCourse
 from calibration.identify.pressure_samples import PressureSamples
 from calibration.identify.setup import Setup
 from model import sensitivities
-from model.dynamics import Dynamics
-from model.sensitivities import Gradients
-from model.variation import TipWrench, Variation
+from model.variation import Variation
 
 Array = NDArray[np.float64]
-Solved = tuple[Array, Array]
-"""Points (K, 1 + S, 3) and orientations (K, 1 + S, 3, 3) of the tip and then of the sections of the poses."""
 Key = tuple[object, ...]
 
 # Time steps per camera period: at one step the time scheme's own damping would pass for the material's.
@@ -124,14 +127,14 @@ class Predictor:
             return coarse
         if self._finer is None:
             self._finer = Predictor(self.poses, 2 * self.substeps)
-        return _extrapolated(coarse, self._finer._solved_with_substeps(setup))
+        return richardson(coarse, self._finer._solved_with_substeps(setup))
 
     def _solved_with_substeps(self, setup: Setup) -> Solved:
         """The shapes with the time steps of this predictor; kept."""
         key = self._key(setup)
         found = self._solved.get(key)
         if found is None:
-            solve = _solve_dynamic if self.poses.moving else _solve_static
+            solve = solve_dynamic if self.poses.moving else solve_static
             found = solve(setup, self._pressure(setup), self.poses, self.substeps)
             self._keep(key, found)
         return found
@@ -180,7 +183,7 @@ class Predictor:
                 steps[k],
                 perturbed[k].turned_arm,
                 self._pressure(perturbed[k]),
-                _tip_wrench(perturbed[k], self.poses, repeats),
+                tip_wrench(perturbed[k], self.poses, repeats),
             )
             for k in new
         ]
@@ -189,14 +192,14 @@ class Predictor:
     def _slopes(self, changes: Sequence[Variation], changed: MountedChange) -> Array:
         """Derivatives (K, D, P) of predictions by changes of a setup, of which `changes` are those of its arm."""
         poses, setup = self.poses, changed.setup
-        rows, wrench = self._pressure(setup), _tip_wrench(setup, poses, self.substeps if poses.moving else 1)
+        rows, wrench = self._pressure(setup), tip_wrench(setup, poses, self.substeps if poses.moving else 1)
         if poses.moving:
-            found = _dynamic_sensitivities(setup, rows, changes, poses, self.substeps, wrench)
+            found = dynamic_sensitivities(setup, rows, changes, poses, self.substeps, wrench)
         else:
             found = sensitivities.statics(
-                setup.turned_arm, rows, changes, poses.weight_kg, wrench, sections_m=_at_m(poses)
+                setup.turned_arm, rows, changes, poses.weight_kg, wrench, sections_m=section_places_m(poses)
             )
-        self._keep(self._key(setup), _with_tip(found))
+        self._keep(self._key(setup), with_tip(found))
         tip = PoseDerivatives(found.tip_m, found.tip_rotation, found.tip_by, found.turn_by)
         parts = [changed.slopes(tip, poses.orientation, Setup.tool)]
         for k, one in enumerate(poses.sections):
@@ -276,15 +279,6 @@ class Predictor:
         return Predictor(replace(self.poses.only(some), period_s=0.0, course=None, samples=None)), nearest
 
 
-def _extrapolated(coarse: Solved, fine: Solved) -> Solved:
-    """Shapes without the error of second order of two solutions, the second one with half the time steps."""
-    (points, rotations), (coarse_points, coarse_rotations) = fine, coarse
-    turned = rotations + (rotations - coarse_rotations) / 3
-    # One step of Newton and Schulz leaves a rotation: the two solutions differ by milliradians.
-    turned = turned @ (3 * np.eye(3) - np.swapaxes(turned, -1, -2) @ turned) / 2
-    return points + (points - coarse_points) / 3, turned
-
-
 def _without_inertia(setup: Setup) -> Setup:
     """The setup of slow poses: no inertia, and sensors that keep up."""
     return replace(setup, arm=replace(setup.arm, inertia=False), sensor_lag_s=0.0, sensor_filter_s=0.0)
@@ -320,87 +314,3 @@ def _by_pressure(still: Predictor, setup: Setup) -> Array:
     perturbed = [replace(setup, sensor_offset_pa=tuple(own)) for own in zeros.tolist()]
     out: Array = np.nan_to_num(still.slopes(setup, perturbed, [step] * len(perturbed)))
     return out
-
-
-def _at_m(poses: Poses) -> list[float]:
-    return [one.at_m for one in poses.sections]
-
-
-def _with_tip(found: Gradients) -> Solved:
-    """Points and orientations of tip and sections."""
-    return (
-        np.concatenate([found.tip_m[:, None], found.section_m], axis=1),
-        np.concatenate([found.tip_rotation[:, None], found.section_rotation], axis=1),
-    )
-
-
-def _loads(arm: model.Arm, weight_kg: float) -> model.Loads | None:
-    if weight_kg == 0:
-        return None
-    x, y, z = arm.gravity_m_s2
-    return model.Loads(tip_force_n=(weight_kg * x, weight_kg * y, weight_kg * z))
-
-
-def _tip_wrench(setup: Setup, poses: Poses, repeats: int = 1) -> TipWrench | None:
-    """The measured wrenches as the arm feels them, at the measured point; all but the first so many times."""
-    if not poses.wrench.any():
-        return None
-    back = Rotation.from_rotvec(setup.base_rotation_rad).inv()
-    force, moment = (_repeat_rows(back.apply(part), repeats) for part in (poses.wrench[:, :3], poses.wrench[:, 3:]))
-    return TipWrench(force, moment, np.array(setup.tool_offset_m))
-
-
-def _repeat_rows(rows: Array, repeats: int) -> Array:
-    """Rows (K, ..) of frames as they hold in each of the time steps that lead to them."""
-    out: Array = np.concatenate([rows[:1], np.repeat(rows[1:], repeats, axis=0)])
-    return out
-
-
-def _solve_static(setup: Setup, pressure_pa: Array, poses: Poses, _: int) -> Solved:
-    wrench = _tip_wrench(setup, poses)
-    return _with_tip(
-        sensitivities.statics(setup.turned_arm, pressure_pa, (), poses.weight_kg, wrench, sections_m=_at_m(poses))
-    )
-
-
-def _solve_dynamic(setup: Setup, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
-    if not poses.wrench.any() and not poses.sections and substeps > 1:
-        return _time_stepping(setup.turned_arm, pressure_pa, poses, substeps)
-    return _with_tip(
-        _dynamic_sensitivities(setup, pressure_pa, (), poses, substeps, _tip_wrench(setup, poses, substeps))
-    )
-
-
-def _dynamic_sensitivities(
-    setup: Setup,
-    pressure_pa: Array,
-    changes: Sequence[Variation],
-    poses: Poses,
-    substeps: int,
-    wrench: TipWrench | None,
-) -> Gradients:
-    weight, dt_s = _repeat_rows(poses.weight_kg, substeps), poses.period_s / substeps
-    return sensitivities.motion(
-        setup.turned_arm, pressure_pa, dt_s, changes, weight, substeps, tip_wrench=wrench, sections_m=_at_m(poses)
-    )
-
-
-def _time_stepping(arm: model.Arm, pressure_pa: Array, poses: Poses, substeps: int) -> Solved:
-    tips, turned = np.full((len(poses), 3), np.nan), np.full((len(poses), 3, 3), np.nan)
-    dynamics = Dynamics(arm, poses.period_s / substeps)
-    weight = poses.weight_kg
-    try:
-        shape = dynamics.start(pressure_pa[0], _loads(arm, weight[0]))
-    except model.NotConverged:
-        return tips[:, None], turned[:, None]
-    tips[0], turned[0] = shape.tip_m, shape.tip_rotation
-    changes = np.flatnonzero(np.diff(weight)) + 1
-    for start, stop in itertools.pairwise(sorted({1, *changes.tolist(), len(poses)})):
-        rows = pressure_pa[1 + (start - 1) * substeps : 1 + (stop - 1) * substeps]
-        # The first step takes up what hangs there; the others go on with it.
-        dynamics.step(rows[0], _loads(arm, weight[start]))
-        motion = dynamics.run(rows[1:])
-        good = motion.ok[substeps - 2 :: substeps]
-        tips[start:stop][good] = motion.tip_m[substeps - 2 :: substeps][good]
-        turned[start:stop][good] = motion.tip_rotation[substeps - 2 :: substeps][good]
-    return tips[:, None], turned[:, None]
