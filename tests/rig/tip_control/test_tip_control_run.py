@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from typer.testing import Result
 
 import protocols
 import runs
@@ -241,27 +243,6 @@ class Raises(StaticInverse):
 """
 
 
-@pytest.mark.slow
-def test_a_run_goes_on_without_a_controller_that_raises_as_in_real_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "raising_controller.py").write_text(RAISES.replace("FROM_S", "0.5"), encoding="utf-8")
-    monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "circle.yaml").write_text(PROTOCOL, encoding="utf-8")
-    command = ["run", str(tmp_path / "circle.yaml"), "--rig", "mock-3", "--fast", "--yes", "--no-report"]
-    command += ["--out", str(tmp_path), "--controller", "raising_controller:Raises"]
-    result = invoke(*command)
-    assert result.exit_code == 1, result.output
-    (archive,) = tmp_path.glob("*.h5")
-    run = runs.open(archive)
-    assert run.status is Status.FINISHED
-    assert "RuntimeError: no idea" in run.message
-    events = "\n".join(event.message for event in run.events)
-    assert "the set-points are held" in events
-    assert "the set-points return to those of the protocol" in events
-    assert "in step" in events
-
-
 HANGS = """
 from rig.tip_control.baselines import StaticInverse
 
@@ -274,16 +255,43 @@ class Hangs(StaticInverse):
 """
 
 
+SteeredBy = Callable[[str, str, str], Result]
+
+
+@pytest.fixture
+def steered_by(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SteeredBy:
+    """A run with a controller of the user: its module, whose name is used once, its source and its class."""
+
+    def run(module: str, source: str, name: str) -> Result:
+        (tmp_path / f"{module}.py").write_text(source, encoding="utf-8")
+        monkeypatch.syspath_prepend(tmp_path)
+        (tmp_path / "circle.yaml").write_text(PROTOCOL, encoding="utf-8")
+        command = ["run", str(tmp_path / "circle.yaml"), "--rig", "mock-3", "--fast", "--yes", "--no-report"]
+        return invoke(*command, "--out", str(tmp_path), "--controller", f"{module}:{name}")
+
+    return run
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_without_a_controller_that_raises_as_in_real_time(tmp_path: Path, steered_by: SteeredBy) -> None:
+    result = steered_by("raising_controller", RAISES.replace("FROM_S", "0.5"), "Raises")
+    assert result.exit_code == 1, result.output
+    (archive,) = tmp_path.glob("*.h5")
+    run = runs.open(archive)
+    assert run.status is Status.FINISHED
+    assert "RuntimeError: no idea" in run.message
+    events = "\n".join(event.message for event in run.events)
+    assert "the set-points are held" in events
+    assert "the set-points return to those of the protocol" in events
+    assert "in step" in events
+
+
 @pytest.mark.slow
 def test_a_run_goes_on_without_a_controller_that_does_not_return(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, steered_by: SteeredBy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "hanging_controller.py").write_text(HANGS.replace("FROM_S", "0.5"), encoding="utf-8")
-    monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "circle.yaml").write_text(PROTOCOL, encoding="utf-8")
     monkeypatch.setattr(time_limit, "LONGEST_CALL_S", 10.0)
-    command = ["run", str(tmp_path / "circle.yaml"), "--rig", "mock-3", "--fast", "--yes", "--no-report"]
-    result = invoke(*command, "--out", str(tmp_path), "--controller", "hanging_controller:Hangs")
+    result = steered_by("hanging_controller", HANGS.replace("FROM_S", "0.5"), "Hangs")
     assert result.exit_code == 1, result.output
     (archive,) = tmp_path.glob("*.h5")
     run = runs.open(archive)
@@ -291,23 +299,14 @@ def test_a_run_goes_on_without_a_controller_that_does_not_return(
     assert "TimeoutError: it did not return within 10 s" in run.message
 
 
-def test_a_controller_that_exits_at_once_does_not_start_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    exits = RAISES.replace("FROM_S", "-1.0").replace('RuntimeError("no idea")', "SystemExit(0)")
-    (tmp_path / "exiting_controller.py").write_text(exits, encoding="utf-8")
-    monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "circle.yaml").write_text(PROTOCOL, encoding="utf-8")
-    command = ["run", str(tmp_path / "circle.yaml"), "--rig", "mock-3", "--fast", "--yes", "--no-report"]
-    result = invoke(*command, "--out", tmp_path, "--controller", "exiting_controller:Raises")
+@pytest.mark.parametrize(
+    ("raised", "said"), [('RuntimeError("no idea")', "RuntimeError: no idea"), ("SystemExit(0)", "SystemExit: 0")]
+)
+def test_a_controller_that_fails_at_once_does_not_start_a_run(
+    tmp_path: Path, steered_by: SteeredBy, raised: str, said: str
+) -> None:
+    source = RAISES.replace("FROM_S", "-1.0").replace('RuntimeError("no idea")', raised)
+    result = steered_by(f"failing_controller_{len(said)}", source, "Raises")
     assert result.exit_code == 1
-    assert "the tip controller failed: SystemExit: 0" in result.output
-
-
-def test_a_controller_that_raises_at_once_does_not_start_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "failing_controller.py").write_text(RAISES.replace("FROM_S", "-1.0"), encoding="utf-8")
-    monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "circle.yaml").write_text(PROTOCOL, encoding="utf-8")
-    command = ["run", str(tmp_path / "circle.yaml"), "--rig", "mock-3", "--fast", "--yes", "--no-report"]
-    result = invoke(*command, "--out", tmp_path, "--controller", "failing_controller:Raises")
-    assert result.exit_code == 1
-    assert "the tip controller failed: RuntimeError: no idea" in result.output
+    assert f"the tip controller failed: {said}" in result.output
     assert not list(tmp_path.glob("*.h5"))
