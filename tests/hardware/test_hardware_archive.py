@@ -48,12 +48,13 @@ def test_the_tip_was_measured_where_the_model_has_it_at_the_pressure_read_from_t
     """
     tip = run.tip
     measured = tip.seen == DetectionStatus.MEASURED
-    assert measured.mean() > 0.8
     assert np.all(tip.model_ok)
     levels = [i for i in run.header.intervals if i.kind == "dwell" and i.level_pa[0] > 0]
     settled = np.zeros(len(measured), bool)
     for interval in levels:
         settled |= (tip.protocol_s > interval.start_s + 2) & (tip.protocol_s < interval.stop_s)
+    # A picture that is taken while the level changes may show two poses of the board.
+    assert measured[settled].mean() > 0.8
     assert (settled & measured).sum() >= 2
     assert np.median(tip.error_mm[settled & measured]) < 1.0
 
