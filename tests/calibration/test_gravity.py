@@ -60,6 +60,7 @@ def test_exact_readings_give_the_direction_and_the_mass(
         assert found.carried_kg == pytest.approx(CARRIED_KG)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("memory", [0.0, 0.9])
 def test_the_stated_uncertainty_holds_the_true_direction(kind: str, memory: float) -> None:

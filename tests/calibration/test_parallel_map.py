@@ -96,6 +96,7 @@ def scheduler() -> Iterator[str]:
 
 
 # Dask leaves sockets and loops to the garbage collector.
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_dask_workers_do_not_profile_the_tasks_and_profile_again_afterwards(tmp_path: Path, scheduler: str) -> None:
     distributed = pytest.importorskip("distributed")

@@ -123,6 +123,7 @@ def test_a_step_within_limits_solves_the_normal_equations_and_a_limited_one_is_o
             assert cost(other) >= cost(found) * (1 - 1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "target_mm",
     [(60, 0, 160), (0, 0, 240), (-45, 30, 205), (5, -5, 150), (30, 80, 190), (20, 10, 185)],

@@ -15,6 +15,8 @@ import pytest
 import model
 from model.kernels.jit import kernel
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(model.__file__).parent.parent
 
 SMALL_KERNELS = """
@@ -118,7 +120,6 @@ def kernels_with_a_caller(folder: Path) -> Path:
     return kernels
 
 
-@pytest.mark.slow
 def test_a_changed_callee_in_another_file_is_never_served_stale(tmp_path: Path) -> None:
     # numba's own cache would return 2: it looks only at the caller's file.
     kernels = kernels_with_a_caller(tmp_path)
@@ -168,7 +169,6 @@ def test_a_change_outside_of_the_kernels_keeps_them_compiled(tmp_path: Path) -> 
     assert python(code, tmp_path, tmp_path / "cache") == "1"
 
 
-@pytest.mark.slow
 def test_another_version_of_python_does_not_load_the_compiled_kernels(tmp_path: Path) -> None:
     kernels = kernels_with_a_caller(tmp_path)
     (kernels / "small.py").write_text(SMALL_KERNELS.format(value=3))

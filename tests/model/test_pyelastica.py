@@ -24,6 +24,8 @@ from benchmarks.elastica_rod import FORCE, LENGTH, RAMP_S, ROD, elastica_tips
 from model.dynamics import Dynamics
 from model.statics import statics
 
+pytestmark = pytest.mark.slow
+
 Peer = Callable[..., NDArray[np.float64]]
 
 
@@ -40,7 +42,6 @@ def extrapolated(peer: Peer, duration_s: float, damping: float, samples: int, co
     return (8 * fine - 6 * middle + coarse) / 3
 
 
-@pytest.mark.slow
 def test_a_tip_load_bends_it_as_in_pyelastica(peer: Peer) -> None:
     ours = statics(ROD, (0,), Loads(tip_force_n=FORCE)).tip_m
     # Nearly critical damping of the first mode: what is left of the motion then is a ten-thousandth.

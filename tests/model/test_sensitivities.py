@@ -78,6 +78,7 @@ def mounted(arm: Arm) -> Setup:
 RESTING = plan("rest", np.array([[0.3, 0.1, 0.5], [0.55, 0.2, 0.05]]) * BAR, np.array([0.0, 0.3]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", RULES)
 def test_at_rest_every_parameters_slope_is_that_of_whole_predictions(rule: str) -> None:
     for name, found, expected in predicted_slopes(mounted(arm_of(rule)), RESTING, tuple(known(3)), 2e-3):

@@ -62,6 +62,7 @@ def test_the_driver_is_one_short_file() -> None:
     assert len(module.read_text().splitlines()) <= LARGEST
 
 
+@pytest.mark.slow
 def test_the_tutorial_works_as_it_stands(rig: Callable[..., tuple[int, str]], site: Path, tmp_path: Path) -> None:
     (row,) = [row for row in json.loads(rig("drivers", "--json")[1]) if row["name"] == "pneubox"]
     assert (row["package"], row["keys"]) == ("softrig-pneubox 0.1.0", ["lag_ms", "silence_ms"])

@@ -80,6 +80,7 @@ def test_the_example_card_and_camera_are_opened_by_their_names(
     camera.close()
 
 
+@pytest.mark.slow
 def test_the_example_fault_passes_its_trial(known: dict[str, Any], tmp_path: Path) -> None:
     faults = FaultRegistry(*CATALOGUE.values(), known["FILES_REMOVED"])
     (fault,) = faults.named_like("removed")

@@ -225,6 +225,7 @@ def test_damping_is_identified_from_static_and_moving_runs_together() -> None:
     assert abs(estimate.value - 0.03) < max(4 * estimate.std, 1e-4)
 
 
+@pytest.mark.slow
 def test_bootstrap_and_laplace_agree() -> None:
     fit = identify(done(true_setup()), START, ["law"])
     found = bootstrap(fit, 30, seed=3, workers=1)

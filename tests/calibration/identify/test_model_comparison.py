@@ -16,6 +16,8 @@ from calibration.identify.model_comparison import ComparisonRow, best_of, compar
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 from model.material import MaxwellBranch
 
+pytestmark = pytest.mark.slow
+
 RAMP = np.linspace(0.15e5, 0.65e5, 6)[:, None]
 ERRORS = MeasurementErrors((1e-4, 1e-4, 1e-4), 10.0, 0.0)
 START = Setup(model.Arm.paper())

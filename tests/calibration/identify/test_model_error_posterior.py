@@ -253,6 +253,7 @@ def test_unequal_actuators_are_found_with_their_size_and_nothing_is_found_in_an_
     assert ideal.effects[0].below < 0.03
 
 
+@pytest.mark.slow
 def test_effects_that_are_found_are_named_with_their_size_and_make_the_parameters_effective_ones() -> None:
     found = findings(identified((1.0, 1.06, 0.95)), ())
     assert re.match(

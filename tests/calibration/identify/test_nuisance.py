@@ -32,6 +32,7 @@ def measured(truth: Setup, seed: int = 3) -> list[Poses]:
     return [perform(one, truth, rng, FINE) for one in PLANNED]
 
 
+@pytest.mark.slow
 def test_a_stated_value_that_is_wrong_biases_the_law_only_without_its_uncertainty() -> None:
     # The cap and the bore are not as the rig states them: by 2 g of 50 g and 0.5 mm of 9.5 mm.
     geometry = replace(START.arm.geometry, inner_radius_m=0.01)
@@ -100,6 +101,7 @@ def test_a_result_that_is_worse_than_its_start_is_a_failure(monkeypatch: pytest.
     assert LeastSquaresProblem.solve is whole
 
 
+@pytest.mark.slow
 def test_a_doubtful_search_starts_again_until_two_results_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     from calibration.identify.least_squares import LeastSquaresProblem
 

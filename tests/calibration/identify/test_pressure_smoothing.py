@@ -91,6 +91,7 @@ def test_smoothing_keeps_edges() -> None:
     assert found[300, 0] > 0.45e5
 
 
+@pytest.mark.slow
 def test_pressure_noise_does_not_bias_the_density() -> None:
     arm = model.Arm.paper()
     truth = Setup(replace(arm, material=replace(arm.material, damping_s=0.01, density_kg_m3=1100.0)))

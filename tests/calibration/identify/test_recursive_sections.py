@@ -16,6 +16,8 @@ from calibration.identify.recursive_estimator import RecursiveEstimator, Section
 from calibration.identify.setup import SectionMount
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 BAR = 1e5

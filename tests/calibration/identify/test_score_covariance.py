@@ -56,6 +56,7 @@ def test_correlated_frames_of_a_slow_motion_count_as_fewer_entries() -> None:
     assert np.std(z[False]) > 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", [0.0, 0.5, 0.8, 0.9])
 def test_error_bars_cover_the_truth_for_any_correlation_length(memory: float) -> None:
     phase = np.linspace(0, 4 * np.pi, FRAMES)
@@ -138,6 +139,7 @@ def test_frequencies_without_pressure_signal_are_masked() -> None:
     assert np.abs(left[:, 1]).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_correlated_frames_do_not_outweigh_a_prior_by_their_number() -> None:
     planned = slow_motion()
     true = Predictor(planned)(START)

@@ -161,6 +161,7 @@ def test_a_poor_prediction_of_one_section_is_a_discrepancy_of_that_section_alone
     assert found.tip_m < 3e-4
 
 
+@pytest.mark.slow
 def test_refits_to_drawn_data_scatter_as_the_error_bars_say() -> None:
     fit = identify([run_of(START, ORIENTED)], START, ("law",))
     refits = bootstrap(fit, 24, workers=1)

@@ -86,6 +86,7 @@ def test_hysteresis_does_not_depend_on_the_rate(corners: list[float], points: in
     np.testing.assert_allclose(slow[points - 1 :: points], fast, atol=1e-14)
 
 
+@pytest.mark.slow
 @given(paths)
 def test_the_energy_that_a_loop_dissipates_is_its_area_and_never_negative(corners: list[float]) -> None:
     """On a closed loop of pressure and elements: slipping at r_k dissipates w_k r_k |d play|."""

@@ -23,6 +23,8 @@ from rig.valves.flow import FlowValve
 from tests.support.command_line import invoke
 from tests.support.plant_bench import mock_rig
 
+pytestmark = pytest.mark.slow
+
 SHORT = """title: short
 steps:
   - {staircase: {actuators: [1], start_bar: 0.2, stop_bar: 0.3, step_bar: 0.1, dwell_s: 1}}

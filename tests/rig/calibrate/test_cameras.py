@@ -162,6 +162,7 @@ def _seen(board: Checkerboard, rng: np.random.Generator, noise_px: float, views:
     return [CameraSightings(name, IDEAL, corners) for name, corners in found.items()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("squares", [(10, 7), (9, 7), (8, 8)])
 def test_cameras_are_located_within_their_stated_uncertainty(squares: tuple[int, int]) -> None:
     board = Checkerboard(*squares, 0.02)

@@ -80,6 +80,7 @@ def _stereo_views(folder: Path, file: str, count: int = 6) -> None:
             assert cv2.imwrite(str(folder / name / f"view{k}.png"), view.render(pose, pose, pose, k))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("board", "edge_mm"), [(CHARUCO, 16), (TAGS, 24)], ids=["charuco", "tags"])
 def test_cameras_are_placed_from_views_of_the_rigs_board(here: Path, board: str, edge_mm: float) -> None:
     file = _stereo_rig(here, board)

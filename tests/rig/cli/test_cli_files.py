@@ -60,6 +60,7 @@ def test_a_run_is_named_by_its_path_its_id_a_unique_part_of_it_or_last(data: Pat
     assert resolve(Path(name)) == data / f"{run}.h5"
 
 
+@pytest.mark.slow
 def test_functions_of_reports_and_exports_take_the_names_of_the_commands(data: Path) -> None:
     by_name = report.write("last")
     assert by_name == data / f"{FIRST}.html"

@@ -29,6 +29,8 @@ from rig.observation.observer import Observer
 from runs.run import Run
 from tests.support.virtual_runs import virtual_run
 
+pytestmark = pytest.mark.slow
+
 MEMORY = "branches: [{relative_modulus: 0.05, time_s: 2.0}]"
 STOPS = "{stops: [{weight: 0.08, width_bar: 0.02}]}"
 PROTOCOL = """title: A level

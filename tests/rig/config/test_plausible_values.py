@@ -123,6 +123,7 @@ RIG = yaml.safe_load(MOCK)
 PLACES = [path for part in ("simulator", "arm", "valves", "control", "limits") for path in _numbers(RIG[part], (part,))]
 
 
+@pytest.mark.slow
 @settings(max_examples=40, suppress_health_check=list(HealthCheck), deadline=None)
 @given(
     st.lists(st.tuples(st.sampled_from(PLACES), st.sampled_from((0, 1e-6, 1e-3, 0.1, 10, 1e3, 1e6, -1))), max_size=3),

@@ -19,6 +19,7 @@ def slow(config: RigConfig) -> RigConfig:
     return config.model_copy(update={"limits": limits})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [lambda config: config, slow])
 def test_every_block_keeps_the_limits_of_the_rig(change: object) -> None:
     config = change(load("mock"))  # type: ignore[operator]

@@ -20,6 +20,8 @@ from runs.archive.writer import ArchiveError
 from runs.run import Run
 from tests.support.virtual_runs import protocol_file, virtual_run
 
+pytestmark = pytest.mark.slow
+
 
 def recorded(folder: Path, encoding: str, adapt: list[str] | None = None) -> Run:
     rig = folder / "rig.yaml"

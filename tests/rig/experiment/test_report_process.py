@@ -23,6 +23,7 @@ def archive(tmp_path: Path) -> Path:
     return finalise(path)
 
 
+@pytest.mark.slow
 def test_the_report_is_the_one_that_rig_report_draws(archive: Path, tmp_path: Path) -> None:
     with report_process.started() as begin:
         drawn = begin(archive)()
@@ -30,6 +31,7 @@ def test_the_report_is_the_one_that_rig_report_draws(archive: Path, tmp_path: Pa
     assert drawn.read_bytes() == write([archive], tmp_path / "other.html").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_report_that_cannot_be_written_is_raised_here(archive: Path) -> None:
     archive.with_suffix(".html").mkdir()
     with report_process.started() as begin, pytest.raises(OSError, match=r"run\.html"):

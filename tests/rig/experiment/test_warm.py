@@ -5,6 +5,8 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
 PROGRAM = """
 import sys
 from rig.experiment.warm import measure_frames
@@ -19,6 +21,7 @@ def loaded() -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.slow
 def test_frames_are_rendered_and_measured_without_loading_scipy() -> None:
     # The first process may have compiled a kernel, which loads numba's compiler and SciPy.
     assert not (loaded() and loaded())

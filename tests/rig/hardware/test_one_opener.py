@@ -142,6 +142,7 @@ def test_one_opener_is_refused_for_a_real_card() -> None:
         rig.config.loader.parse(text, "rig.yaml")
 
 
+@pytest.mark.slow
 def test_a_hung_holder_of_the_card_is_ended_though_another_process_is_monitored(
     config: RigConfig, device: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

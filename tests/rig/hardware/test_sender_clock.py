@@ -108,6 +108,7 @@ def test_a_drift_above_the_stated_one_widens_the_uncertainty_and_is_no_step(drif
         assert clock.steps == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slew", [100e-6, -100e-6, 20e-6, -20e-6])
 def test_a_drift_that_changes_is_followed_and_the_uncertainty_holds(slew: float) -> None:
     """NTP changes the rate of a clock for a while."""

@@ -21,6 +21,8 @@ from runs.run import Run
 from tests.support.command_line import status_of
 from tests.support.virtual_runs import virtual_run
 
+pytestmark = pytest.mark.slow
+
 AT_REST = """
 title: Three pressures of each case, and two weights
 steps:
@@ -101,7 +103,6 @@ def test_the_arm_of_the_mock_rig_is_identified_from_its_archive(resting: Run) ->
     assert fit.runs[0].rms_m < 0.2 * fit.runs[0].rms_before_m
 
 
-@pytest.mark.slow
 def test_adapting_at_least_halves_the_live_error_after_one_period(moving: Run) -> None:
     config = load("mock")
     arm, truth = model_arm(config), true_arm(config)
@@ -189,7 +190,6 @@ def test_a_plateau_belongs_to_the_part_in_which_it_ends(resting: Run) -> None:
         split_at(whole, 1e6)
 
 
-@pytest.mark.slow
 def test_the_orientation_of_the_board_is_used_and_reported(
     resting: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

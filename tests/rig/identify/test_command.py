@@ -28,6 +28,8 @@ from tests.support.command_line import status_of
 from tests.support.sectioned_bench import sectioned
 from tests.support.synthetic_runs import header
 
+pytestmark = pytest.mark.slow
+
 HOLD_S, HZ = 3, 30
 TRUE = {"a1_per_n": 0.0079, "a2_per_n2": 0.00034, "rpe_per_bar": 0.049}
 
@@ -78,7 +80,6 @@ def rig(*arguments: str, status: int = 0) -> None:
     assert status_of("identify", *arguments) == status
 
 
-@pytest.mark.slow
 def test_the_report_holds_everything_and_loads_nothing(
     bench: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -159,7 +160,6 @@ def test_json_holds_the_predictions_with_intervals_from_which_their_coverage_fol
     assert re.search(r"two \(left out\): .*; stated [\d.]+ mm; in their 95 % intervals: x \d+ %", said.err)
 
 
-@pytest.mark.slow
 def test_a_comparison_ends_with_a_table_like_the_papers_and_a_sentence(
     bench: dict[str, str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -172,7 +172,6 @@ def test_a_comparison_ends_with_a_table_like_the_papers_and_a_sentence(
     assert {(row["inhomogeneous"], row["radial_effect"]) for row in found["rows"]} == {(0, 0), (0, 1), (1, 1)}
 
 
-@pytest.mark.slow
 def test_a_comparison_of_two_laws_ends_with_a_decision(
     bench: dict[str, str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -210,7 +209,6 @@ def test_the_result_is_on_standard_output_in_units_of_the_bench(
     assert "before: error of the initial parameters on the plateaus" in out
 
 
-@pytest.mark.slow
 def test_a_search_that_ends_worse_than_it_began_quotes_no_number(
     bench: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -234,7 +232,6 @@ def test_progress_is_printed_without_a_terminal(
     assert re.search(r"searching: \d+ s, start 1, step \d+: rms \d+\.\d+ mm", capsys.readouterr().err)
 
 
-@pytest.mark.slow
 def test_the_rest_of_a_run_is_predicted_and_drawn(
     bench: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -375,7 +372,6 @@ def test_damping_is_free_by_default_where_a_run_moves(
     assert {"a1_per_n", "a2_per_n2", "rpe_per_bar", "base", "sensor_offsets"} <= set(free)
 
 
-@pytest.mark.slow
 def test_a_result_that_contradicts_the_rig_file_is_called_one(
     bench: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

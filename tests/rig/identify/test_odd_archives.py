@@ -27,6 +27,8 @@ from runs.records import DetectionStatus, RunFooter, RunHeader, Status, observat
 from tests.support.command_line import status_of
 from tests.support.synthetic_runs import header
 
+pytestmark = pytest.mark.slow
+
 HZ, CYCLE_HZ = 15, 60
 AT_REST = "--quasi-static"
 """The shortest search, for tests of what is not about motion."""
@@ -108,7 +110,6 @@ def test_an_archive_without_usable_data_is_refused_in_one_sentence(
     assert "Traceback" not in told
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [
@@ -138,7 +139,6 @@ def test_a_camera_slower_than_asked_does_not_change_the_arms_time(tmp_path: Path
     assert in_motion(run).period_s == pytest.approx(1 / HZ, rel=1e-6)
 
 
-@pytest.mark.slow
 def test_a_run_that_is_named_twice_counts_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -40,6 +40,7 @@ def steps(seed: int, delay_s: float, period_s: float = 0.05, pushed: bool = True
     return time_s, pressures, tips
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay_s", [-0.3, 0.0, 0.15, 0.4])
 def test_the_delay_is_found_within_its_uncertainty(delay_s: float) -> None:
     errors = []

@@ -26,6 +26,8 @@ from runs.summary import summarise
 from tests.support.command_line import status_of
 from tests.support.sectioned_bench import sectioned_rig
 
+pytestmark = pytest.mark.slow
+
 PERIOD_S = 2 * np.pi
 DEFAULT_PARAMETERS = default_parameters(load("mock"))
 ONE_PERIOD = """
@@ -111,7 +113,6 @@ def test_the_report_draws_every_estimate_with_its_95_percent_band(runs: list[Run
         assert (last.min() + last.max()) / 2 == pytest.approx(found.value[-1, k], abs=1e-6 * half)
 
 
-@pytest.mark.slow
 def test_over_twenty_arms_drawn_from_the_prior_the_intervals_have_their_stated_coverage() -> None:
     z = np.array([_normalised_errors(seed) for seed in range(20)])
     # 20 arms, 12 parameters each: few lie outside 95 %, and the errors are not far smaller than stated either.

@@ -178,6 +178,7 @@ def test_identification_checks_its_options_as_the_command_does(step: Run) -> Non
         identify([step], leave_out=[step.path])
 
 
+@pytest.mark.slow
 def test_the_example_of_the_guide_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = Path(__file__).parents[3] / "docs" / "how-to" / "run-from-python.md"
     example = page.read_text().split("```python\n")[1].split("```")[0]

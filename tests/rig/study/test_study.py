@@ -203,6 +203,7 @@ def test_a_study_with_another_plan_or_by_another_process_is_refused(plan: Path) 
         archived(loaded(plan))
 
 
+@pytest.mark.slow
 def test_a_rule_stops_the_study_and_the_command_says_why(
     plan: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

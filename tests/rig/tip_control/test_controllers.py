@@ -13,6 +13,8 @@ from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory
 from rig.tip_control.registry import CONTROLLERS, UnknownControllerError, controller_class
 from tests.support.tip_control_task import OTHER, SETTINGS, circle
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("name", sorted(CONTROLLERS))
 def test_every_registered_controller_gives_a_plan(name: str) -> None:

@@ -12,6 +12,8 @@ from rig.tip_control.learned_inverse import EarlierRun, NotRepeatedError
 from runs.run import Run
 from tests.support.virtual_runs import virtual_run
 
+pytestmark = pytest.mark.slow
+
 PROTOCOL = """\
 title: a circle
 steps:

@@ -15,6 +15,8 @@ from rig.tip_control.kernels.arguments import ReferenceSamples, TimedSetPoints
 from rig.tip_control.move_blocking import HORIZON, KNOTS
 from tests.support.tip_control_task import ARM, LIMIT_PA, OTHER, RATE_PA_S, SETTINGS, circle
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_sensitivities_of_the_prediction_are_those_of_finite_differences(static_map: StaticMap) -> None:
     controller, task = HorizonControl(SETTINGS), circle(1.0, 3.0)

@@ -15,6 +15,8 @@ from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.learning import STEP_S, DisturbanceLearner, PathPeriod, Repetition, smooth
 from runs.interpolation import interpolated
 
+pytestmark = pytest.mark.slow
+
 LIMIT_PA, RATE_PA_S = 0.7e5, 1e5
 DURATION_S = 4.0
 

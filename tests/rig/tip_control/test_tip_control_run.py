@@ -30,6 +30,8 @@ from runs.run import Run
 from tests.support.command_line import invoke
 from tests.support.report_text import without_figures
 
+pytestmark = pytest.mark.slow
+
 PROTOCOL = """\
 title: part of a circle
 steps:
@@ -272,7 +274,6 @@ def steered_by(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SteeredBy:
     return run
 
 
-@pytest.mark.slow
 def test_a_run_goes_on_without_a_controller_that_raises_as_in_real_time(tmp_path: Path, steered_by: SteeredBy) -> None:
     result = steered_by("raising_controller", RAISES.replace("FROM_S", "0.5"), "Raises")
     assert result.exit_code == 1, result.output
@@ -286,7 +287,6 @@ def test_a_run_goes_on_without_a_controller_that_raises_as_in_real_time(tmp_path
     assert "in step" in events
 
 
-@pytest.mark.slow
 def test_a_run_goes_on_without_a_controller_that_does_not_return(
     tmp_path: Path, steered_by: SteeredBy, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -19,6 +19,8 @@ from rig.tip_planning.assessment import assess
 from rig.tip_planning.infeasible_path import RESOLUTION, largest_share
 from rig.tip_planning.inverse import RigTipInverse
 
+pytestmark = pytest.mark.slow
+
 
 @cache
 def _inverse(rig: str = "mock-3") -> RigTipInverse:
@@ -89,7 +91,6 @@ def test_a_corner_that_is_missed_before_a_point_out_of_reach_does_not_hide_it() 
     assert "of this speed" not in problem.expected
 
 
-@pytest.mark.slow
 def test_a_path_that_is_too_fast_is_refused_with_speed_and_size_that_are_possible() -> None:
     problem = refused(circle(30, 0.8))
     assert "too fast for actuator" in problem.expected

@@ -29,6 +29,7 @@ def space() -> TipWorkspace:
     return workspace(RIG)
 
 
+@pytest.mark.slow
 def test_sections_agree_with_the_nearest_reachable_points(space: TipWorkspace) -> None:
     section = space.sections[2]
     arm, drive = model_arm(RIG), drive_of(RIG)

@@ -22,6 +22,8 @@ from tests.support.command_line import status_of
 from tests.support.triggered_bench import triggered
 from tests.support.virtual_runs import virtual_run
 
+pytestmark = pytest.mark.slow
+
 PROTOCOL = """
 title: One chamber
 steps:
@@ -65,7 +67,6 @@ def test_each_frame_has_the_number_and_the_time_of_its_pulse(run: Run) -> None:
     assert (tip.seen == DetectionStatus.MEASURED).all()
 
 
-@pytest.mark.slow
 def test_a_trigger_removes_the_error_that_late_times_of_a_driver_cause(run: Run, tmp_path: Path) -> None:
     """While the tip moves, a frame that is 12 ms younger than its time says has the tip of another moment."""
     moving = slice(4, 12)
@@ -88,7 +89,6 @@ def test_a_trigger_removes_the_error_that_late_times_of_a_driver_cause(run: Run,
     assert error_mm(late) > 5 * error_mm(run)
 
 
-@pytest.mark.slow
 def test_the_run_repeats_bit_for_bit(run: Run, tmp_path: Path) -> None:
     name = "mock-stereo" if len(run.header.cameras) == 2 else "mock"
     again = ran(tmp_path, triggered(rig.config.loader.text(name), stamp_delay_ms=DELAY_MS))

@@ -15,6 +15,8 @@ from scripts.faults.catalogue import CATALOGUE
 from scripts.faults.fault import Fault, FaultRegistry
 from scripts.faults.fault_trial import EARLIEST_S
 
+pytestmark = pytest.mark.slow
+
 LATEST_S = 1.2
 MOVING_S = 2.6
 """Shorter than in the campaign, because the faults come earlier."""

@@ -28,6 +28,8 @@ from tests.support.command_line import status_of
 from tests.support.sectioned_bench import sectioned, sectioned_rig
 from tests.support.virtual_runs import virtual_run
 
+pytestmark = pytest.mark.slow
+
 PROTOCOL = """
 title: One chamber
 steps:
@@ -94,7 +96,6 @@ def test_an_export_has_a_column_for_each_section(run: Run, tmp_path: Path) -> No
     assert {"measured_lower_x_mm", "seen_middle", "error_lower_mm"} <= set(header)
 
 
-@pytest.mark.slow
 def test_the_tip_of_a_rig_with_sections_is_measured_as_without(run: Run, tmp_path: Path) -> None:
     """The boards do not touch in the pictures: each is measured alone."""
     without = ran(tmp_path, rig.config.loader.text("mock-charuco"))
@@ -136,7 +137,6 @@ def test_measured_sections_are_where_the_simulated_arm_is_within_their_covarianc
     assert np.mean(distances) < 3 + 4 * np.sqrt(6 / len(distances))
 
 
-@pytest.mark.slow
 def test_a_section_that_is_not_seen_is_reported(tmp_path: Path) -> None:
     text = sectioned(rig.config.loader.text("mock-charuco"))
     # Behind the camera.
@@ -180,7 +180,6 @@ def test_identification_reads_the_sections_with_their_covariances(run: Run) -> N
     assert poses.numbers == 18
 
 
-@pytest.mark.slow
 def test_rig_identify_says_which_sections_it_used(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     assert status_of("identify", "fit", run.path, "--free", "a1_per_n", "--starts", "1") == 0
     printed = capsys.readouterr().out

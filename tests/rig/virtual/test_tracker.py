@@ -14,6 +14,8 @@ from runs.records import DATAGRAM_COUNTS, DetectionStatus, Status
 from runs.run import Run
 from tests.support.virtual_runs import protocol_file, virtual_run
 
+pytestmark = pytest.mark.slow
+
 STEPS = "  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 1}\n  - hold: {duration_s: 0.5}\n"
 TEXT = loader.text("mock-tracker")
 
@@ -105,7 +107,6 @@ def test_a_step_of_the_senders_clock_is_found(tmp_path: Path) -> None:
     assert np.nanmax(error_mm) < 1
 
 
-@pytest.mark.slow
 def test_a_clock_that_drifts_faster_than_stated_is_reported_and_its_times_are_less_certain(tmp_path: Path) -> None:
     run = run_tracked(tmp_path, ", drift_ppm: 500", steps="  - hold: {duration_s: 7}\n")
     (event,) = [event for event in run.events if "largest_drift_ppm" in event.message]
@@ -139,7 +140,6 @@ def test_silence_is_no_measurement_and_then_ends_the_run(tmp_path: Path) -> None
     assert np.count_nonzero(seen == DetectionStatus.NO_MESSAGE) > 50
 
 
-@pytest.mark.slow
 def test_the_online_estimator_uses_the_poses_of_a_tracker(tmp_path: Path) -> None:
     run = run_tracked(tmp_path, adapt=())
     assert run.adaptation is not None

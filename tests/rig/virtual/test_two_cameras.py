@@ -21,6 +21,8 @@ from runs.run import Run
 from tests.support.virtual_runs import protocol_file, virtual_run
 from tests.support.vision_bench import FRAME_NS, Sweep
 
+pytestmark = pytest.mark.slow
+
 STEPS = "  - sine: {actuators: [1], mean_bar: 0.3, amplitude_bar: 0.2, omega_rad_s: 2, periods: 2, lead_in_s: 1}\n"
 
 
@@ -61,7 +63,6 @@ def test_two_cameras_hold_the_truth_and_err_less_than_one(stereo: Run, tmp_path:
     assert np.linalg.norm(error, axis=1).mean() < 0.5 * np.linalg.norm(alone, axis=1).mean()
 
 
-@pytest.mark.slow
 def test_the_truth_is_held_where_the_arm_starts_and_stops_between_two_exposures(tmp_path: Path) -> None:
     _, distances = errors(run_of(tmp_path, "mock-stereo", STARTS))
     assert np.mean(distances < 7.815) > 0.88

@@ -46,6 +46,7 @@ def recorded(folder: Path, rig_text: str) -> Run:
     return virtual_run(folder / "climb.yaml", folder / "rig.yaml", folder=folder, seed=5)
 
 
+@pytest.mark.slow
 def test_a_run_on_two_cards_equals_the_run_on_one(tmp_path: Path) -> None:
     one, two = (
         recorded(tmp_path / "one", rig.config.loader.text("mock")),

@@ -131,6 +131,7 @@ def test_a_sound_archive_is_read_by_all(sound: Path, readers: Readers) -> None:
     assert runs.open(sound).adaptation is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mutation", damage.STRUCTURE + damage.BYTES, ids=lambda mutation: str(mutation.__name__))
 def test_a_damaged_archive_is_read_or_refused(
     sound: Path, tmp_path: Path, readers: Readers, mutation: Callable[..., str]

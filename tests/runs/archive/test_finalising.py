@@ -129,6 +129,7 @@ def test_a_full_disk_leaves_the_journal_and_no_half_archive(tmp_path: Path, room
     assert len(journal.read(source).samples) == 600
 
 
+@pytest.mark.slow
 def test_a_long_run_is_finalised_in_the_memory_of_a_short_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (groups, archive):
         monkeypatch.setattr(module, "CHUNK_ROWS", 1024)

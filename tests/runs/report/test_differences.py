@@ -17,6 +17,8 @@ from runs.report.settings import differing
 from runs.run import Run
 from tests.support import synthetic_runs
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def pair(tmp_path: Path) -> list[Run]:

@@ -16,6 +16,8 @@ from runs.report.repeats import repeat_groups, repeatability_mm, section
 from runs.run import Run
 from tests.support import synthetic_runs
 
+pytestmark = pytest.mark.slow
+
 RIG = "limits: {tracking_s: 1.0}\ncontrol: {rate_hz: 200}\n"
 
 

@@ -204,6 +204,7 @@ def test_a_run_without_measured_tips_has_a_report(tmp_path: Path) -> None:
     Page(report.write(finalise(path)).read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_a_run_cut_off_between_a_frame_and_its_estimate_has_a_report(tmp_path: Path) -> None:
     path = made_up.write_cut_off_while_adapting(tmp_path / "adapting.mcap")
     page = Page(report.write(finalise(path)).read_text(encoding="utf-8"))

@@ -32,6 +32,7 @@ def test_known_effects_and_drift_are_found_and_absent_ones_are_not() -> None:
     assert p["a x b"] > 0.01
 
 
+@pytest.mark.slow
 def test_intervals_of_95_percent_hold_in_95_percent_of_studies() -> None:
     held = 0
     for seed in range(400):
