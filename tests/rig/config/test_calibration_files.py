@@ -148,7 +148,7 @@ def test_every_malformed_value_is_named_with_its_file_and_line(leaf: tuple[str |
         ("cx_px: 319.5", "cx_px: 700", "inside the picture"),
         ("softrig_calibration: 1", "softrig_calibration: 2", "1"),
         ("square_mm: 16.0", "square_mm: '16'", "without quotes"),
-        (SHA, "abc", "sha256"),
+        (SHA, "too-short", "sha256"),
     ],
 )
 def test_a_mistake_gets_one_clear_message(old: str, new: str, expected: str) -> None:
