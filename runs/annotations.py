@@ -10,6 +10,7 @@ from runs import annotation_file
 from runs.run import Run
 from runs.run_names import resolve
 
+_WRITABLE = re.compile(r"[^\0\ud800-\udfff]*")
 _TAG = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}")
 
 
@@ -21,11 +22,11 @@ def add_note(run: Path | str, text: str) -> Path:
     """Add a note to a run; return the file of its annotations.
 
     Raises:
-        AnnotationError: the note is empty.
+        AnnotationError: the note is empty or no text.
         ArchiveError: there is no such run, or its annotations cannot be read or written.
     """
-    if not text.strip():
-        raise AnnotationError(f"note {text!r}: expected a note, which is not empty")
+    if not (isinstance(text, str) and text.strip() and _WRITABLE.fullmatch(text)):
+        raise AnnotationError(f"note {text!r}: expected a note, which is not empty and has no NUL or lone surrogate")
     archive = _archive(run)
     annotation_file.append(archive, "note", text.strip())
     return annotation_file.path_of(archive)
@@ -71,14 +72,14 @@ def _words(tags: Iterable[str]) -> list[str]:
     Raises:
         AnnotationError: one is not a word, or they are one text instead of several.
     """
-    if isinstance(tags, str):
-        raise AnnotationError(f"tags {tags!r}: expected a list of tags, such as [{tags!r}]")
-    wanted = list(dict.fromkeys(tags))
-    if wrong := [repr(tag) for tag in wanted if not _TAG.fullmatch(tag)]:
+    if isinstance(tags, str) or not isinstance(tags, Iterable):
+        raise AnnotationError(f"tags {tags!r}: expected a list of tags, such as ['bad']")
+    given = list(tags)
+    if wrong := [repr(tag) for tag in given if not (isinstance(tag, str) and _TAG.fullmatch(tag))]:
         raise AnnotationError(
             f"tag {', '.join(wrong)}: expected a word of at most 40 letters, digits, '_', '.' and '-'"
         )
-    return wanted
+    return list(dict.fromkeys(given))
 
 
 def _archive(run: Path | str) -> Path:

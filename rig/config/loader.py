@@ -129,7 +129,7 @@ class RigFile:
         """
         return _rig_file(self._document, _parsed(self), parameters, variant, recorded=self.recorded)
 
-    def run_metadata(self, given: Mapping[str, str]) -> tuple[dict[str, str], list[Problem]]:
+    def run_metadata(self, given: Mapping[str, str | float]) -> tuple[dict[str, str], list[Problem]]:
         """Return the metadata of a run, where `given` overrides the rig file, and every problem of both."""
         return run_metadata(self.config.metadata, given, self._document)
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from protocols.arguments import TEXT, finite, shown, storable
 from protocols.problems import Problem
 from protocols.source_positions import Document
 from protocols.validation import ValidationFault, faults
@@ -37,26 +38,41 @@ class Metadata(Section):
 
     def texts(self) -> dict[str, str]:
         """The values as text."""
-        return {name: v if isinstance(v, str) else f"{v:.12g}" for name, v in self.values.items()}
+        return {name: _text(value) for name, value in self.values.items()}
+
+    def missing(self, stated: Collection[str]) -> tuple[str, ...]:
+        """The required names that are not in `stated`, the metadata of a run."""
+        return tuple(name for name in self.required if name not in stated)
 
 
-def name_expected(name: str) -> str:
+def _text(value: str | float) -> str:
+    return value if isinstance(value, str) else f"{float(value):.12g}"
+
+
+def name_expected(name: object) -> str:
     """What is expected instead of the name of a metadata field; empty if it can be one."""
     if name in TAKEN:
-        return TAKEN[name]
-    return "" if NAME.fullmatch(name) else "a name of letters, digits and _ that begins with a letter"
+        return TAKEN[str(name)]
+    if isinstance(name, str) and NAME.fullmatch(name):
+        return ""
+    return "a name of letters, digits and _ that begins with a letter"
 
 
-def run_metadata(metadata: Metadata, given: Mapping[str, str], rig: Document) -> tuple[dict[str, str], list[Problem]]:
-    """The metadata of a run, where `given` overrides the values of the file `rig`; and every problem of both."""
-    problems = [
-        Problem("--meta", 0, 0, "", f"{name}={value}", expected)
-        for name, value in given.items()
-        if (expected := name_expected(name))
-    ]
-    found = {**metadata.texts(), **given}
-    for index, name in enumerate(metadata.required):
-        if name not in found:
-            expected = f"a value of {name} for this run: --meta {name}=VALUE, or metadata, values, {name} in this file"
-            problems.append(rig.problem(("metadata", "required", index), expected, name))
+def run_metadata(metadata: Metadata, given: object, rig: Document) -> tuple[dict[str, str], list[Problem]]:
+    """The metadata of a run, where the mapping `given` overrides the values of the file `rig`; and every problem."""
+    if not isinstance(given, Mapping):
+        return metadata.texts(), [Problem("--meta", 0, 0, "", shown(given), "a mapping from names to values")]
+    problems = []
+    found = metadata.texts()
+    for name, value in given.items():
+        expected = name_expected(name)
+        if not expected and not (value and storable(value)) and finite(value) is None:
+            expected = f"a finite number, or {TEXT}, not empty"
+        if expected:
+            problems.append(Problem("--meta", 0, 0, "", f"{shown(name)}={shown(value)}", expected))
+        else:
+            found[name] = _text(value)
+    for name in metadata.missing(found):
+        expected = f"a value of {name} for this run: --meta {name}=VALUE, or metadata, values, {name} in this file"
+        problems.append(rig.problem(("metadata", "required", metadata.required.index(name)), expected, name))
     return found, problems

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import protocols
 from protocols import BadInputError, Problem, Protocol, SetPointTrajectory
+from protocols.arguments import text_problems, whole_number_problems
 from protocols.problems import bad_input
 from rig.config.loader import RigChoice, RigFile, Source, read
 from rig.config.model_variant import variant_named
@@ -121,7 +122,7 @@ def request(
     report: bool = True,
     parameters: Path | None = None,
     adapt: Sequence[str] | None = None,
-    metadata: Mapping[str, str] | None = None,
+    metadata: Mapping[str, str | float] | None = None,
     controller: str | None = None,
     learn_from: Sequence[Path] = (),
 ) -> RunRequest:
@@ -137,13 +138,13 @@ def request(
     """
     source = rig.source if isinstance(rig, RigChoice) else Source.OPTION
     rig = rig.name if isinstance(rig, RigChoice) else rig
-    problems: list[Problem] = []
+    problems = [*text_problems({"--operator": operator, "--note": notes}), *whole_number_problems("--seed", seed, 0)]
     loaded_protocol = _collecting(problems, partial(protocols.load, settings=settings), protocol)
     rig_read = _collecting(problems, read, rig)
     chosen = _collecting(problems, variant_named, variant)
     stated: dict[str, str] = {}
     if rig_read is not None:
-        stated, missing = rig_read.run_metadata(metadata or {})
+        stated, missing = rig_read.run_metadata({} if metadata is None else metadata)
         problems += missing if metadata is not None else ()
     if problems or loaded_protocol is None or rig_read is None:
         raise BadInputError(problems)
@@ -157,7 +158,7 @@ def request(
         protocol=loaded_protocol,
         rig=rig_read,
         fast=fast,
-        seed=seed,
+        seed=int(seed),
         folder=folder,
         variant=variant_used,
         operator=operator,

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calibration.gravity import GravityDirection
-from protocols.problems import BadInputError
+from protocols.arguments import text_problems
+from protocols.problems import BadInputError, raise_all
 from protocols.source_positions import Document
 from rig.config import loader
 from rig.config.calibration_files import sha256_of
@@ -76,6 +77,7 @@ def import_table(
     Raises:
         BadInputError: every problem of the mapping and the data.
     """
+    raise_all(text_problems({"--operator": operator, "--note": notes}))
     mapping, document = load(mapping_file)
     columns = ColumnReader(read_table(data, mapping.file))
     found = _read(data, columns, mapping, document)

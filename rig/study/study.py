@@ -80,16 +80,17 @@ def load(
     folder: Path,
     fast: bool = False,
     operator: str = "",
-    metadata: Mapping[str, str] | None = None,
+    metadata: Mapping[str, str | float] | None = None,
 ) -> Study:
     """Read a plan, and check every combination of its parameters against protocol and rig.
 
     Raises:
         BadInputError: every problem of plan, protocols and rig.
     """
+    metadata = {} if metadata is None else metadata
     source = document.read(file)
     plan = document.validate(StudyPlan, source)
-    _check_plan(file, source, plan, rig, metadata or {})
+    _check_plan(file, source, plan, rig, metadata)
     protocol = _protocol(source, plan.protocol, ("protocol",))
     if problems := list(_setting_problems(source, plan, protocol)):
         raise BadInputError(problems)
@@ -105,7 +106,7 @@ def load(
                 folder=folder,
                 fast=fast,
                 operator=operator,
-                metadata=metadata or {},
+                metadata=metadata,
                 report=False,
             )
             checked.append((request, experiment.plan(request)))
@@ -136,7 +137,9 @@ def load(
     )
 
 
-def _check_plan(file: Path, source: Document, plan: StudyPlan, rig: RigChoice, metadata: Mapping[str, str]) -> None:
+def _check_plan(
+    file: Path, source: Document, plan: StudyPlan, rig: RigChoice, metadata: Mapping[str, str | float]
+) -> None:
     """Refuse a name that cannot be a study's, and a stop by cycles of a specimen that is not named."""
     if not NAME.fullmatch(file.stem):
         expected = "a file whose name, the name of the study, has letters, digits, _ and - only, at most 60"

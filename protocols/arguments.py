@@ -1,0 +1,62 @@
+"""Checks of arguments from Python, whose types the command line or a YAML file would have checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from numbers import Integral, Real
+from pathlib import Path
+
+from protocols.problems import Problem, bad_input
+from protocols.source_positions import shortened
+
+TEXT = "text without NUL and lone surrogates"
+
+
+def finite(value: object) -> float | None:
+    """The number as a float; None for what is no finite number. True and False are none."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def storable(value: object) -> bool:
+    """True for text that journal and archive keep as it is."""
+    return isinstance(value, str) and "\0" not in value and not any("\ud800" <= sign <= "\udfff" for sign in value)
+
+
+def shown(value: object) -> str:
+    """A value of any type in a message: text as it is if it can be printed, the rest as Python writes it."""
+    return shortened(value if isinstance(value, str) and value.isprintable() and value else repr(value))
+
+
+def text_problems(texts: Mapping[str, object]) -> list[Problem]:
+    """A problem for each value that cannot be stored as text; the keys name the options."""
+    return [Problem(option, 0, 0, "", shown(text), TEXT) for option, text in texts.items() if not storable(text)]
+
+
+def whole_number_problems(option: str, value: object, lowest: int) -> list[Problem]:
+    """The problem of a value that is not an integer of at least `lowest`, if it is none."""
+    if isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= lowest:
+        return []
+    return [Problem(option, 0, 0, "", shown(value), f"an integer of at least {lowest}")]
+
+
+def flag_problems(flags: Mapping[str, object]) -> list[Problem]:
+    """A problem for each value that is neither True nor False; the keys name the options."""
+    return [
+        Problem(option, 0, 0, "", shown(flag), "True or False")
+        for option, flag in flags.items()
+        if not isinstance(flag, bool)
+    ]
+
+
+def path(option: str, value: object) -> Path:
+    """The path that a value is; or `BadInputError`."""
+    if isinstance(value, Path) or (isinstance(value, str) and value and "\0" not in value):
+        return Path(value)
+    raise bad_input(option, shown(value), "a path")
