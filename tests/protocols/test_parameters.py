@@ -217,3 +217,50 @@ def test_editors_accept_expressions_in_numbers_of_steps_and_nowhere_else() -> No
         wanted = 0 if name == "ProtocolParameter" else numbers(plain["$defs"][name])
         assert expressions(editor["$defs"][name]) == wanted, name
     assert expressions(editor["$defs"]["Sine"]) > 10
+
+
+@pytest.mark.parametrize("peak", [0.1, 0.2, 0.5, 0.65])
+@pytest.mark.parametrize("parts", [3, 6, 7, 11])
+@pytest.mark.parametrize(("start", "stop"), [("0", "p_bar"), ("p_bar", "0"), ("p_bar / 3", "p_bar")])
+def test_stairs_by_a_quotient_without_end_reach_their_stop(
+    tmp_path: Path, peak: float, parts: int, start: str, stop: str
+) -> None:
+    span = f"p_bar / {parts}" if "/" not in start else f"p_bar / {1.5 * parts:g}"
+    stairs = f"{{actuators: [1], start_bar: {start}, stop_bar: {stop}, step_bar: {span}, dwell_s: 1}}"
+    text = f"title: t\nparameters:\n  p_bar: {{default: {peak}}}\nsteps:\n  - staircase: {stairs}\n"
+    levels = [segment.level_pa[0] for segment in expanded(tmp_path / "p.yaml", text).segments]
+    assert len(levels) == parts + 1
+    ends = {"0": 0, "p_bar": Decimal(str(peak)), "p_bar / 3": Decimal(str(peak)) / 3}
+    assert levels[0] == pytest.approx(float(ends[start] * 100_000))
+    assert levels[-1] == float(ends[stop] * 100_000)
+
+
+@pytest.mark.parametrize(
+    ("step", "stop", "expected", "suggestion"),
+    [
+        (
+            "0.0666667",
+            0.2,
+            "by 0.0666667 the last level would be 0.2000001: round no digits off",
+            "stop_bar: 0.2000001",
+        ),
+        ("0.07", 0.2, "by 0.07 the last level would be 0.14", "stop_bar: 0.14"),
+        ("p_bar / 3", 0.5, "by 0.0666666666667 the last level would be 0.466666666667", "stop_bar: 0.466666666667"),
+        ("0.3", 0.2, "a step that fits between start_bar (0) and stop_bar (0.2)", "0.2"),
+    ],
+)
+def test_uneven_stairs_say_where_they_end_and_what_to_do(
+    tmp_path: Path, step: str, stop: float, expected: str, suggestion: str
+) -> None:
+    (tmp_path / "p.yaml").write_text(
+        "title: t\nparameters:\n  p_bar: {default: 0.2}\n"
+        "steps:\n  - ramp: {actuators: [1], to_bar: p_bar, duration_s: 1}\n"
+        f"  - staircase: {{actuators: [1], start_bar: 0, stop_bar: {stop}, step_bar: {step}, dwell_s: 1}}\n"
+    )
+    with pytest.raises(BadInputError) as wrong:
+        protocols.load(tmp_path / "p.yaml")
+    (problem,) = wrong.value.problems
+    assert problem.line == 6
+    assert problem.value.startswith(step)
+    assert expected in problem.expected
+    assert problem.suggestion == suggestion
