@@ -7,21 +7,41 @@ from collections.abc import Mapping
 from numbers import Integral, Real
 from pathlib import Path
 
-from protocols.problems import Problem, bad_input
+from protocols.problems import Problem, bad_input, raise_all
 from protocols.source_positions import shortened
 
 TEXT = "text without NUL and lone surrogates"
 
 
-def finite(value: object) -> float | None:
-    """The number as a float; None for what is no finite number. True and False are none."""
+def number(value: object) -> float | None:
+    """The number as a float; infinity for a larger one, None for what is no number. True and False are none."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return None
     try:
-        number = float(value)
+        return float(value)
     except OverflowError:
-        return None
-    return number if math.isfinite(number) else None
+        return math.inf
+
+
+def finite(value: object) -> float | None:
+    """The number as a float; None for what is no finite number."""
+    found = number(value)
+    return found if found is not None and math.isfinite(found) else None
+
+
+def settings(given: object) -> dict[str, float]:
+    """The values of a protocol's parameters as floats; none for None; or `BadInputError`."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise bad_input("--set", shown(given), "a mapping from names of parameters to numbers")
+    numbers = {name: number(value) for name, value in given.items()}
+    raise_all(
+        Problem("--set", 0, 0, "", f"{shown(name)}={shown(given[name])}", "the name of a parameter, and a number")
+        for name, value in numbers.items()
+        if value is None or not isinstance(name, str)
+    )
+    return {name: value for name, value in numbers.items() if value is not None}
 
 
 def storable(value: object) -> bool:

@@ -42,6 +42,15 @@ class Expression:
         return float(sum(f * (Decimal(repr(float(values[name]))) if name else 1) for f, name in self.terms))
 
 
+def remedy(text: str) -> str:
+    """What a text with the name of a parameter lacks to be an expression, in words."""
+    if len(text) > LONGEST:
+        return f"an expression of at most {LONGEST} characters"
+    if _EXPRESSION.fullmatch(text):
+        return "a number other than 0 after the /"
+    return "a sum of parameters, each times or over a number, as in 2 * low_bar + peak_bar / 3 - 0.1"
+
+
 def parsed(text: str) -> Expression | None:
     """The expression in a text that names at least one parameter; None if the text is none, or divides by 0."""
     if len(text) > LONGEST or not _EXPRESSION.fullmatch(text):

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from protocols import arguments
 from protocols import document as yaml_document
 from protocols.document import Document
 from protocols.expansion import expand, too_long
@@ -80,7 +81,7 @@ def load(name_or_path: str | Path, settings: Mapping[str, float] | None = None) 
     `settings` are values of its parameters, by name, in the unit of each; the others have their defaults.
     """
     path = find(str(name_or_path), FOLDER, "protocol")
-    return _loaded(yaml_document.read(path), path, settings or {})
+    return _loaded(yaml_document.read(path), path, arguments.settings(settings))
 
 
 def from_steps(title: str, steps: Sequence[Mapping[str, Any]], folder: Path = Path()) -> Protocol:

@@ -11,7 +11,7 @@ import yaml
 from yaml.resolver import Resolver
 
 from protocols.expectations import Expectation, Schema, unit_of, wants_number
-from protocols.expressions import NAME, Expression, parsed
+from protocols.expressions import NAME, Expression, parsed, remedy
 from protocols.parameters import ParameterValue, ProtocolParameter, declared, unit_in
 from protocols.problems import Problem, closest
 from protocols.source_positions import Document, SourcePosition, path_text, shortened
@@ -78,10 +78,11 @@ class _Substituter:
             positions = replace(position, children={key: below for key, (_, below) in made.items()})
             values = {key: value for key, (value, _) in made.items()}
             return (values if isinstance(data, dict) else list(values.values())), positions
-        if not isinstance(data, str) or position.quoted or (expression := parsed(data)) is None:
-            return data, position
-        place = self._expectation.at(path, self._document.data)
+        place = self._expectation.at(path, self._document.data) if isinstance(data, str) else {}
         if not wants_number(place):
+            return data, position
+        if position.quoted or (expression := parsed(data)) is None:
+            self._check_remedy(data, position, path)
             return data, position
         self._used.update(expression.names)
         if not self._usable(expression, position, path):
@@ -117,6 +118,14 @@ class _Substituter:
             position = self._document.position((*path, "unit"))
             expected = f"{ending}, in which the name {name} ends, or another name"
             self._add(position.line, position.column, (*path, "unit"), position.source, expected)
+
+    def _check_remedy(self, text: str, position: SourcePosition, path: Path) -> None:
+        """Say what a text with the name of a parameter lacks to be an expression."""
+        if names := set(re.findall(NAME, text)) & set(self._declared):
+            self._used |= names
+            words = "this text without quotes" if position.quoted and parsed(text) else remedy(text)
+            expected = f"{self._expectation.words(path, self._document.data)}, or {words}"
+            self._add(position.line, position.column, path, position.source, expected)
 
     def _usable(self, expression: Expression, position: SourcePosition, path: Path) -> bool:
         """True if every name is a valid parameter in the unit of the place."""

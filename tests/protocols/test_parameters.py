@@ -8,6 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -170,7 +171,7 @@ steps:
         (15, 21, "wait_s", "a parameter without a unit; wait_s is in s", ""),
         (15, 57, "on + label", "a parameter in s; on has no unit", ""),
         (15, 57, "on + label", "a parameter in s; label has no unit", ""),
-        (17, 24, "'wait_s'", number, ""),
+        (17, 24, "'wait_s'", f"{number}, or this text without quotes", ""),
     ]  # fmt: skip
     assert found[7].expected.startswith("one of bar/s, ")
 
@@ -180,7 +181,24 @@ def test_a_value_set_for_a_protocol_without_parameters_is_refused() -> None:
         protocols.load("ramp-a", {"peak_bar": 1})
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), 0.66, -1])
+@pytest.mark.parametrize(
+    "given", [{"peak_bar": "a"}, {"peak_bar": None}, {"peak_bar": True}, {3: 1}, {"z": [1]}, [1], "abc", 3]
+)
+def test_settings_that_are_no_numbers_by_name_are_refused(given: Any) -> None:
+    with pytest.raises(BadInputError) as caught:
+        protocols.load("sine", given)
+    (problem,) = caught.value.problems
+    assert problem.file == "--set"
+    assert problem.value
+    assert "number" in problem.expected
+
+
+def test_settings_may_be_numbers_of_numpy() -> None:
+    protocol = protocols.load("sine", {"peak_bar": np.float32(0.25), "periods": np.int64(2)})
+    assert [p.value for p in protocol.parameters if p.given] == [0.25, 2]
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 0.66, -1, 10**400])
 def test_no_value_outside_the_limits_of_a_parameter_is_used(value: float) -> None:
     with pytest.raises(BadInputError, match=r"sine\.yaml:8:3: parameters, peak_bar") as caught:
         protocols.load("sine", {"peak_bar": value})
@@ -264,3 +282,36 @@ def test_uneven_stairs_say_where_they_end_and_what_to_do(
     assert problem.value.startswith(step)
     assert expected in problem.expected
     assert problem.suggestion == suggestion
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("p_bar / 0", "or a number other than 0 after the /"),
+        ("p_bar / 0.00", "or a number other than 0 after the /"),
+        (
+            "p_bar * p_bar",
+            "or a sum of parameters, each times or over a number, as in 2 * low_bar + peak_bar / 3 - 0.1",
+        ),
+        ("(p_bar + 1) / 2", "or a sum of parameters"),
+        ("1 / p_bar", "or a sum of parameters"),
+        ("p_bar" + " + p_bar" * 40, "or an expression of at most 200 characters"),
+        ("'p_bar / 2'", "or this text without quotes"),
+        ("q_bar", "or a parameter in bar: p_bar"),
+        ("p_bar * 1" + "0" * 9, "a number from -1 to 100 (bar)"),
+    ],
+)
+def test_an_invalid_expression_is_one_problem_that_says_what_is_expected(
+    tmp_path: Path, text: str, expected: str
+) -> None:
+    use = "" if text != "q_bar" else "  - ramp: {actuators: [1], to_bar: p_bar, duration_s: 1}\n"
+    (tmp_path / "p.yaml").write_text(
+        "title: t\nparameters: {p_bar: {default: 0.2}}\nsteps:\n"
+        f"  - ramp:\n      actuators: [1]\n      duration_s: 1\n      to_bar: {text}\n{use}"
+    )
+    with pytest.raises(BadInputError) as wrong:
+        protocols.load(tmp_path / "p.yaml")
+    (problem,) = wrong.value.problems
+    assert (problem.line, problem.column) == (7, 15)
+    assert problem.value[:5] == text[:5]
+    assert expected in problem.expected
