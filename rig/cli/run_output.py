@@ -101,8 +101,16 @@ def _how_simulated(config: RigConfig) -> str:
 
 
 def verdict(request: RunRequest) -> Text:
-    """Return the verdict on a request that has passed every check."""
-    return Text(f"nothing is wrong: rig {request.config.name} can run {request.protocol.name}", "bold green")
+    """Return the verdict on a request that has passed every check, and the metadata that `rig run` needs beside it."""
+    verdict = Text(f"nothing is wrong: rig {request.config.name} can run {request.protocol.name}", "bold green")
+    if missing := _missing_metadata(request):
+        needed = " ".join(f"--meta {name}=VALUE" for name in missing)
+        verdict.append(f"\nthe rig file requires metadata: rig run needs {needed}", "yellow")
+    return verdict
+
+
+def _missing_metadata(request: RunRequest) -> tuple[str, ...]:
+    return request.config.metadata.missing(request.metadata)
 
 
 def peak_bar(plan: RunPlan) -> list[float]:
@@ -123,6 +131,7 @@ def check_facts(request: RunRequest, plan: RunPlan) -> dict[str, object]:
         "prompts": len(plan.trajectory.prompts),
         "peak_bar": peak_bar(plan),
         "limit_bar": request.config.limits.pressure_bar,
+        "missing_metadata": _missing_metadata(request),
         **_tip_paths_json(plan),
     }
 

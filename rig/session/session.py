@@ -76,6 +76,8 @@ class Session:
     def check(self, protocol: Path | str, *, settings: Mapping[str, float] | None = None) -> RunPlan:
         """Check a protocol as `rig check` does; return its plan, which has the set-points over time.
 
+        Metadata that the rig file requires are checked by `run`, which is given them.
+
         Raises:
             BadInputError: everything that is wrong with protocol and rig.
         """

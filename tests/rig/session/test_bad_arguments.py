@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,10 @@ import pytest
 import rig
 import runs
 from protocols import BadInputError
+from rig.config import loader
 from rig.importing import import_table
 from runs.annotations import AnnotationError, add_note, add_tags
+from tests.support.command_line import status_of
 
 PROTOCOL = """\
 title: One step
@@ -94,3 +97,18 @@ def test_a_note_that_cannot_be_stored_is_refused(text: Any) -> None:
 def test_tags_that_are_no_words_are_refused(tags: Any) -> None:
     with pytest.raises(AnnotationError, match="expected a "):
         add_tags("last", tags)
+
+
+def test_check_names_the_metadata_that_run_will_refuse_to_be_without(
+    protocol: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench = tmp_path / "bench.yaml"
+    required = "metadata:\n  required: [specimen, batch, site]\n  values: {site: Lab 2}\n"
+    bench.write_text(loader.text("mock") + required)
+    assert status_of("check", protocol, "--rig", bench) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert shown.endswith("rig run needs --meta specimen=VALUE --meta batch=VALUE")
+    assert status_of("check", protocol, "--rig", bench, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["missing_metadata"] == ["specimen", "batch"]
+    assert status_of("run", protocol, "--rig", bench, "--fast", "--yes", "--out", tmp_path / "none") == 2
+    assert not (tmp_path / "none").exists()
