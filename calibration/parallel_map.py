@@ -203,7 +203,7 @@ def _on_cluster(
         raise NoClusterError("a Dask cluster needs the extra 'cluster': pip install softrig[cluster]") from missing
     try:
         client: Any = distributed.Client(scheduler, timeout=_CONNECT_TIMEOUT)
-    except (OSError, TimeoutError) as error:
+    except (OSError, ValueError) as error:  # ValueError: the address has another form
         raise NoClusterError(f"no Dask scheduler answers at {scheduler}: {error}") from error
     with client, _without_profiler(client):
         futures = {client.submit(work, tasks[k], pure=False, retries=_MAX_RESTARTS): k for k in remaining}

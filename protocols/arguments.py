@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import os
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from numbers import Integral, Real
 from pathlib import Path
 
 from protocols.problems import Problem, bad_input, raise_all
 from protocols.source_positions import shortened
 
+LARGEST = 2**63 - 1
 TEXT = "text without NUL and lone surrogates"
 
 
@@ -60,10 +63,12 @@ def text_problems(texts: Mapping[str, object]) -> list[Problem]:
 
 
 def whole_number_problems(option: str, value: object, lowest: int) -> list[Problem]:
-    """The problem of a value that is not an integer of at least `lowest`, if it is none."""
-    if isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= lowest:
+    """The problem of a value that is not an integer of at least `lowest` and of 64 bits, if it is none."""
+    found = int(value) if isinstance(value, Integral) and not isinstance(value, bool) else None
+    if found is not None and lowest <= found <= LARGEST:
         return []
-    return [Problem(option, 0, 0, "", shown(value), f"an integer of at least {lowest}")]
+    limits = f"from {lowest} to {LARGEST}" if found is not None and found > LARGEST else f"of at least {lowest}"
+    return [Problem(option, 0, 0, "", shown(value), f"an integer {limits}")]
 
 
 def flag_problems(flags: Mapping[str, object]) -> list[Problem]:
@@ -75,8 +80,36 @@ def flag_problems(flags: Mapping[str, object]) -> list[Problem]:
     ]
 
 
+def names(option: str, value: object) -> tuple[str, ...]:
+    """The names in a list; or `BadInputError`."""
+    listed = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str | bytes) else (None,)
+    if all(isinstance(name, str) for name in listed):
+        return listed
+    raise bad_input(option, shown(value), "a list of names")
+
+
 def path(option: str, value: object) -> Path:
     """The path that a value is; or `BadInputError`."""
-    if isinstance(value, Path) or (isinstance(value, str) and value and "\0" not in value):
-        return Path(value)
+    if isinstance(value, str | Path) and str(value) and "\0" not in str(value):
+        with suppress(UnicodeEncodeError):
+            os.fsencode(value)
+            return Path(value)
     raise bad_input(option, shown(value), "a path")
+
+
+def folder(option: str, value: object) -> Path:
+    """The folder that a value names, in which one can write, and which is made later if it does not exist.
+
+    Raises:
+        BadInputError: it cannot be one.
+    """
+    wanted = path(option, value)
+    try:
+        nearest = next(place for place in (wanted, *wanted.absolute().parents) if place.exists())
+    except OSError as error:
+        raise bad_input(option, shown(str(wanted)), f"a folder: {error.strerror}") from None
+    if not nearest.is_dir():
+        raise bad_input(option, shown(str(wanted)), f"a folder; {nearest} is a file")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise bad_input(option, shown(str(wanted)), f"a folder in which you may write; {nearest} is not one")
+    return wanted

@@ -22,9 +22,7 @@ def open(name: Path | str) -> Run:
     Raises:
         ArchiveError: no archive matches, several do, or the file is not an archive.
     """
-    from pathlib import Path
-
     from runs.run import Run
     from runs.run_names import resolve
 
-    return Run(resolve(Path(name)))
+    return Run(resolve(name))

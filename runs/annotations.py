@@ -83,4 +83,4 @@ def _words(tags: Iterable[str]) -> list[str]:
 
 
 def _archive(run: Path | str) -> Path:
-    return Run(resolve(Path(run))).path
+    return Run(resolve(run)).path

@@ -8,6 +8,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import h5py
+
 from runs.archive.checked import ArchiveError
 from runs.archive.reader import ArchiveReader
 from runs.run_names import resolve
@@ -37,12 +39,20 @@ class Run(ArchiveReader):
         return pandas.DataFrame(columns, index=pandas.Index(columns.pop(first), name=first))
 
     def to_xarray(self, group: str = "tip") -> Any:
-        """Return a group of `/entry` as a lazy Dataset; xarray and h5netcdf are not dependencies of softrig."""
+        """Return a group of `/entry` as a lazy Dataset; xarray and h5netcdf are not dependencies of softrig.
+
+        `ArchiveError` if the run has no such group.
+        """
         _optional("h5netcdf")
         drop = ["image"] if group == "frames" else []
-        return _optional("xarray").open_dataset(
-            self.path, group=f"entry/{group}", engine="h5netcdf", drop_variables=drop
-        )
+        try:
+            return _optional("xarray").open_dataset(
+                self.path, group=f"entry/{group}", engine="h5netcdf", drop_variables=drop
+            )
+        except OSError as error:
+            with h5py.File(self.path) as file:
+                known = ", ".join(name for name, inner in file["entry"].items() if isinstance(inner, h5py.Group))
+            raise ArchiveError(f"{self.path} has no group '{group}'; it has {known}") from error
 
 
 def paths_of(named: Iterable[Run | Path | str]) -> list[Path]:
@@ -51,7 +61,9 @@ def paths_of(named: Iterable[Run | Path | str]) -> list[Path]:
     Raises:
         ArchiveError: no archive matches, or several do.
     """
-    return [run.path if isinstance(run, Run) else resolve(Path(run)) for run in named]
+    if isinstance(named, str) or not isinstance(named, Iterable):
+        raise ArchiveError(f"{named!r}: expected a list of runs, such as ['last']")
+    return [run.path if isinstance(run, Run) else resolve(run) for run in named]
 
 
 def _optional(package: str) -> Any:

@@ -28,12 +28,15 @@ def archive_at(name: Path) -> Path | None:
         raise ArchiveError(f"{name}: {error.strerror}") from None
 
 
-def resolve(name: Path) -> Path:
+def resolve(name: Path | str) -> Path:
     """Find an archive by path, by a run id or a unique part of one in the data folder, or by `last` (the newest).
 
     Raises:
         ArchiveError: no archive matches, or several do.
     """
+    if not isinstance(name, Path | str):
+        raise ArchiveError(f"{name!r}: expected a path, a run id or a part of one, or `last`")
+    name = Path(name)
     if (found := archive_at(name)) is not None:
         return found
     if len(name.parts) == 1 and name.name and (found := _in_data(name.name)) is not None:

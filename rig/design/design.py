@@ -27,8 +27,8 @@ from calibration.identify.poses import Poses
 from calibration.identify.section_mounts import mount_priors
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, exact
-from protocols import BadInputError, Problem, Protocol
-from protocols.problems import bad_input, closest
+from protocols import BadInputError, Problem, Protocol, arguments
+from protocols.problems import bad_input, closest, raise_all
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
 from rig.design.blocks import BLOCK_S, Block, blocks, rest_bar
@@ -86,7 +86,7 @@ def design(
         UnknownParameter: a name in `free`.
         BadInputError: an unknown criterion, or a duration that is too short or above the rig's limit.
     """
-    _check_inputs(config, duration_s, criterion)
+    _check_inputs(config, free, duration_s, criterion, seed)
     errors = errors or MeasurementErrors()
     chosen = tuple(free) or free_parameters(config)
     candidates = blocks(config)
@@ -117,14 +117,19 @@ def design(
     return Design(protocol, text, bars, library, repeated, errors, tuple(config.sections))
 
 
-def _check_inputs(config: RigConfig, duration_s: float, criterion: str) -> None:
-    if criterion not in CRITERIA:
+def _check_inputs(config: RigConfig, free: object, duration_s: float, criterion: str, seed: int) -> None:
+    if not isinstance(config, RigConfig):
+        raise bad_input("design", arguments.shown(config), "the configuration of a rig, as rig.open(..).config")
+    arguments.names("--free", free)
+    raise_all(arguments.whole_number_problems("--seed", seed, 0))
+    if not isinstance(criterion, str) or criterion not in CRITERIA:
         expected = f"one of {', '.join(CRITERIA)}"
-        raise bad_input("--criterion", criterion, expected, closest(criterion, CRITERIA))
+        raise bad_input("--criterion", arguments.shown(criterion), expected, closest(str(criterion), CRITERIA))
     least, most = 2 * ENDS_S + BLOCK_S, config.limits.duration_s
-    if not least <= duration_s <= most:
-        expected = f"{least:g} to {most:g} s (limits, duration_s of the rig)"
-        raise bad_input("--duration-s", f"{duration_s:g} s", expected)
+    seconds = arguments.finite(duration_s)
+    if seconds is None or not least <= seconds <= most:
+        found = arguments.shown(duration_s) if seconds is None else f"{seconds:g} s"
+        raise bad_input("--duration-s", found, f"{least:g} to {most:g} s (limits, duration_s of the rig)")
 
 
 def free_parameters(config: RigConfig) -> tuple[str, ...]:

@@ -15,8 +15,8 @@ from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors
 from calibration.identify.tip_predictor import Predictor
-from protocols import BadInputError, Protocol
-from protocols.problems import bad_input
+from protocols import BadInputError, Protocol, arguments
+from protocols.problems import bad_input, raise_all
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
 from rig.design.expected_poses import errors_text, expected_poses
@@ -71,13 +71,18 @@ def design_comparison(
         BadInputError: an unknown law, one law twice, laws that no pressures separate, or a duration that is too short
             or above the rig's limit.
     """
+    if not isinstance(config, RigConfig):
+        raise bad_input("design", arguments.shown(config), "the configuration of a rig, as rig.open(..).config")
+    raise_all(arguments.whole_number_problems("--seed", seed, 0))
     start = Setup(model_arm(config))
     candidates = laws_named(laws, start, "--compare")
-    count = int((duration_s - ends_s(config) + 1e-9) // level_s(config))
+    seconds = arguments.finite(duration_s)
+    count = 0 if seconds is None else int((seconds - ends_s(config) + 1e-9) // level_s(config))
     shortest, longest = ends_s(config) + _FEWEST * level_s(config), config.limits.duration_s
     if count < _FEWEST or duration_s > longest:
         expected = f"{shortest:.4g} to {longest:g} s (limits, duration_s of the rig)"
-        raise bad_input("--duration-s", f"{duration_s:g} s", expected)
+        stated = arguments.shown(duration_s) if seconds is None else f"{seconds:g} s"
+        raise bad_input("--duration-s", stated, expected)
     # A comparison of laws is by the tips alone, as their distance here.
     config = config.model_copy(update={"sections": {}})
     errors = replace(errors or MeasurementErrors(), rotation_rad=None)

@@ -34,9 +34,10 @@ def identify(
         UnknownParameter: a name is unknown.
         BadInputError: an option or a prior is invalid.
     """
-    from rig.identify.from_archives import from_data, open_runs, read_data
+    from rig.identify.from_archives import check_arguments, from_data, open_runs, read_data
     from runs.run import paths_of
 
+    check_arguments(free=free, priors=priors, per_run=per_run)
     opened = open_runs(paths_of(runs), paths_of(leave_out), one_arm=start is not None)
     data = read_data(opened, start=start, quasi_static=quasi_static, every=every, split_s=split_s)
     return from_data(data, free=free, priors=priors or {}, per_run=per_run, starts=starts)
@@ -59,12 +60,15 @@ def compare(
         UnknownParameter: a name is unknown.
         BadInputError: a prior is implausible, or a law is unknown.
     """
+    from protocols import arguments
     from rig.identify import initial_setup, model_comparison
     from rig.identify.estimation import read_poses
-    from rig.identify.from_archives import open_runs
+    from rig.identify.from_archives import check_arguments, open_runs
     from runs.run import paths_of
 
+    check_arguments(free=free, priors=priors, scheduler=scheduler)
     seen = open_runs(paths_of(runs)).seen
     start, data = initial_setup.setup_of(seen[0]), read_poses(seen, quasi_static)
     config = initial_setup.rig_of(seen[0]) if between else None
-    return model_comparison.compare(start, data, free, priors or {}, scheduler, store, between=between, config=config)
+    folder = None if store is None else arguments.folder("--store", store)
+    return model_comparison.compare(start, data, free, priors or {}, scheduler, folder, between=between, config=config)

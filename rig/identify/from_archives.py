@@ -16,7 +16,7 @@ from calibration.identify.parameters_document import Baseline
 from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
 from calibration.identify.search import Progress as SearchProgress
-from protocols import Problem
+from protocols import Problem, arguments
 from protocols.problems import bad_input, raise_all
 from rig.config.loader import RigFile
 from rig.identify import estimation, initial_setup
@@ -123,8 +123,8 @@ def from_data(
         UnknownParameter: a name is unknown, or a prior or `per_run` names a parameter without effect on the data.
         BadInputError: a prior or the number of starts is invalid.
     """
-    if starts is not None and starts < 1:
-        raise bad_input("--starts", str(starts), "an integer of at least 1")
+    if starts is not None:
+        raise_all(arguments.whole_number_problems("--starts", starts, 1))
     fit = estimation.from_poses(data.rig.config, data.seen, free, priors, starts, progress, per_run)
     baseline = None
     if not fit.worse_than_start:
@@ -133,14 +133,26 @@ def from_data(
     return Identification(data.rig, fit, baseline, tuple(data.held_out), data.opened.notes)
 
 
+def check_arguments(*, free: object, priors: object, per_run: object = (), scheduler: object = None) -> None:
+    """Refuse what is no list of names, no mapping of names to priors, or no address."""
+    if scheduler is not None:
+        raise_all(arguments.text_problems({"--scheduler": scheduler}))
+    arguments.names("--free", free)
+    arguments.names("--per-run", per_run)
+    given = {} if priors is None else priors
+    if not isinstance(given, Mapping) or not all(
+        isinstance(name, str) and isinstance(prior, Prior) for name, prior in given.items()
+    ):
+        expected = "a mapping from names to calibration.identify.Prior(mean, std)"
+        raise bad_input("--prior", arguments.shown(priors), expected)
+
+
 def _check_numbers(quasi_static: bool, every: int, split_s: float | None) -> None:
-    problems = []
-    if every < 1:
-        problems.append(Problem("--every", 0, 0, "", str(every), "an integer of at least 1"))
-    if every > 1 and not quasi_static:
+    problems = arguments.whole_number_problems("--every", every, 1)
+    if not problems and every > 1 and not quasi_static:
         problems.append(Problem("--every", 0, 0, "", str(every), "needs --quasi-static"))
-    if split_s is not None and not split_s >= 0:
-        problems.append(Problem("--split-s", 0, 0, "", str(split_s), "a time of at least 0 s"))
+    if split_s is not None and not (arguments.finite(split_s) is not None and split_s >= 0):
+        problems.append(Problem("--split-s", 0, 0, "", arguments.shown(split_s), "a time of at least 0 s"))
     raise_all(problems)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from calibration.identify.candidates import Candidate, candidates
 from calibration.identify.setup import Setup
 from model.variants import POINTWISE
+from protocols import arguments
 from protocols.problems import bad_input, closest
 
 BASE = ("base",)
@@ -14,13 +15,14 @@ BASE = ("base",)
 
 
 def laws_named(names: Sequence[str], start: Setup, option: str, free: Sequence[str] = BASE) -> tuple[Candidate, ...]:
-    """The laws by name, from a setup. A variant alone means its pointwise law; a rule or a push law needs no variant.
+    """The two laws by name, from a setup. A variant alone means its pointwise law; rules and push laws need no variant.
 
     option: where the names come from, for the message.
 
     Raises:
-        BadInputError: an unknown name, or one law twice.
+        BadInputError: an unknown name, or not two different laws.
     """
+    names = arguments.names(option, names)
     every = {law.name: law for law in candidates(start, free)}
     short = {name.rpartition(", ")[2]: name for name in every}
     short |= {name.removesuffix(f", {POINTWISE}"): name for name in every}
@@ -31,6 +33,6 @@ def laws_named(names: Sequence[str], start: Setup, option: str, free: Sequence[s
             expected = "one of " + "; ".join(every)
             raise bad_input(option, name, expected, closest(name, {**every, **short}))
         found.append(every[full])
-    if len({law.name for law in found}) < len(found):
+    if len({law.name for law in found}) != 2:
         raise bad_input(option, " ".join(names), "two different laws")
     return tuple(found)

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from types import TracebackType
 
-from protocols import Problem
+from protocols import Problem, arguments
 from protocols.problems import bad_input, raise_all
 from rig.config.loader import RigChoice, chosen_rig, load
 from rig.config.schema import RigConfig
@@ -115,16 +115,17 @@ class Session:
             CardError, CameraError, StartError, JournalError: the run did not start.
         """
         self._require_entered()
+        _check_options(answer, fast=fast, yes=yes, report=report)
         request = experiment.request(
             str(protocol),
             self._choice,
             settings=settings,
-            adapt=None if adapt is False else () if adapt is True else adapt,
-            folder=Path(out),
+            adapt=None if adapt is False else () if adapt is True else arguments.names("--free", adapt),
+            folder=arguments.folder("--out", out),
             fast=fast,
             seed=seed,
             variant=model,
-            parameters=None if parameters is None else Path(parameters),
+            parameters=_parameters_file(parameters),
             operator=operator,
             notes=note,
             metadata={} if meta is None else meta,
@@ -154,9 +155,9 @@ class Session:
             str(protocol),
             self._choice,
             settings=settings,
-            folder=Path(out),
+            folder=arguments.folder("--out", out),
             variant=model,
-            parameters=None if parameters is None else Path(parameters),
+            parameters=_parameters_file(parameters),
         )
         return Run(simulate(request, experiment.plan(request)))
 
@@ -184,7 +185,13 @@ class Session:
             KeyboardInterrupt: Ctrl-C; repeat the call to go on.
         """
         self._require_entered()
-        study = load_study(Path(plan), self._choice, folder=Path(out), fast=fast, operator=operator, metadata=meta)
+        _check_options(answer, fast=fast, yes=yes)
+        if workers is not None:
+            raise_all(arguments.whole_number_problems("workers", workers, 1))
+        if scheduler is not None:
+            raise_all(arguments.text_problems({"--scheduler": scheduler}))
+        folder, file = arguments.folder("--out", out), arguments.path("PLAN", plan)
+        study = load_study(file, self._choice, folder=folder, fast=fast, operator=operator, metadata=meta)
         for run in study.runs:
             _check_arming(*study.request(run), yes, answer)
         if not fast and study.plan.block_prompt and answer is None:
@@ -195,6 +202,17 @@ class Session:
     def _require_entered(self) -> None:
         if not self._entered:
             raise bad_input("rig.open", "", "open it first: `with rig.open(..) as bench:`")
+
+
+def _check_options(answer: object, **flags: bool) -> None:
+    problems = arguments.flag_problems(flags)
+    if answer is not None and not callable(answer):
+        problems.append(Problem("answer", 0, 0, "", arguments.shown(answer), "a function, such as answer=input"))
+    raise_all(problems)
+
+
+def _parameters_file(parameters: Path | str | None) -> Path | None:
+    return None if parameters is None else arguments.path("--parameters", parameters)
 
 
 def _check_arming(request: RunRequest, plan: RunPlan, yes: bool, answer: Answer | None) -> None:

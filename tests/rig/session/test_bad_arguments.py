@@ -11,10 +11,17 @@ import pytest
 
 import rig
 import runs
+import tests.support.synthetic_runs as made_up
 from protocols import BadInputError
 from rig.config import loader
+from rig.design.design import design
+from rig.design.law_comparison import design_comparison
+from rig.identify import compare, identify
 from rig.importing import import_table
 from runs.annotations import AnnotationError, add_note, add_tags
+from runs.archive.checked import ArchiveError
+from runs.archive.writer import finalise
+from runs.run import Run
 from tests.support.command_line import status_of
 
 PROTOCOL = """\
@@ -112,3 +119,123 @@ def test_check_names_the_metadata_that_run_will_refuse_to_be_without(
     assert json.loads(capsys.readouterr().out)["missing_metadata"] == ["specimen", "batch"]
     assert status_of("run", protocol, "--rig", bench, "--fast", "--yes", "--out", tmp_path / "none") == 2
     assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ({"seed": "a"}, "an integer of at least 0"),
+        ({"seed": -1}, "an integer of at least 0"),
+        ({"seed": 1.5}, "an integer of at least 0"),
+        ({"seed": 2**70}, "an integer from 0 to 9223372036854775807"),
+        ({"settings": {"peak_bar": "a"}}, "a number"),
+        ({"settings": [1]}, "a mapping from names of parameters to numbers"),
+        ({"model": 3}, "one of homogeneous"),
+        ({"model": ["a"]}, "one of homogeneous"),
+        ({"parameters": 3}, "a path"),
+        ({"adapt": 3}, "a list of names"),
+        ({"adapt": "law"}, "a list of names"),
+        ({"adapt": [3]}, "a list of names"),
+        ({"fast": "no"}, "True or False"),
+        ({"yes": "no"}, "True or False"),
+        ({"report": None}, "True or False"),
+        ({"answer": 3}, "a function, such as answer=input"),
+        ({"out": 3}, "a path"),
+        ({"out": "a\0b"}, "a path"),
+        ({"out": "\ud800"}, "a path"),
+        ({"out": ""}, "a path"),
+        ({"out": "x" * 300}, "a folder: File name too long"),
+    ],
+)
+def test_options_of_a_run_that_cannot_be_are_refused(
+    protocol: Path, arguments: dict[str, object], expected: str
+) -> None:
+    message = refusal(protocol, **arguments)
+    assert expected in message
+    assert message.count("expected") == 1
+
+
+def test_a_file_in_place_of_the_folder_of_a_run_is_named(protocol: Path) -> None:
+    assert f"a folder; {protocol} is a file" in refusal(protocol, out=protocol)
+    assert f"a folder; {protocol} is a file" in refusal(protocol, out=protocol / "below")
+
+
+def test_a_folder_without_permission_is_named(protocol: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.access", lambda place, mode: Path(place) != tmp_path)  # root may write everywhere
+    message = refusal(protocol, out=tmp_path / "new" / "data")
+    assert f"a folder in which you may write; {tmp_path} is not one" in message
+
+
+def test_wrong_arguments_of_a_simulation_and_a_study_are_refused(protocol: Path, tmp_path: Path) -> None:
+    plan = tmp_path / "plan.yaml"
+    plan.write_text("title: Two\nprotocol: step.yaml\nfactors: {peak_bar: [0.1, 0.2]}\n")
+    wrong: list[dict[str, Any]] = [
+        {"plan": 3}, {"plan": tmp_path}, {"plan": "none.yaml"}, {"out": plan}, {"workers": "a"}, {"workers": 0},
+        {"scheduler": 3}, {"fast": "yes"}, {"answer": 3},
+    ]  # fmt: skip
+    with rig.open("mock") as bench:
+        for arguments in wrong:
+            with pytest.raises(BadInputError):
+                bench.study(**{"plan": plan, "fast": True, "out": tmp_path / "none", **arguments})
+        for arguments in ({"out": plan}, {"out": 3}, {"model": 3}, {"parameters": 3}):
+            with pytest.raises(BadInputError):
+                bench.simulate(protocol, **arguments)
+    assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.parametrize("name", [3, None, b"x", ["a"], "", "\udc80", "a\0b", "x" * 300])
+def test_what_names_no_run_is_refused(name: Any) -> None:
+    with pytest.raises(ArchiveError):
+        runs.open(name)
+    with pytest.raises(ArchiveError):
+        identify([name])
+
+
+@pytest.mark.parametrize("listed", ["last", 3, None])
+def test_what_is_no_list_of_runs_is_refused(listed: Any) -> None:
+    with pytest.raises(ArchiveError, match="expected a list of runs"):
+        identify(listed)
+    with pytest.raises(ArchiveError, match="expected a list of runs"):
+        compare(listed)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ({}, "needs at least one run"),
+        ({"free": "law"}, "a list of names"),
+        ({"per_run": [3]}, "a list of names"),
+        ({"priors": [1]}, "a mapping from names"),
+        ({"priors": {"youngs_modulus_pa": 3}}, "a mapping from names"),
+    ],
+)
+def test_wrong_arguments_of_an_identification_are_refused(arguments: dict[str, Any], expected: str) -> None:
+    with pytest.raises(BadInputError, match=expected):
+        identify([], **arguments)
+
+
+def test_wrong_arguments_of_a_design_are_refused() -> None:
+    config = rig.open("mock").config
+    wrong: list[dict[str, Any]] = [
+        {"config": "mock"}, {"free": "law"}, {"free": [3]}, {"duration_s": "a"}, {"duration_s": float("nan")},
+        {"criterion": 3}, {"criterion": ["d"]}, {"seed": -1}, {"seed": "a"},
+    ]  # fmt: skip
+    for arguments in wrong:
+        with pytest.raises(BadInputError):
+            design(**{"config": config, **arguments})
+    laws = ("homogeneous", "homogeneous+rpe")
+    worse: list[dict[str, Any]] = [
+        {"config": 3}, {"laws": 3}, {"laws": laws[:1]}, {"duration_s": None}, {"duration_s": float("nan")},
+        {"seed": 0.5},
+    ]  # fmt: skip
+    for arguments in worse:
+        with pytest.raises(BadInputError):
+            design_comparison(**{"config": config, "laws": laws, **arguments})
+
+
+@pytest.mark.parametrize("group", ["none", 3, None, "../x"])
+def test_a_group_that_a_run_has_not_is_refused_with_those_that_it_has(tmp_path: Path, group: Any) -> None:
+    pytest.importorskip("h5netcdf")
+    run = Run(finalise(made_up.write_journal(tmp_path / "one.mcap", 1.0).path))
+    with pytest.raises(ArchiveError, match=r"has no group .*; it has .*pressure.*tip"):
+        run.to_xarray(group)
