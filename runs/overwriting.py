@@ -33,6 +33,17 @@ def refuse_existing(files: Iterable[Path], *, replace: bool = False, made: Made 
             raise WouldOverwriteError(f"{file} exists: name another file, or say --replace to write over it")
 
 
+@contextmanager
+def naming(file: Path) -> Iterator[None]:
+    """Give an `OSError` without a path, such as that of a full disk, the path of the file that is written."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is not None and error.filename is None:
+            error.filename = str(file)
+        raise
+
+
 def write_text(file: Path, text: str) -> None:
     """Write a file as a whole: under another name first, so that no half of it takes its place.
 
@@ -42,7 +53,8 @@ def write_text(file: Path, text: str) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_name(f".{file.name}.part")
     try:
-        part.write_text(text, encoding="utf-8")
+        with naming(file):
+            part.write_text(text, encoding="utf-8")
         part.replace(file)
     except OSError:
         part.unlink(missing_ok=True)
@@ -60,7 +72,8 @@ def staged(folder: Path, *, replace: bool = False, made: Made = lambda _: False)
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".writing-") as name:
         stage = Path(name)
-        yield stage
+        with naming(folder):
+            yield stage
         moves = {file: folder / file.relative_to(stage) for file in sorted(stage.rglob("*")) if file.is_file()}
         refuse_existing(moves.values(), replace=replace, made=made)
         for file, target in moves.items():

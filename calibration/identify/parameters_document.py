@@ -18,6 +18,7 @@ from calibration.identify.results import Estimate, RunFit, SectionFit
 from calibration.identify.setup import Setup
 from model.actuation import PA_PER_BAR
 from model.material import Material
+from runs.overwriting import write_text
 
 VERSION = 2
 _MM = 1e3
@@ -73,13 +74,12 @@ def write(
     fit: IdentificationResult, path: Path, profiles: Sequence[LikelihoodProfile] = (), baseline: Baseline | None = None
 ) -> Path:
     """Write the fit; what was not identified is in the overlay with the value it was held at, and says so."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     document = content(fit, profiles, baseline)
     # A key without a value is an error in every file that people edit: what is not known is left out.
     document["estimates"] = [{key: x for key, x in e.items() if x is not None} for e in document["estimates"]]
     text = yaml.safe_dump(document, sort_keys=False, width=120, default_flow_style=None)
     head = "# Identified parameters of an arm. Lay them over a rig: --parameters FILE.\n"
-    path.write_text(head + text, encoding="utf-8")
+    write_text(path, head + text)
     return path
 
 

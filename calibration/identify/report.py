@@ -16,6 +16,7 @@ from calibration.identify.notation import Scale, interval, quantity, rounded
 from calibration.identify.profile_likelihood import LikelihoodProfile
 from calibration.identify.residual_dependence import Dependence
 from calibration.identify.results import Estimate, Fit
+from runs.overwriting import write_text
 from runs.report.drawing import svg
 
 
@@ -63,10 +64,7 @@ def write(
         f"<body>\n{body}\n<footer>Made by softrig from archives; nothing in this page is loaded from elsewhere."
         "</footer>\n</body>\n</html>\n"
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_text(page, encoding="utf-8")
-    part.replace(path)
+    write_text(path, page)
     return path
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.board_sections import BoardPattern
+from runs.overwriting import naming
 
 if TYPE_CHECKING:
     from calibration.vision.board import PrintedCells
@@ -82,7 +83,7 @@ def write(section: BoardPattern, name: str, path: Path) -> BoardPage:
         axes.text(_BORDER_MM, _BORDER_MM + 5 * k, line, fontsize=_TEXT_PT, va="top")
     path.parent.mkdir(parents=True, exist_ok=True)
     # Text stays text, and two files of one board are equal.
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name, "pdf.fonttype": 42}):
+    with naming(path), matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name, "pdf.fonttype": 42}):
         ending = path.suffix.lower()[1:]
         dated = "Date" if ending == "svg" else "CreationDate"
         figure.savefig(path, format=ending, metadata={dated: None})

@@ -18,6 +18,7 @@ from calibration.views import View
 from calibration.vision.board import Board, grey
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.opening import open_camera
+from runs.overwriting import naming
 
 Image = NDArray[np.uint8]
 
@@ -104,5 +105,6 @@ def store(image: Image, folder: Path, stem: str) -> View:
     folder.mkdir(parents=True, exist_ok=True)
     data = cv2.imencode(".png", image)[1].tobytes()
     file = folder / f"{stem}.png"
-    file.write_bytes(data)
+    with naming(file):
+        file.write_bytes(data)
     return View(file.name, image, hashlib.sha256(data).hexdigest())

@@ -16,7 +16,7 @@ from rig.publish.description import LICENCES, Creator, Description
 from rig.publish.field_list import field_list
 from runs import annotation_file
 from runs.archive.layout import utc
-from runs.overwriting import refuse_existing
+from runs.overwriting import naming, refuse_existing
 from runs.run import Run
 
 METADATA, DATACITE, CHECKSUMS, README = "ro-crate-metadata.json", "datacite.json", "SHA256SUMS", "README.md"
@@ -59,7 +59,7 @@ def write(runs: Sequence[Run], description: Description, target: Path, *, replac
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(target.name + ".part")
     try:
-        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as crate:
+        with naming(target), zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as crate:
             for name, text in texts.items():
                 crate.writestr(name, text)
             for file in files:

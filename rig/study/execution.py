@@ -22,6 +22,7 @@ from rig.study.plan import StopRules
 from rig.study.study import Study, archived, finished
 from runs.catalogue import Entry
 from runs.file_lock import lock
+from runs.overwriting import naming
 from runs.records import Status, StudyRole
 
 
@@ -91,7 +92,8 @@ def run_virtual(
     with closing(parallel_results(_archive_of, tasks, range(len(tasks)), workers, scheduler)) as results:
         for count, (_, made) in enumerate(results, len(done) + 1):
             part = scratch / made.name
-            part.write_bytes(made.content)
+            with naming(part):
+                part.write_bytes(made.content)
             part.replace(study.folder / made.name)
             progress(count, len(study.runs))
             rules.check()
