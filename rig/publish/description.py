@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from urllib.parse import quote
 
 from protocols.problems import BadInputError, Problem, closest
 from runs.run import Run
@@ -34,7 +35,7 @@ class Creator:
     @property
     def id(self) -> str:
         """Identifier in the crate."""
-        return f"https://orcid.org/{self.orcid}" if self.orcid else f"#{re.sub(r'[^A-Za-z0-9]+', '-', self.name)}"
+        return f"https://orcid.org/{self.orcid}" if self.orcid else f"#person-{quote(self.name)}"
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,16 @@ def describe(runs: Sequence[Run], title: str = "", creators: Sequence[str] = (),
         problems.append(Problem("--licence", 0, 0, "", chosen, f"one of {known}", closest(chosen, LICENCES)))
     if problems:
         raise BadInputError(problems)
-    return Description(title or runs[0].header.title, tuple(dict.fromkeys(people)), chosen)
+    return Description(title or runs[0].header.title, _each_once(people), chosen)
+
+
+def _each_once(people: Sequence[Creator]) -> tuple[Creator, ...]:
+    """Each person once, in order, with an affiliation if any run states one: a crate has one entity for each id."""
+    found: dict[str, Creator] = {}
+    for person in people:
+        if person.id not in found or not found[person.id].affiliation:
+            found[person.id] = person
+    return tuple(found.values())
 
 
 def _operators(runs: Sequence[Run], problems: list[Problem]) -> list[Creator]:

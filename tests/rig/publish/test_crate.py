@@ -159,6 +159,22 @@ def test_a_creator_or_licence_that_cannot_be_used_is_refused(
     assert expected in str(error.value)
 
 
+def test_creators_whose_names_have_no_ascii_letters_stay_apart(run: Run, tmp_path: Path) -> None:
+    described = describe([run], creators=["李", "王", "Anna Å", "Anna Ä"], licence="CC-BY-4.0")
+    with zipfile.ZipFile(write([run], described, tmp_path / "crate.zip")) as crate:
+        graph = json.loads(crate.read("ro-crate-metadata.json"))["@graph"]
+    people = {entity["@id"]: entity["name"] for entity in graph if entity["@type"] == "Person"}
+    assert sorted(people.values()) == sorted(["李", "王", "Anna Å", "Anna Ä"])
+    assert all(name.isascii() for name in people)
+    (root,) = [entity for entity in graph if entity["@id"] == "./"]
+    assert [author["@id"] for author in root["author"]] == list(people)
+
+
+def test_a_creator_named_twice_is_one_person(run: Run) -> None:
+    creators = describe([run], creators=[ADA, "A. Lovelace 0000-0002-1825-0097"], licence="CC-BY-4.0").creators
+    assert [creator.id for creator in creators] == ["https://orcid.org/0000-0002-1825-0097"]
+
+
 def test_an_affiliation_is_an_organisation_of_its_own(run: Run, tmp_path: Path) -> None:
     described = describe([run], creators=[ADA, "Charles Babbage"], licence="CC-BY-4.0")
     working = replace(
