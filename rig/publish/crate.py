@@ -52,10 +52,13 @@ def write(runs: Sequence[Run], description: Description, target: Path, *, replac
     }
     sums = {f"data/{file.name}": sha256_of(file) for file in files}
     sums |= {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
-    texts[CHECKSUMS] = "".join(f"{digest}  {name}\n" for name, digest in sums.items())
     sizes = {f"data/{file.name}": file.stat().st_size for file in files}
     sizes |= {name: len(text.encode()) for name, text in texts.items()}
+    # The metadata state the size of the checksums, which include that of the metadata: any digest is as long.
+    sizes[CHECKSUMS] = len(_checksums({**sums, METADATA: "0" * 64}).encode())
     texts[METADATA] = _json(_metadata(runs, description, now, sizes, sums))
+    sums[METADATA] = hashlib.sha256(texts[METADATA].encode()).hexdigest()
+    texts[CHECKSUMS] = _checksums(sums)
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(target.name + ".part")
     try:
@@ -68,6 +71,11 @@ def write(runs: Sequence[Run], description: Description, target: Path, *, replac
     finally:
         part.unlink(missing_ok=True)
     return target
+
+
+def _checksums(sums: dict[str, str]) -> str:
+    """The file that `sha256sum -c` reads."""
+    return "".join(f"{digest}  {name}\n" for name, digest in sums.items())
 
 
 def _metadata(
