@@ -168,6 +168,8 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Group:
         table.add_row("deadlines missed", f"{summary.missed_deadlines} of {summary.cycles}")
         late = (summary.lateness_p50_us, summary.lateness_p99_us, summary.lateness_max_us)
         table.add_row("lateness p50/p99/max [us]", " / ".join(_number(us, 0) for us in late))
+    if counters.get("damaged_lines"):
+        table.add_row("damaged lines between computer and card", str(counters["damaged_lines"]))
     if "stolen_cpu_ms" in counters:
         table.add_row("CPU time stolen by the host [ms]", str(counters["stolen_cpu_ms"]))
     for name, period_ns in counters.items():

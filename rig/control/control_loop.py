@@ -73,6 +73,7 @@ class ControlLoop:
             for actuator in valve.actuators:
                 self._valve_of[actuator - 1] = index
         self.lost = 0
+        self.damaged = 0
         """Scans that the cards have dropped."""
         self._has_voltage = np.array([valve.output_unit == "V" for valve in config.valves])
         self._scan_t_ns = 0
@@ -136,6 +137,7 @@ class ControlLoop:
         """Read the scans since the last call; return their number."""
         scans = self._bench.read()
         self.lost += scans.lost
+        self.damaged += scans.damaged
         self._simulator_late_ns = scans.late_ns
         self._stops_closed = scans.stops_closed
         if self._auxiliary is not None:

@@ -22,7 +22,8 @@ from rig.hardware.safe_state import SafeOutputs
 class BenchScans:
     """Scans of all sensors, oldest first: `t_ns` (n,), `volts` and gauge `pressure_pa` (n, N) in actuator order.
 
-    `lost` counts the scans that the cards dropped since the last read; `late_ns` is the delay of a simulator.
+    `lost` counts the scans that the cards dropped since the last read, `damaged` the damaged lines between computer and
+    cards; `late_ns` is the delay of a simulator.
     `auxiliary` (n, I) are the auxiliary inputs, each in its unit; `stops_closed` (E,) says whether the contact of each
     emergency stop is closed now.
     """
@@ -34,6 +35,7 @@ class BenchScans:
     late_ns: int = 0
     auxiliary: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
     stops_closed: tuple[bool, ...] = ()
+    damaged: int = 0
 
 
 class Bench:
@@ -88,9 +90,9 @@ class Bench:
         if len(self._inputs) == 1:
             (name,) = self._inputs
             only = self._cards[name].read()
-            return self._scans(only.t_ns, only.volts, only.lost, only.late_ns)
+            return self._scans(only.t_ns, only.volts, only.lost, only.late_ns, only.damaged)
         scans = {name: self._pending[name].with_new(self._cards[name].read()) for name in self._inputs}
-        lost = sum(s.lost for s in scans.values())
+        lost, damaged = sum(s.lost for s in scans.values()), sum(s.damaged for s in scans.values())
         late_ns = max(s.late_ns for s in scans.values())
         first, *others = scans
         t_ns = scans[first].t_ns
@@ -105,9 +107,11 @@ class Bench:
             # The first card's rows are consumed; the others keep the row that the next call may need.
             until = int(t_ns[-1]) if len(t_ns) else -1
             self._pending[name].keep(s, until, inclusive=name != first)
-        return self._scans(t_ns, volts, lost, late_ns)
+        return self._scans(t_ns, volts, lost, late_ns, damaged)
 
-    def _scans(self, t_ns: NDArray[np.int64], signals_v: NDArray[np.float64], lost: int, late_ns: int) -> BenchScans:
+    def _scans(
+        self, t_ns: NDArray[np.int64], signals_v: NDArray[np.float64], lost: int, late_ns: int, damaged: int
+    ) -> BenchScans:
         """Scans of the signals (n, N + I): sensors, then auxiliary inputs."""
         volts = signals_v[:, : len(self._sensors)]
         pressure_pa: NDArray[np.float64] = volts * self._pa_per_v + self._pa_at_0_v
@@ -116,7 +120,7 @@ class Bench:
             auxiliary[:, i] = one.value(signals_v[:, len(self._sensors) + i])
         high = {name: iter(card.read_digital().tolist()) for name, card in self._digital.items()}
         closed = tuple(next(high[name]) for name in self._stop_cards)
-        return BenchScans(t_ns, volts, pressure_pa, lost, late_ns, auxiliary, closed)
+        return BenchScans(t_ns, volts, pressure_pa, lost, late_ns, auxiliary, closed, damaged)
 
     def write(self, valve_v: NDArray[np.float64]) -> None:
         """Set every valve (V,) [V]."""
@@ -229,9 +233,8 @@ class _Pending:
         old = self._scans
         if len(old.t_ns) == 0:
             return new
-        return Scans(
-            np.concatenate([old.t_ns, new.t_ns]), np.concatenate([old.volts, new.volts]), new.lost, new.late_ns
-        )
+        t_ns, volts = np.concatenate([old.t_ns, new.t_ns]), np.concatenate([old.volts, new.volts])
+        return replace(new, t_ns=t_ns, volts=volts)
 
     def keep(self, scans: Scans, until_ns: int, *, inclusive: bool) -> None:
         used = int(np.searchsorted(scans.t_ns, until_ns, side="right"))

@@ -202,6 +202,7 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
         row, trip = loop.cycle(cycle, now, 1 + skipped, memory.prompts_answered, memory.paused, now - deadline, skipped)
         memory.samples.push(row)
         memory.lost_scans = loop.lost
+        memory.damaged_lines = loop.damaged
         memory.setpoint_source = loop.setpoint_source
         if cycle % clocks_cycles == 0:
             sampling_clocks.publish(memory, bench)

@@ -30,7 +30,7 @@ class DataRecorder:
     def __init__(self, config: RigConfig, memory: SharedState, journal: Recorder, operator: OperatorInterface) -> None:
         self._config, self._memory, self._journal, self._operator = config, memory, journal, operator
         self._health = HealthMonitor(config)
-        self._lost_scans = self._missed = self._dropped = self._lost_pulses = 0
+        self._lost_scans = self._damaged_lines = self._missed = self._dropped = self._lost_pulses = 0
         self.failure = ""
         """Why the record could not be written; empty if it could."""
         self.sample: NDArray[np.void] | None = None
@@ -65,6 +65,8 @@ class DataRecorder:
             self.report(*self._health.samples(samples))
         lost, self._lost_scans = memory.lost_scans - self._lost_scans, memory.lost_scans
         self.report(*self._health.lost(time.monotonic_ns(), lost))
+        damaged, self._damaged_lines = memory.damaged_lines - self._damaged_lines, memory.damaged_lines
+        self.report(*self._health.damaged(time.monotonic_ns(), damaged))
         observations = memory.observations.read()
         if len(observations):
             self._write(journal.observations, observations)
@@ -98,6 +100,7 @@ class DataRecorder:
             "missed_deadlines": self._missed,
             **({} if self.dropped is None else {"dropped_frames": self.dropped}),
             "lost_scans": self._lost_scans,
+            "damaged_lines": self._damaged_lines,
             **({"lost_pulses": self._lost_pulses} if self._config.triggered else {}),
             "sample_ring_overflows": memory.samples.lost,
             "observation_ring_overflows": memory.observations.lost,

@@ -277,6 +277,11 @@ class HealthMonitor:
                 t_ns, "card", f"{scans} scans were lost: the card's buffer overran, or what it sent was damaged"
             )
 
+    def damaged(self, t_ns: int, lines: int) -> Iterator[Event]:
+        """Event of damaged lines between computer and cards since the last call."""
+        if lines:
+            yield _warning(t_ns, "card", f"{lines} damaged lines between computer and card were dropped")
+
     def supervisor_stall(self, t_ns: int) -> Iterator[Event]:
         """Report when the last call was long ago; called in every cycle of the supervisor."""
         before, self._checked_ns = self._checked_ns, t_ns

@@ -93,6 +93,7 @@ _FLAGS = np.dtype(
         ("safe_ns", "<i8"),
         ("watchdog_trip_ns", "<i8"),
         ("lost_scans", "<i8"),
+        ("damaged_lines", "<i8"),
         ("setpoint_source", "<i8"),
         ("unverified_cards", "<i8"),
         ("confirmation", f"S{MESSAGE_BYTES}"),
@@ -200,6 +201,8 @@ class SharedState:
     watchdog_trip_ns = _Flag(int)
     """When the watchdog wrote the safe state because control had died or hung."""
     lost_scans = _Flag(int)
+    damaged_lines = _Flag(int)
+    """Lines between computer and cards that were damaged."""
     setpoint_source = _Flag(SetPointSource)
     unverified_cards = _Flag(int)
     """Cards without read-back, found when the bench was armed."""

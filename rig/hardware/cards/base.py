@@ -78,6 +78,7 @@ class CardSetup:
 class Scans:
     """Input scans taken since the last read: `t_ns` (n,) and `volts` (n, inputs), oldest first; `lost` by overrun.
 
+    `damaged`: lines between computer and card that were damaged, and therefore dropped; 0 without such a line.
     `late_ns`: by how much the process that simulates the card is behind CLOCK_MONOTONIC; 0 for hardware.
     """
 
@@ -85,6 +86,7 @@ class Scans:
     volts: NDArray[np.float64]
     lost: int = 0
     late_ns: int = 0
+    damaged: int = 0
 
     @classmethod
     def none(cls, inputs: int) -> Scans:

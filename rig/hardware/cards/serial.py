@@ -29,7 +29,10 @@ from rig.sections.quantities import PA_PER_BAR
 
 HELLO_S = 3.0
 """Time to answer after opening: opening a port resets some boards, whose boot loader then waits."""
-HELLO_AGAIN_S = 0.2
+AGAIN_S = 0.2
+"""A question without an answer is asked again after this."""
+SAME_RATE = 1.25
+"""Two samples are so close to the sampling period, as a factor: the controller has a clock and a loop of its own."""
 CONFIRMED_S = 0.02
 """Time for the controller to acknowledge a command."""
 REPEATED_S = 0.006
@@ -80,6 +83,10 @@ class SerialCard:
         self._scans: list[tuple[int, tuple[int, ...]]] = []
         self._last_ns = 0
         self._lost = 0
+        self._refused = 0
+        self._told = 0
+        self._seen_us = 0.0
+        self._awaits_rate = True
         self._quiet_since_ns = 0
         try:
             self._controller = self._greet()
@@ -108,7 +115,7 @@ class SerialCard:
                     "check port, baud and firmware (docs/reference/serial-protocol.md)",
                 )
             if now > again:
-                again = now + HELLO_AGAIN_S
+                again = now + AGAIN_S
                 self._port.write(encoded("R 0") + encoded("Q"))
             time.sleep(WAIT_S)
             self._receive()
@@ -147,9 +154,33 @@ class SerialCard:
         self._port.write(encoded(f"R {self._period_ns // 1000}"))
 
     def start(self) -> None:
-        """Give only samples from now on."""
+        """Give only samples from now on, once they come at the sampling rate.
+
+        No answer confirms `R`, and a damaged one is not obeyed: the samples show it. Until then `R` is repeated.
+
+        Raises:
+            CardError: no samples come, or they come at another rate.
+        """
+        period_us = self._period_ns / 1000
+        patience_s = 4 * period_us * 1e-6
+        asked_s = time.monotonic()
+        until_s = asked_s + HELLO_S + patience_s
         self._receive()
-        self._scans, self._lost = [], 0
+        while not period_us / SAME_RATE < self._seen_us < period_us * SAME_RATE:
+            now_s = time.monotonic()
+            if now_s > until_s:
+                seen = f"a sample every {self._seen_us / 1000:.3g} ms" if self._seen_us else "no samples"
+                raise CardError(
+                    f"{self.description} sends {seen} instead of one every {period_us / 1000:g} ms",
+                    "does the firmware obey R? (docs/reference/serial-protocol.md)",
+                )
+            if now_s > asked_s + AGAIN_S + patience_s:
+                asked_s = now_s
+                self._begin_stream()
+            time.sleep(WAIT_S)
+            self._receive()
+        self._awaits_rate = False
+        self._scans, self._lost, self._told = [], 0, self._damaged
 
     def read(self) -> Scans:
         """Samples since the last call.
@@ -161,10 +192,16 @@ class SerialCard:
         self._check_alive()
         scans, self._scans = self._scans, []
         lost, self._lost = self._lost, 0
+        damaged, self._told = self._damaged - self._told, self._damaged
         inputs = [channel.number for channel in self._setup.inputs]
         t_ns = np.array([t for t, _ in scans], np.int64)
         bar = np.array([[pressures[i] for i in inputs] for _, pressures in scans]).reshape(len(scans), len(inputs))
-        return Scans(t_ns, bar / PA_PER_BAR, lost)
+        return Scans(t_ns, bar / PA_PER_BAR, lost, damaged=damaged)
+
+    @property
+    def _damaged(self) -> int:
+        """Lines that have arrived damaged, here and at the controller."""
+        return self._reader.rejected + self._refused
 
     def write(self, volts: NDArray[np.float64]) -> None:
         """Set the pressures [bar], each clipped to its range; also the heartbeat. Other channels are vented."""
@@ -245,6 +282,10 @@ class SerialCard:
 
     def _take_status(self, answer: SerialSample, now_ns: int) -> None:
         assert self._clock is not None
+        if self._awaits_rate and self._status is not None and answer.count <= self._status.count:
+            # The first sample after `R`; the one before it was older.
+            self._status, self._seen_us = None, 0.0
+            self._clock = ScanClock(float(self._period_ns), now_ns - self._period_ns)
         before = -1 if self._status is None else self._status.count
         if answer.count <= before:
             raise CardError(f"{self.description} has restarted")
@@ -253,7 +294,10 @@ class SerialCard:
         missed = answer.count - before - 1
         elapsed = missed + 1
         if self._status is not None:
-            elapsed = max(1, round(((answer.t_us - self._status.t_us) % 2**32) * 1000 / self._period_ns))
+            self._refused += (answer.rejected - self._status.rejected) % SEQUENCES
+            passed_us = (answer.t_us - self._status.t_us) % 2**32
+            self._seen_us = passed_us / elapsed
+            elapsed = max(1, round(passed_us * 1000 / self._period_ns))
         t_ns = int(self._clock.stamp(min(elapsed, LONGEST_GAP), now_ns)[-1])
         self._status = answer
         self._lost += missed

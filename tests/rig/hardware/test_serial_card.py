@@ -251,6 +251,69 @@ def answers() -> Iterator[Callable[[Callable[[list[str]], list[str]]], str]]:
 
 
 HELLO = "I softrig 1 4 0 150000 0 50000"
+STREAM = ["S 0 0 0 0 0 0 0 0", "S 1 4000 0 0 0 0 0 0"]
+"""Two samples at the period of `setup`."""
+
+
+def test_a_lost_request_for_samples_is_repeated(answers: Callable[..., str]) -> None:
+    requests = []
+
+    def answer(words: list[str]) -> list[str]:
+        if words[0] == "R" and words[1] != "0":
+            requests.append(words[1])
+        lost = len(requests) == 1
+        return {"Q": [HELLO], "R": [] if lost or words[1:] == ["0"] else STREAM}.get(words[0], [])
+
+    with closing(SerialCard(setup(answers(answer)))) as card:
+        card.start()
+    assert requests == ["4000", "4000"]
+
+
+def test_samples_of_an_earlier_session_are_no_restart(answers: Callable[..., str]) -> None:
+    """Where `R 0` was lost, samples of the earlier session arrive before those that were asked for."""
+    stale = ["S 900 3600000 0 0 0 0 0 0"]
+    device = answers(lambda words: {"Q": [HELLO], "R": [] if words[1:] == ["0"] else stale + STREAM}.get(words[0], []))
+    with closing(SerialCard(setup(device))) as card:
+        card.start()
+
+
+@pytest.mark.parametrize(
+    ("samples", "says"),
+    [
+        (["S 0 0 0 0 0 0 0 0", "S 1 8000 0 0 0 0 0 0"], "sends a sample every 8 ms instead of one every 4 ms"),
+        ([], "sends no samples instead of one every 4 ms"),
+    ],
+)
+def test_a_controller_that_samples_at_another_rate_is_refused(
+    answers: Callable[..., str], monkeypatch: pytest.MonkeyPatch, samples: list[str], says: str
+) -> None:
+    monkeypatch.setattr("rig.hardware.cards.serial.HELLO_S", 0.3)
+    device = answers(lambda words: {"Q": [HELLO], "R": [] if words[1:] == ["0"] else samples}.get(words[0], []))
+    with closing(SerialCard(setup(device))) as card, pytest.raises(CardError, match=says):
+        card.start()
+
+
+def test_damaged_lines_in_both_directions_are_counted_from_the_start_on(answers: Callable[..., str]) -> None:
+    refused = 7
+    unknown = "no line of the protocol"
+
+    def answer(words: list[str]) -> list[str]:
+        if words[0] == "W":
+            return [unknown, f"S 2 8000 0 {refused} 0 0 0 0"]
+        return {"Q": [HELLO], "R": [] if words[1:] == ["0"] else [unknown, *STREAM]}.get(words[0], [])
+
+    with closing(SerialCard(setup(answers(answer)))) as card:
+        card.start()
+        card.write(np.zeros(2))
+        counts: list[int] = []
+
+        def counted() -> bool:
+            counts.append(card.read().damaged)
+            return sum(counts) > refused
+
+        wait_until(counted)
+        assert sum(counts) == refused + 1
+        assert card.read().damaged == 0
 
 
 @pytest.mark.parametrize(
@@ -258,15 +321,17 @@ HELLO = "I softrig 1 4 0 150000 0 50000"
     [
         ({"W": ["A 9 1 0 0 0 0"]}, r"acknowledges a command that was not sent \(9\)"),
         ({"W": ["A 1 1 0 0 0 0"]}, r"holds \[0, 0, 0, 0\] Pa instead of the commanded \[20000, 0, 20000, 0\] Pa"),
-        ({"W": ["S 5 1 1 0 1 2 3 4", "S 2 1 1 0 1 2 3 4"]}, "has restarted"),
+        ({"W": ["S 1 1 1 0 1 2 3 4"]}, "has restarted"),
         ({"W": ["S 5 1 1 0 1 2 3"]}, "sends 3 pressures"),
     ],
 )
 def test_a_firmware_that_reports_wrong_values_is_an_error(
     answers: Callable[..., str], lies: dict[str, list[str]], says: str
 ) -> None:
-    device = answers(lambda words: [HELLO] if words[0] == "Q" else lies.get(words[0], []))
+    honest = {"Q": [HELLO], "R": STREAM}
+    device = answers(lambda words: [] if words == ["R", "0"] else {**honest, **lies}.get(words[0], []))
     with closing(SerialCard(setup(device))) as card:
+        card.start()
         card.write(np.array([0.2, 0.2]))
         with pytest.raises(CardError, match=says):
             card.readback()

@@ -137,6 +137,8 @@ def test_damaged_lines_are_dropped_and_counted_and_the_run_goes_on(program: Path
     run = ended(program, tmp_path, some_damaged())
     assert run.archive.status is Status.FINISHED
     assert "what it sent was damaged" in run.output
+    assert "damaged lines between computer and card were dropped" in run.output
+    assert run.archive.timing.counters["damaged_lines"] > 100
 
 
 @pytest.mark.realtime

@@ -83,6 +83,8 @@ def test_missed_deadlines_and_lost_scans_are_reported(monitor: HealthMonitor) ->
     assert "deadlines" in told.message
     assert list(monitor.lost(0, 0)) == []
     assert levels(list(monitor.lost(0, 5))) == [Level.WARNING]
+    assert list(monitor.damaged(0, 0)) == []
+    assert levels(list(monitor.damaged(0, 5))) == [Level.WARNING]
 
 
 def test_a_tenth_of_the_deadlines_missed_in_a_second_is_reported_during_the_run(monitor: HealthMonitor) -> None:
