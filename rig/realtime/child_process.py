@@ -103,4 +103,9 @@ def report_end(failure: str, verify: Callable[[], VentOutcome]) -> None:
     if not failure and not (outcome := verify()).confirmed:
         failure = outcome.sentence
     if failure:
-        print(failure, file=sys.stderr, flush=True)
+        report(failure)
+
+
+def report(message: str) -> None:
+    """Print on the terminal, for a process that is the last of its run: no channel has a reader any more."""
+    print(message, file=sys.stderr, flush=True)

@@ -9,14 +9,20 @@ import contextlib
 import os
 import select
 import signal
-import sys
 import time
 from collections.abc import Callable
 
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import WatchdogOutputs, failure_of
 from rig.hardware.vent_verification import LONGEST_VENTING_S, verify_venting
-from rig.realtime.child_process import await_device_access, exit_process, receive_job, report_end, supervisor_monitor
+from rig.realtime.child_process import (
+    await_device_access,
+    exit_process,
+    receive_job,
+    report,
+    report_end,
+    supervisor_monitor,
+)
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
     WATCHDOG_PRIORITY,
@@ -69,8 +75,7 @@ def main() -> int:
     message = f"{reason}; then {failure}" if reason and failure else reason or failure
     memory.publish_stage("watchdog", Stage.FAILED if failure else Stage.DONE, message)
     if ended:
-        # No other process is left to report it.
-        print(f"{reason}: the process that held the card was ended to make the valves safe", file=sys.stderr)
+        report(f"{reason}: the process that held the card was ended to make the valves safe")
     outputs.close()
     disable_realtime_scheduling()
     if (reason and _supervisor_exits(memory, supervisor)) or (not memory.safe_ns and supervisor.exited):

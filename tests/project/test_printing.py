@@ -19,7 +19,6 @@ ALLOWED = {
     "rig/live/page_log.py": "log of the page's own process",
     "rig/live/server.py": "its own process: no other could report that the page ends",
     "rig/realtime/child_process.py": "flushes the streams that a child process shares; reports for a lost supervisor",
-    "rig/realtime/watchdog_process.py": "its own process: reports on standard error that it has taken over",
     "rig/simulator/plant_process.py": "its own process: standard output is the channel to the parent",
 }
 
