@@ -26,9 +26,10 @@ from benchmarks.tip_closed_loop import CYCLE_S, ClosedLoop, Task, Truth, simulat
 from model.inverse.static_map import StaticMap
 from rig.arm_effects.base import ArmEffect
 from rig.config.loader import load
+from rig.config.tip_controllers import CONTROLLERS, FEED_FORWARD
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.learning import DisturbanceLearner, PathPeriod, Repetition
-from rig.tip_control.registry import CONTROLLERS, FEED_FORWARD, controller_class
+from rig.tip_control.registry import controller_class
 from rig.tip_control.tip_dynamics import TipDynamics
 from runs.interpolation import interpolated
 

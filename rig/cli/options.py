@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from rig.cli import completion
+from rig.config.tip_controllers import KNOWN
 
 
 def _rig(default: str) -> Any:
@@ -88,7 +89,7 @@ Controller = Annotated[
     typer.Option(
         "--controller",
         metavar="NAME",
-        help="Tip controller: feed-forward, horizon, static-inverse, inverse-integral or package:Class.",
+        help=f"Tip controller: {KNOWN} or package:Class.",
         show_default="tip_control of the rig",
     ),
 ]

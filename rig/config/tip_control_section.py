@@ -7,11 +7,9 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
+from rig.config.tip_controllers import CONTROLLERS, FEED_FORWARD, KNOWN
 from rig.sections.base import Section
 from rig.sections.quantities import Word
-
-TIP_CONTROLLERS = ("feed-forward", "horizon", "static-inverse", "inverse-integral")
-"""Names of the tip controllers; `rig.tip_control.registry` has their classes."""
 
 _CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
@@ -19,9 +17,7 @@ _CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 class TipControlSection(Section):
     """How the tip follows the reference of a protocol's `tip` steps."""
 
-    controller: Word = Field(
-        default="feed-forward", description="feed-forward, horizon, static-inverse, inverse-integral, or package:Class"
-    )
+    controller: Word = Field(default=FEED_FORWARD, description=f"{KNOWN}, or package:Class")
     delay_ms: Annotated[float, Field(gt=0, le=500, allow_inf_nan=False, strict=True)] = Field(
         default=50.0, description="from the exposure of a frame to the plan that it leads to"
     )
@@ -32,6 +28,6 @@ class TipControlSection(Section):
     @field_validator("controller")
     @classmethod
     def _known(cls, name: str) -> str:
-        if (name in TIP_CONTROLLERS) or _CLASS.fullmatch(name):
+        if name in (FEED_FORWARD, *CONTROLLERS) or _CLASS.fullmatch(name):
             return name
-        raise ValueError(f"one of {', '.join(TIP_CONTROLLERS)}, or package:Class of your own")
+        raise ValueError(f"one of {KNOWN}, or package:Class of your own")

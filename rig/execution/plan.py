@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from protocols import SetPointTrajectory
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
+from rig.config.tip_controllers import FEED_FORWARD
 from runs.records import AuxiliaryChannel, Event, Picture, Quantity, Status
 
 UNRECORDED = "the record could not be written"
@@ -43,7 +44,7 @@ class RunPlan:
     @property
     def controls_tip(self) -> bool:
         """Whether a controller corrects the set-points during the run."""
-        return self.tip_controller not in ("", "feed-forward")
+        return self.tip_controller not in ("", FEED_FORWARD)
 
 
 @dataclass(frozen=True)

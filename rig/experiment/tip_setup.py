@@ -11,6 +11,7 @@ from protocols.problems import bad_input
 from rig.config.loader import RigFile
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
+from rig.config.tip_controllers import FEED_FORWARD
 from rig.experiment.provenance import protocol_parameters
 from runs.records import Quantity, RecordedFile, RunHeader
 
@@ -28,7 +29,7 @@ def tip_controller(config: RigConfig, rig_file: Path, chosen: str | None, moves_
         if chosen is not None:
             raise bad_input("--controller", chosen, "a protocol with a tip path")
         return ""
-    from rig.tip_control.registry import FEED_FORWARD, UnknownControllerError, controller_class
+    from rig.tip_control.registry import UnknownControllerError, controller_class
 
     name = chosen or config.tip_control.controller
     if name == FEED_FORWARD:

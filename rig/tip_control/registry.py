@@ -1,22 +1,12 @@
-"""The controllers by name, and those of other packages by `package:Class`."""
+"""The class of a controller, by its name or by `package:Class` for those of other packages."""
 
 from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
 
-from rig.config.tip_control_section import TIP_CONTROLLERS
+from rig.config.tip_controllers import CONTROLLERS, KNOWN
 from rig.tip_control.interface import TipController, TipControlSettings
-
-FEED_FORWARD = "feed-forward"
-"""No controller: the set-points of the protocol."""
-
-CONTROLLERS = {
-    "horizon": "rig.tip_control.horizon:HorizonControl",
-    "static-inverse": "rig.tip_control.baselines:StaticInverse",
-    "inverse-integral": "rig.tip_control.baselines:InverseIntegral",
-}
-assert (FEED_FORWARD, *CONTROLLERS) == TIP_CONTROLLERS
 
 
 class UnknownControllerError(ValueError):
@@ -32,8 +22,7 @@ def controller_class(name: str) -> Callable[[TipControlSettings], TipController]
     place = CONTROLLERS.get(name, name)
     module_name, _, class_name = place.partition(":")
     if not (module_name and class_name):
-        known = ", ".join([FEED_FORWARD, *CONTROLLERS])
-        raise UnknownControllerError(f"one of {known}, or package:Class of your own")
+        raise UnknownControllerError(f"one of {KNOWN}, or package:Class of your own")
     try:
         found = getattr(importlib.import_module(module_name), class_name)
     except ImportError as error:

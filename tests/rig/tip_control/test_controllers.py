@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from benchmarks.tip_closed_loop import Truth, simulate
+from rig.config.tip_controllers import CONTROLLERS
 from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory
-from rig.tip_control.registry import CONTROLLERS, UnknownControllerError, controller_class
+from rig.tip_control.registry import UnknownControllerError, controller_class
 from tests.support.tip_control_task import OTHER, SETTINGS, circle
 
 pytestmark = pytest.mark.slow
