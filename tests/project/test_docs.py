@@ -57,6 +57,8 @@ def test_every_link_has_a_target(page: Path) -> None:
             continue
         there = page.parent / name if name else page
         assert there.exists(), target
+        # The built site shows no listing of a folder.
+        assert there.is_file() or not page.is_relative_to(ROOT / "docs"), f"{target} is a folder: link a file in it"
         if heading:
             headings = re.findall(r"^#+ (.*)$", there.read_text(), re.MULTILINE)
             assert heading in map(slug, headings), target
