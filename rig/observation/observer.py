@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 import model
-from model.dynamics import Dynamics
-from model.statics import statics
 from protocols import TipReference
 from protocols.tip_reference import NO_TIP_REFERENCE
 from rig.config.arm_model import TipLoad, model_arm
@@ -20,181 +17,20 @@ from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from rig.hardware.cameras.base import FrameSet
 from rig.hardware.trackers.base import TrackerReading
-from rig.observation.motion_model import motion_model
-from rig.observation.multi_camera import MultiCameraTipEstimator
+from rig.observation.live_model import live_model
 from rig.observation.overlay import backbone
+from rig.observation.sample_interpolator import SampleInterpolator
 from rig.observation.sections import SectionObserver
 from rig.observation.single_camera import TipMeasurement
+from rig.observation.tip_estimator import tip_estimator
 from rig.observation.tip_force import MeasuredTipForce
-from runs.records import DetectionStatus, blank, observation_dtype
+from runs.records import blank, observation_dtype
 
 if TYPE_CHECKING:
     from rig.observation.online_estimation import OnlineEstimation
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
-
-# After a longer gap, in periods of the camera, the model restarts from the static solution instead of catching up.
-_MOST_STEPS = 10
-_EVEN = 1e-6
-_HISTORY_NS = 1_000_000_000
-
-
-class _LiveModel(Protocol):
-    """The live model, static or dynamic."""
-
-    def step(
-        self, frame_set: FrameSet, pressures: PressureInterpolator, loads: model.Loads | None
-    ) -> model.Shape | None:
-        """Return the arm's shape at the time of the frame set; None without convergence."""
-
-
-class _TipEstimator(Protocol):
-    """Measures the tip in the rig's frame sets, in order."""
-
-    def measure(self, frame_set: FrameSet) -> TipMeasurement: ...
-
-
-class _NoTipEstimator:
-    """The tip estimator of a rig without cameras and tracker: it measures nothing."""
-
-    def measure(self, frame_set: FrameSet) -> TipMeasurement:
-        return TipMeasurement.none(DetectionStatus.NO_CAMERA, ())
-
-
-class _TrackerTipEstimator:
-    """The tip estimator of a rig with a tracker, which gives the pose itself."""
-
-    def measure(self, frame_set: FrameSet) -> TipMeasurement:
-        reading = frame_set.reading
-        if reading is None or not reading.seen:
-            return TipMeasurement.none(DetectionStatus.NO_MESSAGE if reading is None else DetectionStatus.NO_POSE, ())
-        return TipMeasurement(
-            DetectionStatus.MEASURED, reading.position_m, reading.rotation, reading.covariance, float("nan"), None, ()
-        )
-
-
-def _tip_estimator(config: RigConfig) -> _TipEstimator:
-    if config.trackers:
-        return _TrackerTipEstimator()
-    return MultiCameraTipEstimator(config) if config.cameras else _NoTipEstimator()
-
-
-class PressureInterpolator:
-    """Linear interpolation of the pressures of the last second."""
-
-    def __init__(self, actuators: int) -> None:
-        self._t_ns: Times = np.empty(0, np.int64)
-        self._pa: Floats = np.empty((0, actuators))
-
-    def extend(self, t_ns: Times, pa: Floats) -> None:
-        """Append samples `t_ns` (k,), `pa` (k, N); samples that are not newer than the last are ignored."""
-        if self._t_ns.size:
-            new = t_ns > self._t_ns[-1]
-            t_ns, pa = t_ns[new], pa[new]
-        if t_ns.size:
-            keep = self._t_ns > t_ns[-1] - _HISTORY_NS
-            self._t_ns = np.concatenate([self._t_ns[keep], t_ns])
-            self._pa = np.concatenate([self._pa[keep], pa])
-
-    @property
-    def first_ns(self) -> int | None:
-        """Time of the first sample that is kept; None before any."""
-        return int(self._t_ns[0]) if self._t_ns.size else None
-
-    def at(self, t_ns: int) -> Floats:
-        """Return pressures (N,) [Pa] at a time, the nearest sample beyond the ends; NaN before the first."""
-        if not self._t_ns.size:
-            return np.full(self._pa.shape[1], np.nan)
-        after = int(np.searchsorted(self._t_ns, t_ns))
-        if after == 0 or after == len(self._t_ns):
-            return np.array(self._pa[min(after, len(self._t_ns) - 1)])
-        # Subtract in int64: a float64 cannot represent nanoseconds since boot exactly.
-        before_ns = int(self._t_ns[after - 1])
-        share = (t_ns - before_ns) / (int(self._t_ns[after]) - before_ns)
-        return np.array(self._pa[after - 1] + share * (self._pa[after] - self._pa[after - 1]))
-
-
-class _StaticModel:
-    """Statics at every frame."""
-
-    def __init__(self, arm: model.Arm) -> None:
-        self._arm = arm
-
-    def step(
-        self, frame_set: FrameSet, pressures: PressureInterpolator, loads: model.Loads | None
-    ) -> model.Shape | None:
-        return _static_shape(partial(statics, self._arm, doubt_units=False), pressures.at(frame_set.t_ns), loads)
-
-
-class _DynamicModel:
-    """Dynamics from frame to frame: over the time between them, in equal steps of about the camera's stated period.
-
-    An arm that remembers begins at the first sample known, and takes longer steps over a gap, however long: its past
-    must not be lost.
-    """
-
-    def __init__(self, dynamics: Dynamics, period_s: float, remembers: bool) -> None:
-        self._dynamics, self._remembers = dynamics, remembers
-        self._period_ns = period_s * 1e9
-        self._last: tuple[int, model.Shape] | None = None
-
-    def step(
-        self, frame_set: FrameSet, pressures: PressureInterpolator, loads: model.Loads | None
-    ) -> model.Shape | None:
-        last, self._last = self._last, None
-        if last is None and self._remembers:
-            last = self._begin(frame_set.t_ns, pressures, loads)
-        passed_ns = frame_set.t_ns - last[0] if last is not None else 0
-        steps = max(1, round(passed_ns / self._period_ns))
-        if self._remembers:
-            steps = min(steps, _MOST_STEPS)
-        if last is None or passed_ns <= 0 or steps > _MOST_STEPS:
-            shape = _static_shape(self._dynamics.start, pressures.at(frame_set.t_ns), loads)
-        elif passed_ns * 1e-9 < self._dynamics.shortest_step_s:
-            # Too short for the waves that the nodes resolve: the next frame takes a step over both.
-            self._last = last
-            return last[1]
-        else:
-            shape = None
-            for k in range(1, steps + 1):
-                pressure = pressures.at(last[0] + passed_ns * k // steps)
-                finite = np.all(np.isfinite(pressure))
-                shape = self._dynamics.step(pressure, loads, self._step_s(passed_ns / steps)) if finite else None
-                if shape is None or not shape.ok:
-                    # The next frame restarts from statics, because the history has a gap.
-                    return None
-        if shape is not None:
-            self._last = frame_set.t_ns, shape
-        return shape
-
-    def _begin(
-        self, t_ns: int, pressures: PressureInterpolator, loads: model.Loads | None
-    ) -> tuple[int, model.Shape] | None:
-        """Time and shape at the first sample, at rest; None where there is none before the frame, or no solution."""
-        first_ns = pressures.first_ns
-        if first_ns is None or first_ns >= t_ns:
-            return None
-        shape = _static_shape(self._dynamics.start, pressures.at(first_ns), loads)
-        return None if shape is None else (first_ns, shape)
-
-    def _step_s(self, step_ns: float) -> float | None:
-        """The step, None for the stated period: times in whole nanoseconds do not count as uneven."""
-        return None if abs(step_ns - self._period_ns) < _EVEN * self._period_ns else step_ns * 1e-9
-
-
-def _static_shape(solve: _Solve, pressure: Floats, loads: model.Loads | None) -> model.Shape | None:
-    if not np.all(np.isfinite(pressure)):
-        return None
-    try:
-        shape = solve(pressure, loads)
-    except model.NotConverged:
-        return None
-    return shape if shape.ok else None
-
-
-class _Solve(Protocol):
-    def __call__(self, pressure_pa: Floats, loads: model.Loads | None, /) -> model.Shape: ...
 
 
 def observations_of(config: RigConfig) -> np.dtype[np.void]:
@@ -220,18 +56,14 @@ class Observer:
         """
         # The pictures are small; a second thread only takes CPU time from the control process.
         cv2.setNumThreads(1)
-        self._tip_estimator: _TipEstimator = _tip_estimator(config)
+        self._tip_estimator = tip_estimator(config)
         self._sections = SectionObserver(config) if config.sections else None
         rate_hz = config.observation_hz
-        arm = model_arm(config, variant)
-        dynamics = motion_model(arm, 1 / rate_hz, config.model.mode == "static")
-        self._model: _LiveModel = (
-            _StaticModel(arm) if dynamics is None else _DynamicModel(dynamics, 1 / rate_hz, arm.remembers)
-        )
+        self._model = live_model(model_arm(config, variant), 1 / rate_hz, config.model.mode == "static")
         self._tip_load = TipLoad(config)
-        self._pressures = PressureInterpolator(config.actuators)
-        self._tip_force, self._forces = MeasuredTipForce(config), PressureInterpolator(3)
-        self._reference, self._protocol_times = reference, PressureInterpolator(1)
+        self._pressures = SampleInterpolator(config.actuators)
+        self._tip_force, self._forces = MeasuredTipForce(config), SampleInterpolator(3)
+        self._reference, self._protocol_times = reference, SampleInterpolator(1)
         self._blank = blank((), observations_of(config))
         self._model_m = np.full(3, np.nan)
         self.measurement: TipMeasurement | None = None

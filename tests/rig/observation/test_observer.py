@@ -8,7 +8,8 @@ import pytest
 import rig.config.loader
 import rig.config.schema
 from rig.hardware.cameras.base import Frame, FrameSet
-from rig.observation.observer import Observer, PressureInterpolator
+from rig.observation.observer import Observer
+from rig.observation.sample_interpolator import SampleInterpolator
 from rig.simulator.mock_camera import MockCamera
 from runs.records import DetectionStatus
 from tests.support.vision_bench import FRAME_NS, Sweep
@@ -48,7 +49,7 @@ def test_a_frame_becomes_a_row_with_measured_true_and_modelled_tip(
 
 
 def test_pressures_are_read_between_the_samples() -> None:
-    pressures = PressureInterpolator(1)
+    pressures = SampleInterpolator(1)
     start = 5_000_000_000_000_000_001
     pressures.extend(np.array([start, start + 10]), np.array([[1.0], [2.0]]))
     pressures.extend(np.array([start + 10, start + 20]), np.array([[99.0], [4.0]]))

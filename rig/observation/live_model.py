@@ -1,0 +1,113 @@
+"""The live model: the shape of the arm at each frame, from the measured pressures and the loads."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+import model
+from model.dynamics import Dynamics
+from model.statics import statics
+from rig.hardware.cameras.base import FrameSet
+from rig.observation.motion_model import motion_model
+from rig.observation.sample_interpolator import SampleInterpolator
+
+Floats = NDArray[np.float64]
+
+# After a longer gap, in periods of the camera, the model restarts from the static solution instead of catching up.
+_MOST_STEPS = 10
+_EVEN = 1e-6
+
+
+class LiveModel(Protocol):
+    """The live model, static or dynamic."""
+
+    def step(self, frame_set: FrameSet, pressures: SampleInterpolator, loads: model.Loads | None) -> model.Shape | None:
+        """Return the arm's shape at the time of the frame set; None without convergence."""
+
+
+def live_model(arm: model.Arm, period_s: float, static: bool) -> LiveModel:
+    """The model of an arm that is observed every `period_s`; with `static` one without dynamics, where possible."""
+    dynamics = motion_model(arm, period_s, static)
+    return _StaticModel(arm) if dynamics is None else DynamicModel(dynamics, period_s, arm.remembers)
+
+
+class _StaticModel:
+    """Statics at every frame."""
+
+    def __init__(self, arm: model.Arm) -> None:
+        self._arm = arm
+
+    def step(self, frame_set: FrameSet, pressures: SampleInterpolator, loads: model.Loads | None) -> model.Shape | None:
+        return _static_shape(partial(statics, self._arm, doubt_units=False), pressures.at(frame_set.t_ns), loads)
+
+
+class DynamicModel:
+    """Dynamics from frame to frame: over the time between them, in equal steps of about the camera's stated period.
+
+    An arm that remembers begins at the first sample known, and takes longer steps over a gap, however long: its past
+    must not be lost.
+    """
+
+    def __init__(self, dynamics: Dynamics, period_s: float, remembers: bool) -> None:
+        self._dynamics, self._remembers = dynamics, remembers
+        self._period_ns = period_s * 1e9
+        self._last: tuple[int, model.Shape] | None = None
+
+    def step(self, frame_set: FrameSet, pressures: SampleInterpolator, loads: model.Loads | None) -> model.Shape | None:
+        last, self._last = self._last, None
+        if last is None and self._remembers:
+            last = self._begin(frame_set.t_ns, pressures, loads)
+        passed_ns = frame_set.t_ns - last[0] if last is not None else 0
+        steps = max(1, round(passed_ns / self._period_ns))
+        if self._remembers:
+            steps = min(steps, _MOST_STEPS)
+        if last is None or passed_ns <= 0 or steps > _MOST_STEPS:
+            shape = _static_shape(self._dynamics.start, pressures.at(frame_set.t_ns), loads)
+        elif passed_ns * 1e-9 < self._dynamics.shortest_step_s:
+            # Too short for the waves that the nodes resolve: the next frame takes a step over both.
+            self._last = last
+            return last[1]
+        else:
+            shape = None
+            for k in range(1, steps + 1):
+                pressure = pressures.at(last[0] + passed_ns * k // steps)
+                finite = np.all(np.isfinite(pressure))
+                shape = self._dynamics.step(pressure, loads, self._step_s(passed_ns / steps)) if finite else None
+                if shape is None or not shape.ok:
+                    # The next frame restarts from statics, because the history has a gap.
+                    return None
+        if shape is not None:
+            self._last = frame_set.t_ns, shape
+        return shape
+
+    def _begin(
+        self, t_ns: int, pressures: SampleInterpolator, loads: model.Loads | None
+    ) -> tuple[int, model.Shape] | None:
+        """Time and shape at the first sample, at rest; None where there is none before the frame, or no solution."""
+        first_ns = pressures.first_ns
+        if first_ns is None or first_ns >= t_ns:
+            return None
+        shape = _static_shape(self._dynamics.start, pressures.at(first_ns), loads)
+        return None if shape is None else (first_ns, shape)
+
+    def _step_s(self, step_ns: float) -> float | None:
+        """The step, None for the stated period: times in whole nanoseconds do not count as uneven."""
+        return None if abs(step_ns - self._period_ns) < _EVEN * self._period_ns else step_ns * 1e-9
+
+
+def _static_shape(solve: _Solve, pressure: Floats, loads: model.Loads | None) -> model.Shape | None:
+    if not np.all(np.isfinite(pressure)):
+        return None
+    try:
+        shape = solve(pressure, loads)
+    except model.NotConverged:
+        return None
+    return shape if shape.ok else None
+
+
+class _Solve(Protocol):
+    def __call__(self, pressure_pa: Floats, loads: model.Loads | None, /) -> model.Shape: ...
