@@ -1,4 +1,4 @@
-"""From a result of the calibration room to its file, in the units of files."""
+"""From a result of package `calibration` to its file, in the units of files."""
 
 from __future__ import annotations
 

@@ -191,10 +191,10 @@ def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant
     law, own = found.arm.actuation.law, config.arm.actuation.law
     if law != own:
         refuse(("arm", "actuation", "law"), law, f"{own}, the actuation law of {rig}")
-    for room, name, what in (("material", "branches", "branches"), ("actuation", "stops", "stop elements")):
-        count, wanted = (len(getattr(getattr(arm, room), name)) for arm in (found.arm, config.arm))
+    for section, name, what in (("material", "branches", "branches"), ("actuation", "stops", "stop elements")):
+        count, wanted = (len(getattr(getattr(arm, section), name)) for arm in (found.arm, config.arm))
         if count != wanted:
-            refuse(("arm", room, name), f"{count} {what}", f"{wanted}, as {rig} has")
+            refuse(("arm", section, name), f"{count} {what}", f"{wanted}, as {rig} has")
     now, then = config.arm.geometry, found.identified.geometry
     if len(then.actuator_angles_deg) != config.actuators:
         refuse(

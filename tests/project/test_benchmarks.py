@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-ROOMS = ("rig", "model", "calibration", "protocols", "runs", "benchmarks", "tests")
+PACKAGES = ("rig", "model", "calibration", "protocols", "runs", "benchmarks", "tests")
 PROGRAMS = sorted([*ROOT.glob("benchmarks/*.py"), *ROOT.glob("scripts/*.py")])
 
 
@@ -38,7 +38,7 @@ def test_a_benchmark_or_script_imports_only_names_that_exist(program: Path) -> N
     imported = [
         (node.module, one.name)
         for node in ast.walk(ast.parse(program.read_text()))
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in ROOMS
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in PACKAGES
         for one in node.names
     ]
     assert [pair for pair in imported if not defines(*pair)] == []

@@ -19,7 +19,7 @@ from tests.support.command_line import status_of
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 RIG: Any = typer.main.get_command(app)
-ROOMS = "rig|model|calibration|protocols|runs|tests|benchmarks|scripts|docs"
+PACKAGES = "rig|model|calibration|protocols|runs|tests|benchmarks|scripts|docs"
 
 
 @pytest.fixture(params=PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -66,7 +66,7 @@ def test_every_link_has_a_target(page: Path) -> None:
 
 def test_every_named_file_exists(page: Path) -> None:
     for words in code(page.read_text()):
-        for path in re.findall(rf"(?<![\w./-])(?:{ROOMS})/[\w./-]*\w(?![-*\w])", words):
+        for path in re.findall(rf"(?<![\w./-])(?:{PACKAGES})/[\w./-]*\w(?![-*\w])", words):
             assert (ROOT / path).exists(), path
 
 
@@ -98,7 +98,7 @@ def test_every_target_and_program_that_is_shown_exists(page: Path) -> None:
     for words in code(page.read_text()):
         for target in re.findall(r"^make ([a-z-]+)", words):
             assert target in targets, words
-        for module in re.findall(rf"python -m ((?:{ROOMS})[\w.]*)", words):
+        for module in re.findall(rf"python -m ((?:{PACKAGES})[\w.]*)", words):
             there = ROOT / module.replace(".", "/")
             assert there.with_suffix(".py").exists() or (there / "__main__.py").exists(), words
 
