@@ -1,11 +1,10 @@
-"""Bootstrap error bars: refits to simulated data (parametric) or to resampled blocks of the data."""
+"""Error bars of the parametric bootstrap: refits to simulated data."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +20,6 @@ from calibration.identify.setup import Setup
 from calibration.parallel_map import Progress, parallel_map
 
 Array = NDArray[np.float64]
-Kind = Literal["drawn", "resampled"]
-
-_BLOCK_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -58,7 +54,6 @@ class Refit:
     priors: tuple[tuple[str, Prior], ...]
     z: tuple[float, ...]
     fixed: tuple[int, ...]
-    kind: Kind
     predicted: tuple[Array, ...]
     rotation: tuple[Array, ...]
     sections: tuple[tuple[tuple[Array, Array], ...], ...]
@@ -70,18 +65,15 @@ class Refit:
 def bootstrap(
     fit: Fit,
     samples: int = 200,
-    kind: Kind = "drawn",
     seed: int = 0,
     workers: int | None = None,
     scheduler: str | None = None,
     store: Path | None = None,
     progress: Progress | None = None,
 ) -> Bootstrap:
-    """Refit `samples` times.
+    """Refit `samples` times to data from the fitted model with the stated covariances (parametric bootstrap).
 
-    'drawn' is the parametric bootstrap: data from the fitted model with the stated covariances. 'resampled' is the
-    block bootstrap: plateaus, or seconds of motion, with replacement; it needs at least a dozen of them. The other
-    arguments are those of `parallel_map`.
+    The other arguments are those of `parallel_map`.
     """
     chosen = [i for i, e in enumerate(fit.estimates) if e.identified]
     fixed = tuple(i for i, is_fixed in enumerate(fit.fixed) if is_fixed)
@@ -94,7 +86,6 @@ def bootstrap(
         priors=tuple(problem.priors.items()),
         z=tuple(fit.solution.z.tolist()),
         fixed=fixed,
-        kind=kind,
         predicted=tuple(run.predicted_m for run in fit.runs),
         rotation=tuple(problem.rotations(fit.solution.z)),
         sections=tuple(problem.sections(fit.solution.z)),
@@ -114,28 +105,22 @@ def refit(task: Refit) -> Array:
     rng = np.random.default_rng(task.seed)
     actuators = task.data[0].actuators
     priors: Mapping[str, Prior] = dict(task.priors)
-    data = list(task.data)
-    counts: list[Array] | None = None
-    if task.kind == "drawn":
-        data = [
-            _drawn(rng, tips, rotation, sections, covariance, common, poses)
-            for poses, tips, rotation, sections, covariance, common in zip(
-                task.data, task.predicted, task.rotation, task.sections, task.covariance, task.common, strict=True
-            )
-        ]
-    else:
-        counts = [_counts(rng, poses) for poses in data]
+    data = [
+        _drawn(rng, tips, rotation, sections, covariance, common, poses)
+        for poses, tips, rotation, sections, covariance, common in zip(
+            task.data, task.predicted, task.rotation, task.sections, task.covariance, task.common, strict=True
+        )
+    ]
     free = with_own_values(named(task.free, actuators), task.per_run, actuators)
-    problem = LeastSquaresProblem(data, task.start, free, priors, counts)
+    problem = LeastSquaresProblem(data, task.start, free, priors)
     known = [i for i, u in enumerate(problem.unknowns) if u.parameter.name in priors]
-    if task.kind == "drawn":
-        # The prior means are random, too: draw them around the values that are the truth here.
-        z = np.array(task.z)
-        start = problem.values(z)[known]
-        mean, std = np.array([[priors[problem.unknowns[i].parameter.name].mean for i in known],
-                              [priors[problem.unknowns[i].parameter.name].std for i in known]])  # fmt: skip
-        problem.prior_shift = (start - mean) / std + rng.standard_normal(len(known))
-    solution = problem.solve(np.array(task.z), task.fixed, rounds=1, evaluations=8)
+    # The prior means are random, too: draw them around the values that are the truth here.
+    z = np.array(task.z)
+    start = problem.values(z)[known]
+    mean, std = np.array([[priors[problem.unknowns[i].parameter.name].mean for i in known],
+                          [priors[problem.unknowns[i].parameter.name].std for i in known]])  # fmt: skip
+    problem.prior_shift = (start - mean) / std + rng.standard_normal(len(known))
+    solution = problem.solve(z, task.fixed, rounds=1, evaluations=8)
     return problem.values(solution.z)
 
 
@@ -175,11 +160,3 @@ def _drawn(
             here = replace(here, orientation=turned_by(own.orientation, turn, by, own.oriented))
         found.append(here)
     return replace(drawn, sections=tuple(found))
-
-
-def _counts(rng: np.random.Generator, poses: Poses) -> Array:
-    length = max(1, round(_BLOCK_S / poses.period_s)) if poses.moving else 1
-    blocks = -(-len(poses) // length)
-    drawn: Array = rng.multinomial(blocks, np.full(blocks, 1 / blocks)).astype(np.float64)
-    out: Array = np.repeat(drawn, length)[: len(poses)]
-    return out

@@ -43,16 +43,14 @@ class LeastSquaresProblem:
     """The least-squares problem: data, starting setup, free parameters and their priors.
 
     substeps, extrapolated: time steps of a motion, see `Predictor`; 0 substeps choose both by the free parameters. For
-    the bootstrap: entry_weights, per run (K,), is the multiplicity of each entry (None: one), and prior_shift (m,)
-    moves the means of the priors, in standard deviations and in the order of the unknowns that have a prior. progress
-    is called with the rms distance [m] after each step of the search.
+    the bootstrap: prior_shift (m,) moves the means of the priors, in standard deviations and in the order of the
+    unknowns that have a prior. progress is called with the rms distance [m] after each step of the search.
     """
 
     data: Sequence[Poses]
     start: Setup
     free: Sequence[Parameter]
     priors: Mapping[str, Prior] = field(default_factory=dict)
-    entry_weights: Sequence[Array] | None = None
     prior_shift: Array | None = None
     substeps: int = 0
     extrapolated: bool = False
@@ -244,7 +242,7 @@ class LeastSquaresProblem:
         total = 0.0
         for run, (poses, gap) in enumerate(zip(self.data, self.gaps(z), strict=True)):
             rows = self._filtered(run, huber(whitened(poses, gap, weights[run]))[0])
-            total -= 0.5 * (float((rows**2 * self._count(run)[:, None]).sum()) + weights[run].log_det)
+            total -= 0.5 * (float((rows**2).sum()) + weights[run].log_det)
         return total
 
     def solution(
@@ -259,10 +257,7 @@ class LeastSquaresProblem:
             slope = -weights[run].whitened(slopes[run])
             loss_rows, slope_rows = huber(whitened(poses, at[run], weights[run]), slope)
             assert slope_rows is not None
-            root = np.sqrt(self._count(run))
-            rows.append(
-                (self._filtered(run, loss_rows) * root[:, None], self._filtered(run, slope_rows) * root[:, None, None])
-            )
+            rows.append((self._filtered(run, loss_rows), self._filtered(run, slope_rows)))
             squares = float((rows[-1][0] ** 2).sum())
             loss += squares
             log_likelihood -= 0.5 * (squares + weights[run].log_det)
@@ -305,7 +300,7 @@ class LeastSquaresProblem:
         total = float(gap @ gap)
         for run, (poses, own) in enumerate(zip(self.data, self.gaps(z), strict=True)):
             robust, _ = huber(whitened(poses, own, weights[run]))
-            total += float((self._filtered(run, robust) ** 2 * self._count(run)[:, None]).sum()) / correlation[run]
+            total += float((self._filtered(run, robust) ** 2).sum()) / correlation[run]
         return total
 
     def deviance(self, solution: Solution, correlation: Sequence[float]) -> float:
@@ -345,7 +340,7 @@ class LeastSquaresProblem:
         rows = []
         for run, gap in enumerate(self.gaps(z)):
             robust, _ = huber(whitened(self.data[run], gap, weights[run]))
-            rows.append((self._filtered(run, robust) * np.sqrt(self._count(run) / correlation[run])[:, None]).ravel())
+            rows.append((self._filtered(run, robust) * np.sqrt(1 / correlation[run])).ravel())
         return np.concatenate([*rows, self.prior_rows(z)[1], z[only] / _RIDGE_SPANS])
 
     def _slope_rows(
@@ -358,8 +353,7 @@ class LeastSquaresProblem:
             turned = -weights[run].whitened(tips_slope)
             _, out = huber(whitened(self.data[run], at[run], weights[run]), turned)
             assert out is not None
-            root = np.sqrt(self._count(run) / correlation[run])
-            rows.append((self._filtered(run, out) * root[:, None, None]).reshape(-1, len(only)))
+            rows.append((self._filtered(run, out) * np.sqrt(1 / correlation[run])).reshape(-1, len(only)))
         return np.concatenate([*rows, self.prior_rows(z)[0][:, only], np.eye(len(only)) / _RIDGE_SPANS])
 
     def prior_rows(self, z: Array) -> tuple[Array, Array]:
@@ -378,6 +372,3 @@ class LeastSquaresProblem:
     def _filtered(self, run: int, rows: Array) -> Array:
         """Rows (K, ..) of a run after its frequency mask."""
         return apply_frequency_mask(rows, self._frequency_masks[run])
-
-    def _count(self, run: int) -> Array:
-        return np.ones(len(self.data[run])) if self.entry_weights is None else self.entry_weights[run]

@@ -20,6 +20,8 @@ from model.statics import statics
 Array = NDArray[np.float64]
 
 _STEP = 1e-4
+# Standard deviation of a parameter without a prior, in spans.
+_PRIOR_SPANS = 0.1
 # Parameters without effect on the static model.
 _DYNAMIC_ONLY = {"damping_s", "sensor_lag_s", "sensor_filter_s", *ALL_NAMES}
 # Innovations of a point beyond this many standard deviations are down-weighted as outliers.
@@ -61,8 +63,8 @@ class RecursiveEstimator:
     The measurement model is the static tip under the present pressures plus the dynamic contribution of the running
     model. So a frame costs one equilibrium per parameter, and no dynamic simulation per parameter.
 
-    priors: by name; the default standard deviation is `doubt` spans. floor_m: standard deviation per axis added to the
-    covariance of every frame. repeats: number of consecutive frames with the same error, which count as one.
+    priors: by name; the default standard deviation is a tenth of a span. floor_m: standard deviation per axis added to
+    the covariance of every frame. repeats: number of consecutive frames with the same error, which count as one.
     sections_m: arc lengths [m] of measured sections by name. The offsets of their boards are states of the filter, too,
     with the priors of their parameters; they are not among the `names`.
 
@@ -75,7 +77,6 @@ class RecursiveEstimator:
         start: Setup,
         free: Iterable[str],
         priors: Mapping[str, Prior] | None = None,
-        doubt: float = 0.1,
         floor_m: float = 2e-4,
         repeats: float = 10.0,
         sections_m: Mapping[str, float] | None = None,
@@ -94,7 +95,7 @@ class RecursiveEstimator:
         self._span = np.array([p.span(x) for p, x in zip(self._parameters, first, strict=True)])
         self._first = np.array([known[p.name].mean if p.name in known else x
                                 for p, x in zip(self._parameters, first, strict=True)])  # fmt: skip
-        stated = [doubt * s for s in self._span[: len(self._free)]]
+        stated = [_PRIOR_SPANS * s for s in self._span[: len(self._free)]]
         stated += [p.uncertainty(0.0) for p in self._parameters[len(self._free) :]]
         doubts = [(known[p.name].std if p.name in known else std) / s
                   for p, s, std in zip(self._parameters, self._span, stated, strict=True)]  # fmt: skip
