@@ -11,6 +11,9 @@ from model.arm import Arm
 
 Array = NDArray[np.float64]
 
+GRADIENT_STEP_PA = 0.01
+"""Step of a pressure for the gradient of a solution."""
+
 
 @dataclass(frozen=True)
 class TipWrench:

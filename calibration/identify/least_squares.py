@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 # Step of an unknown, in spans, for the model's directional derivatives.
 _STEP = 1e-7
 # Standard deviation, in spans, of the ridge term towards the start. It only stops undetermined unknowns from drifting.
-_RIDGE_SPANS = 5.0
+RIDGE_SPANS = 5.0
 _ROUNDS = 5
 _SAME_COVARIANCE = 0.05
 _SAME_SLOPE = 3e-3
@@ -341,7 +341,7 @@ class LeastSquaresProblem:
         for run, gap in enumerate(self.gaps(z)):
             robust, _ = huber(whitened(self.data[run], gap, weights[run]))
             rows.append((self._filtered(run, robust) * np.sqrt(1 / correlation[run])).ravel())
-        return np.concatenate([*rows, self.prior_rows(z)[1], z[only] / _RIDGE_SPANS])
+        return np.concatenate([*rows, self.prior_rows(z)[1], z[only] / RIDGE_SPANS])
 
     def _slope_rows(
         self, z: Array, only: list[int], weights: tuple[Weights, ...], correlation: Sequence[float]
@@ -354,7 +354,7 @@ class LeastSquaresProblem:
             _, out = huber(whitened(self.data[run], at[run], weights[run]), turned)
             assert out is not None
             rows.append((self._filtered(run, out) * np.sqrt(1 / correlation[run])).reshape(-1, len(only)))
-        return np.concatenate([*rows, self.prior_rows(z)[0][:, only], np.eye(len(only)) / _RIDGE_SPANS])
+        return np.concatenate([*rows, self.prior_rows(z)[0][:, only], np.eye(len(only)) / RIDGE_SPANS])
 
     def prior_rows(self, z: Array) -> tuple[Array, Array]:
         """Rows (m, n) and gaps (m,) of the priors in standard deviations."""

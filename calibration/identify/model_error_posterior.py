@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from calibration.identify.effects_problem import EffectsProblem
-from calibration.identify.least_squares import LeastSquaresProblem
+from calibration.identify.least_squares import RIDGE_SPANS, LeastSquaresProblem
 from calibration.identify.likelihood import Discrepancy, Weights, outlying, whitened
 from calibration.identify.model_error import (
     CoefficientPrior,
@@ -40,8 +40,6 @@ FOUND = 0.95
 _NOISE_SHARES = (0.05, 0.3, 0.6, 1.0)
 # Smallest amplitude of a term that is stated, as a share of its scale.
 _LEAST_SHARE = 1e-3
-# Standard deviation, in spans, of the ridge term of the search.
-_RIDGE_SPANS = 5.0
 
 
 @dataclass(frozen=True)
@@ -178,7 +176,7 @@ def normal_equations(
     n, z = len(solution.z), solution.z
     prior, gap = problem.prior_rows(z)
     m = columns[0].shape[2]
-    on_unknowns = [prior, np.diag(np.sqrt(assumed + 1 / _RIDGE_SPANS**2))]
+    on_unknowns = [prior, np.diag(np.sqrt(assumed + 1 / RIDGE_SPANS**2))]
     on_coefficients = [np.zeros((len(prior) + n, m))]
     residual = [-gap, np.zeros(n)]
     constant = 0.0

@@ -15,7 +15,7 @@ from model.inverse.drive import Drive
 from model.inverse.limited_step import limited_step
 from model.inverse.static_map import StaticMap
 from model.loads import Loads
-from model.variation import Variation
+from model.variation import GRADIENT_STEP_PA, Variation
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,6 @@ RESPONSE_S = 0.5
 RESPONSE_STEP_PA = 2000.0
 GUESS = 0.25
 """First guess of the pressures, relative to their limit."""
-GRADIENT_STEP_PA = 0.01
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from rig.calibrate import inputs
 from rig.calibrate.dlt_boards import from_boards
 from rig.calibrate.dlt_file import dlt_file
 from rig.calibrate.dlt_fit import DLTCalibrationResult
-from rig.calibrate.dlt_points import from_points
+from rig.calibrate.dlt_points import WIDEST_MM, from_points
 from rig.calibrate.output_file import OutputFile
 from rig.config import calibration_schema
 from rig.config.calibration_files import sha256_of
@@ -22,7 +22,6 @@ from rig.config.optics import rigid
 from rig.config.sections import Placement
 
 _WAYS = ("control points (.csv)", "views of a board")
-_WIDEST_MM = 1e6
 
 
 @dataclass(frozen=True)
@@ -118,6 +117,6 @@ def _base(text: str) -> RigidTransform:
         x, y, z, a, b, c = (float(part) for part in parts)
     except ValueError:
         x = y = z = a = b = c = np.inf
-    if not all(abs(number) < _WIDEST_MM for number in (x, y, z, a, b, c)):
+    if not all(abs(number) < WIDEST_MM for number in (x, y, z, a, b, c)):
         raise bad_input("--base", text, "six numbers X,Y,Z,A,B,C: mm, and a rotation vector in deg")
     return rigid(Placement(translation_mm=(x, y, z), rotation_deg=(a, b, c)))

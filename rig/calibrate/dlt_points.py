@@ -21,7 +21,7 @@ from rig.config.schema import RigConfig
 Floats = NDArray[np.float64]
 
 _MOST_LEFT_OUT = 200
-_WIDEST_MM = 1e6
+WIDEST_MM = 1e6
 
 
 def from_points(
@@ -36,7 +36,7 @@ def from_points(
         BadInputError: a cell or an option is invalid. DLTError: the points do not determine the coefficients.
     """
     seen = control_points.read(csv)
-    if not 0 <= points_std_mm < _WIDEST_MM:
+    if not 0 <= points_std_mm < WIDEST_MM:
         raise bad_input("--points-std-mm", f"{points_std_mm:g}", "the points' standard uncertainty in mm, 0 or more")
     observations, sizes = {}, {}
     for name, points in seen.items():

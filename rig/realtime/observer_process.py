@@ -14,6 +14,7 @@ from rig.config.optics import board_of, plane_of
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import FrameSet
 from rig.hardware.cameras.synchroniser import CameraSynchroniser
+from rig.hardware.cameras.trigger import RECENT_PULSES
 from rig.hardware.tip_source import TipSourceError
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
@@ -28,8 +29,6 @@ from rig.realtime.timing_limits import timing_limits
 
 WARM_UP_FRAMES = 3
 FIRST_PICTURE_S = 5.0
-RECENT_PULSES = 64
-"""Pulses of the camera trigger among which that of a frame is looked for."""
 HISTORY_S = 2.0
 """Time before a frame whose control cycles are passed to the model with it."""
 

@@ -12,7 +12,7 @@ from calibration.identify.parameter import Parameter
 from calibration.identify.parameters import groups, known
 from calibration.identify.setup import Setup
 from model import batch, sensitivities
-from model.variation import Variation
+from model.variation import GRADIENT_STEP_PA, Variation
 from protocols import SetPointTrajectory, TipMotion
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
@@ -24,7 +24,6 @@ Array = NDArray[np.float64]
 
 POSTURES = 12
 """Points of the path at which uncertainties are propagated."""
-GRADIENT_STEP_PA = 0.01
 NAMED = 3
 """Parameters that are named as the largest causes."""
 NOT_OF_THE_ARM = ("base_", "tool_", "sensor_lag", "sensor_filter")

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from rig.config.schema import RigConfig
 from rig.control.trigger import TriggerOutput, TriggerPulses
 from rig.hardware.cameras.base import CameraError
-from rig.hardware.cameras.trigger import PulseMatcher
+from rig.hardware.cameras.trigger import RECENT_PULSES, PulseMatcher
 from rig.simulator.mock_camera import Exposure, MockCamera
 from rig.simulator.plant import Plant
 from runs.records import pulse_dtype
-
-RECENT_PULSES = 64
 
 
 @dataclass(frozen=True)

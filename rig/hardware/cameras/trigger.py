@@ -15,6 +15,8 @@ from rig.hardware.cameras.base import Camera, CameraError, Frame, TriggerMatch
 EARLIEST, LATEST = -0.25, 0.75
 """How far the time of a driver may be from that of the pulse, in frame periods. It is late rather than early: a driver
 without stamps of its own gives the time at which the picture arrived."""
+RECENT_PULSES = 64
+"""Pulses among which that of a frame is looked for."""
 
 PulseRows = NDArray[np.void]
 
