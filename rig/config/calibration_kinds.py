@@ -28,7 +28,7 @@ from rig.config.schema import RigConfig
 from rig.config.sections import LensConfig, Placement, Sensor
 from rig.valves.base import ValveSection
 
-Faults = Iterator[Problem]
+Problems = Iterator[Problem]
 YamlPath = tuple[str | int, ...]
 File = TypeVar("File", bound=CalibrationFile)
 
@@ -64,7 +64,7 @@ class CalibrationOverlay(ABC, Generic[File]):
         """Return the lenses that the file calibrates, by camera."""
         return {}
 
-    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Faults:
+    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Problems:
         """Yield the reasons why the file does not belong to the rig; lenses: those of all files, by camera."""
         for here, camera in self.cameras():
             yield from _other_camera(config, self.calibration, here, camera)
@@ -104,7 +104,7 @@ class PlacementOverlay(CalibrationOverlay[DLTFile]):
         for i, item in enumerate(self.found.cameras):
             yield ("cameras", i, "camera"), item.camera
 
-    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Faults:
+    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Problems:
         """As of every file; another frame, and another lens: a place is valid only with the lens it was found with."""
         yield from super().misfits(config, lenses)
         if self.found.world != "rod base":
@@ -136,7 +136,7 @@ class BoardOverlay(CalibrationOverlay[ToolFile]):
         """Yield the camera that saw the board."""
         yield ("camera",), self.found.camera
 
-    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Faults:
+    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Problems:
         """As of every file, and another board."""
         yield from super().misfits(config, lenses)
         if config.board is None:
@@ -176,12 +176,12 @@ class PressureOverlay(CalibrationOverlay[PressureFile]):
         for sweep in self.found.valves:
             data["valves"][sweep.valve - 1] |= config.valves[sweep.valve - 1].calibrated(sweep)
 
-    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Faults:
+    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Problems:
         """Yield another sensor, valve or channel."""
         yield from self._other_sensors(config)
         yield from self._other_valves(config)
 
-    def _other_sensors(self, config: RigConfig) -> Faults:
+    def _other_sensors(self, config: RigConfig) -> Problems:
         sensors = {s.actuator: s for s in config.sensors}
         for i, scale in enumerate(self.found.sensors):
             here: YamlPath = ("sensors", i)
@@ -199,7 +199,7 @@ class PressureOverlay(CalibrationOverlay[PressureFile]):
                 expected = f"{list(sensor.span_V)}, as the sensor of rig {config.name}"
                 yield self.calibration.problem((*here, "span_V"), list(scale.span_V), expected)
 
-    def _other_valves(self, config: RigConfig) -> Faults:
+    def _other_valves(self, config: RigConfig) -> Problems:
         for i, sweep in enumerate(self.found.valves):
             here: YamlPath = ("valves", i)
             if sweep.valve > len(config.valves):
@@ -265,7 +265,7 @@ def _place_camera(data: dict[str, Any], config: RigConfig, name: str, found: Pla
 
 def _other_camera(
     config: RigConfig, calibration: LoadedCalibration, here: YamlPath, identity: CameraIdentity
-) -> Faults:
+) -> Problems:
     if identity.name not in config.cameras:
         known = ", ".join(config.cameras) or "it has none"
         expected = f"a camera of rig {config.name}: {known}"
@@ -292,7 +292,7 @@ def _other_channel(
     part: SensorCalibration | ValveCalibration,
     stated: Sensor | ValveSection,
     what: str,
-) -> Faults:
+) -> Problems:
     card = config.cards[stated.card]
     identity = CardIdentity(name=stated.card, driver=card.driver, device=card.device)
     for key in ("name", "driver", "device"):

@@ -18,7 +18,7 @@ from rig.config.calibration_files import LoadedCalibration, read
 from rig.config.calibration_kinds import overlay_of
 from rig.config.schema import RigConfig
 
-Faults = Iterator[Problem]
+Problems = Iterator[Problem]
 
 
 def read_all(source: Document) -> tuple[tuple[str, LoadedCalibration], ...]:
@@ -117,7 +117,7 @@ def as_stated(config: RigConfig) -> dict[str, Any]:
     }
 
 
-def _twice(calibrations: Sequence[LoadedCalibration]) -> Faults:
+def _twice(calibrations: Sequence[LoadedCalibration]) -> Problems:
     taken: dict[tuple[str, object], str] = {}
     for calibration in calibrations:
         for path, key, subject in overlay_of(calibration).subjects():

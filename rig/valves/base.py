@@ -25,7 +25,7 @@ from rig.valves.metering import FlowMetering, MeasuredFlow
 REFERENCE_SHARE = 0.5
 """Bandwidth of the set-point filter as a share of the loop's: it is slower than the disturbance rejection."""
 
-Faults = Iterator[ValidationFault]
+ValidationFaults = Iterator[ValidationFault]
 
 
 class RegulatorState(NamedTuple):
@@ -179,15 +179,15 @@ class ValveSection(Section, ABC):
     def simulated(self, truth: SimulatedValve) -> ValveTruth:
         """This valve in the simulator."""
 
-    def faults(self) -> Faults:
+    def faults(self) -> ValidationFaults:
         """Faults between the keys of this section; paths start at the section."""
         yield from ()
 
-    def reach_faults(self, limits: Limits) -> Faults:
+    def reach_faults(self, limits: Limits) -> ValidationFaults:
         """Faults that keep the valve from reaching the limits of the pressure (gauge); paths start at the section."""
         yield from ()
 
-    def simulated_faults(self, truth: SimulatedValve) -> Faults:
+    def simulated_faults(self, truth: SimulatedValve) -> ValidationFaults:
         """True parameters that this valve cannot have; paths start at the parameters."""
         yield from ()
 

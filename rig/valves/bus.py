@@ -9,7 +9,7 @@ from pydantic import Field
 from protocols.validation import ValidationFault
 from rig.sections.control import Control, Limits
 from rig.sections.quantities import PA_PER_BAR, BarSpan
-from rig.valves.base import Faults, SimulatedValve, ValveTruth
+from rig.valves.base import SimulatedValve, ValidationFaults, ValveTruth
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from rig.valves.regulating import PressureRegulator, RegulatingValve, range_faults
 
@@ -53,13 +53,13 @@ class BusValve(RegulatingValve):
     def simulated(self, truth: SimulatedValve) -> ValveTruth:
         return self.held(ValveTruth(pa_at_zero_v=ATMOSPHERE_PA, pa_per_v=PA_PER_BAR))
 
-    def faults(self) -> Faults:
+    def faults(self) -> ValidationFaults:
         """A vent level outside the range."""
         low, high = self.range_bar
         if not low <= self.vent_bar <= high:
             yield ValidationFault(("vent_bar",), f"a pressure inside range_bar, {low:g} to {high:g} bar")
 
-    def reach_faults(self, limits: Limits) -> Faults:
+    def reach_faults(self, limits: Limits) -> ValidationFaults:
         """A range that does not include the permitted pressures, and supplies that do not reach them."""
         yield from range_faults("range_bar", self.range_bar, limits)
         yield from self.supply_faults(limits)

@@ -19,7 +19,7 @@ from pydantic import Field
 from protocols.validation import ValidationFault
 from rig.sections.control import Control, Limits
 from rig.sections.quantities import PA_PER_BAR, Bar, NonNegative, Positive, Volt
-from rig.valves.base import Faults, Regulator, RegulatorState, SimulatedValve, ValveTruth, VoltageValve
+from rig.valves.base import Regulator, RegulatorState, SimulatedValve, ValidationFaults, ValveTruth, VoltageValve
 from rig.valves.iso6358 import ANR_PA, ATMOSPHERE_PA, flow_function, sonic_conductance
 from rig.valves.metering import FlowMetering, MeasuredFlow, flow_curve_faults
 
@@ -211,14 +211,14 @@ class FlowValve(VoltageValve):
             critical_ratio=self.critical_ratio,
         )
 
-    def faults(self) -> Faults:
+    def faults(self) -> ValidationFaults:
         """A closed voltage outside the range, and faults of the curve."""
         low, high = self.range_V
         if not low < self.closed_V < high:
             yield ValidationFault(("closed_V",), f"a voltage inside range_V, {low:g} to {high:g} V")
         yield from flow_curve_faults(self)
 
-    def reach_faults(self, limits: Limits) -> Faults:
+    def reach_faults(self, limits: Limits) -> ValidationFaults:
         """A supply that is too low, and a vacuum, which its exhaust to the atmosphere cannot reach."""
         if self.supply_bar <= limits.pressure_bar:
             expected = f"more than limits, pressure_bar ({limits.pressure_bar:g} bar): the valve cannot fill that far"
@@ -227,7 +227,7 @@ class FlowValve(VoltageValve):
             lowest = f"limits, lowest_pressure_bar ({limits.lowest_pressure_bar:g} bar)"
             yield ValidationFault(("type",), f"pressure or bus for {lowest}: a flow valve vents to the atmosphere")
 
-    def simulated_faults(self, truth: SimulatedValve) -> Faults:
+    def simulated_faults(self, truth: SimulatedValve) -> ValidationFaults:
         """A dead zone that covers one side of the range, and a leak as large as the flow of the open valve."""
         low, high = self.range_V
         side = min(high - self.closed_V, self.closed_V - low)

@@ -9,7 +9,7 @@ from typing import Literal
 from protocols.validation import ValidationFault
 from rig.sections.control import Control, Limits
 from rig.sections.quantities import PA_PER_BAR, BarSpan, VoltSpan
-from rig.valves.base import Faults, SimulatedValve, ValveTruth, VoltageValve
+from rig.valves.base import SimulatedValve, ValidationFaults, ValveTruth, VoltageValve
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from rig.valves.regulating import PressureRegulator, RegulatingValve, range_faults
 
@@ -41,13 +41,13 @@ class PressureValve(VoltageValve, RegulatingValve):
         pa_at_zero_v = low_bar * PA_PER_BAR - low_v * pa_per_v + ATMOSPHERE_PA
         return self.held(ValveTruth(pa_at_zero_v=pa_at_zero_v, pa_per_v=pa_per_v))
 
-    def faults(self) -> Faults:
+    def faults(self) -> ValidationFaults:
         """A span outside the range of the output."""
         low, high = self.range_V
         if self.span_V[0] < low or self.span_V[1] > high:
             yield ValidationFault(("span_V",), f"a span inside range_V, {low:g} to {high:g} V")
 
-    def reach_faults(self, limits: Limits) -> Faults:
+    def reach_faults(self, limits: Limits) -> ValidationFaults:
         """A span that does not include the permitted pressures, and supplies that do not reach them."""
         yield from range_faults("span_bar", self.span_bar, limits)
         yield from self.supply_faults(limits)

@@ -12,7 +12,7 @@ from pydantic.json_schema import SkipJsonSchema
 from protocols.validation import ValidationFault
 from rig.sections.control import Limits
 from rig.sections.quantities import PA_PER_BAR, Bar
-from rig.valves.base import Faults, Regulator, RegulatorState, ValveSection, ValveTruth
+from rig.valves.base import Regulator, RegulatorState, ValidationFaults, ValveSection, ValveTruth
 from rig.valves.iso6358 import ATMOSPHERE_PA
 
 
@@ -44,7 +44,7 @@ class RegulatingValve(ValveSection):
         default=0.0, description="gauge pressure of the vacuum supply; 0: the exhaust is the atmosphere"
     )
 
-    def supply_faults(self, limits: Limits) -> Faults:
+    def supply_faults(self, limits: Limits) -> ValidationFaults:
         """Supplies that do not reach the limits of the pressure."""
         if self.supply_bar is not None and self.supply_bar <= limits.pressure_bar:
             expected = f"more than limits, pressure_bar ({limits.pressure_bar:g} bar): the valve cannot fill that far"
@@ -59,7 +59,7 @@ class RegulatingValve(ValveSection):
         return replace(truth, lowest_pa=self.vacuum_bar * PA_PER_BAR + ATMOSPHERE_PA, highest_pa=highest_pa)
 
 
-def range_faults(key: str, span_bar: tuple[float, float], limits: Limits) -> Faults:
+def range_faults(key: str, span_bar: tuple[float, float], limits: Limits) -> ValidationFaults:
     """A range of set-points that does not include the permitted pressures; `key` is its place in the section."""
     if not span_bar[0] <= limits.lowest_pressure_bar < limits.pressure_bar <= span_bar[1]:
         lowest = "0"
