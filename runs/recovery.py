@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
 from runs.archive import writer as archive
 from runs.archive.writer import ArchiveError, ArchiveInUseError
-from runs.data_folder import DATA
+from runs.data_folder import DATA, free_id
 from runs.export import foxglove
 from runs.file_lock import lock
 from runs.journal import journal
@@ -57,6 +58,23 @@ def recover(folder: Path | str = DATA) -> tuple[RecoveryOutcome, ...]:
     """
     place = Path(folder)
     return (*_leftovers(place), *(_recover(path) for path in _journals(place)))
+
+
+def move_unused(source: Path, folder: Path) -> None:
+    """Move journals and archives to another folder, unless a living process writes a journal of the source.
+
+    Nothing is replaced: a file whose name is taken gets a free one. The source is removed when it is empty.
+    """
+    if any(_locked(path) for path in _journals(source)):
+        return
+    list(_leftovers(source))
+    for stem in sorted({path.stem for path in source.iterdir() if path.suffix in (journal.SUFFIX, archive.SUFFIX)}):
+        free = free_id(folder, stem)
+        for path in (source / f"{stem}{suffix}" for suffix in (journal.SUFFIX, archive.SUFFIX)):
+            if path.exists():
+                path.rename(folder / f"{free}{path.suffix}")
+    with suppress(OSError):
+        source.rmdir()
 
 
 def _recover(path: Path) -> RecoveryOutcome:

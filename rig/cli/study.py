@@ -38,7 +38,7 @@ def study(
     from rig.cli.study_terminal import StudyTerminal
     from rig.config.loader import chosen_rig
     from rig.study import execution
-    from rig.study.study import archived, finished, load
+    from rig.study.study import archived, finished, load, recovered
     from runs.study.page import write
 
     if scheduler and not fast:
@@ -47,10 +47,17 @@ def study(
         plan, chosen_rig(rig), folder=out, fast=fast, operator=operator, metadata=assignments.texts("--meta", meta)
     )
     screen = console(stderr=json)
+
+    def tell_recovered() -> None:
+        for sentence in recovered(out):
+            typer.echo(sentence, err=True)
+
     if dry:
+        tell_recovered()
         study_output.planned(screen, found, finished(archived(found)), as_json=json)
         return
     with execution.locked(found) as scratch:
+        tell_recovered()
         done = finished(archived(found))
         if len(done) < len(found.runs):
             study_output.planned(screen, found, done)

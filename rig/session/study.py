@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from rig.execution.plan import RunPlan
 from rig.experiment.run import RunRequest, RunResult
 from rig.session.prompts import Answer
 from rig.study import execution
-from rig.study.study import Study, archived, finished
+from rig.study.study import Study, archived, finished, recovered
 from runs.records import Status
 from runs.run import Run
 from runs.study.page import write
@@ -42,6 +43,8 @@ def run_study(
 ) -> tuple[Run, ...]:
     """Run what is missing of a study, write its table and page, and return its finished runs in their order."""
     with execution.locked(study) as scratch:
+        for sentence in recovered(study.folder):
+            warnings.warn(sentence, stacklevel=3)
         try:
             if study.fast:
                 execution.run_virtual(study, scratch, workers, scheduler)

@@ -24,6 +24,7 @@ from runs.catalogue import Entry
 from runs.file_lock import lock
 from runs.overwriting import naming
 from runs.records import Status, StudyRole
+from runs.recovery import move_unused
 
 
 class StudyBusyError(StartError):
@@ -49,7 +50,9 @@ class StudyOperator(Protocol):
 
 @contextmanager
 def locked(study: Study) -> Iterator[Path]:
-    """Hold the lock of a study; yield an empty folder for files that are being written.
+    """Hold the lock of a study; yield a folder for files that are being written.
+
+    Journals and archives that an interrupted study left there come into the study's folder first.
 
     Raises:
         StudyBusyError: another process holds it.
@@ -63,7 +66,7 @@ def locked(study: Study) -> Iterator[Path]:
             raise StudyBusyError(f"study {study.name} in {study.folder} is running in another process") from None
         for left in scratch.iterdir():
             if left.is_dir():
-                shutil.rmtree(left, ignore_errors=True)
+                move_unused(left, study.folder)
         yield scratch
 
 
@@ -113,13 +116,18 @@ class _ArchiveFile:
 
 
 def _archive_of(task: _Task) -> _ArchiveFile:
-    """Run a task in a folder of its own; return its archive."""
-    with tempfile.TemporaryDirectory(dir=task.scratch) as folder:
-        request = replace(task.request, folder=Path(folder))
-        result = experiment.run(request, experiment.plan(request), NullOperator())
-        if result.archive is None:
-            raise StartError("; ".join(result.warnings))
-        return _ArchiveFile(result.archive.name, result.archive.read_bytes())
+    """Run a task in a folder of its own; return its archive.
+
+    The folder is removed only after that: until then it may have the only copy of the data.
+    """
+    folder = Path(tempfile.mkdtemp(dir=task.scratch))
+    request = replace(task.request, folder=folder)
+    result = experiment.run(request, experiment.plan(request), NullOperator())
+    if result.archive is None:
+        raise StartError("; ".join(result.warnings))
+    made = _ArchiveFile(result.archive.name, result.archive.read_bytes())
+    shutil.rmtree(folder)
+    return made
 
 
 def run_real(study: Study, operator: StudyOperator) -> None:

@@ -22,7 +22,7 @@ from rig.experiment.run import RunRequest
 from rig.study.plan import PlannedRun, StudyPlan, planned_runs
 from runs.catalogue import Entry, catalogue
 from runs.records import Status, StudyRole, StudyRun
-from runs.recovery import orphans, recover
+from runs.recovery import RecoveryOutcome, RecoveryStatus, orphans, recover
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
 
@@ -209,8 +209,7 @@ def archived(study: Study) -> tuple[Entry, ...]:
     Raises:
         OtherStudyError: archives of the same name are of another study.
     """
-    if orphans(study.folder):
-        recover(study.folder)
+    recovered(study.folder)
     entries = tuple(entry for entry in catalogue(study.folder) if entry.study == study.name)
     other = next((entry.file for entry in entries if entry.study_sha256 != study.sha256), None)
     if other is not None:
@@ -219,6 +218,19 @@ def archived(study: Study) -> tuple[Entry, ...]:
             f"(`rig export` writes those of a run), or begin another study: copy the plan to a new name"
         )
     return entries
+
+
+def recovered(folder: Path) -> tuple[str, ...]:
+    """Make archives of the journals of runs that were cut off; return a sentence about each journal."""
+    return tuple(filter(None, map(_said, recover(folder)))) if orphans(folder) else ()
+
+
+def _said(outcome: RecoveryOutcome) -> str:
+    if outcome.status in (RecoveryStatus.RECOVERED, RecoveryStatus.FINALISED):
+        return f"a run was cut off: its journal is {outcome.status} as {outcome.archive} ({outcome.message})"
+    if outcome.status is RecoveryStatus.UNREADABLE:
+        return f"a run was cut off: its journal {outcome.path} is kept, but cannot be read: {outcome.message}"
+    return ""
 
 
 def finished(entries: tuple[Entry, ...]) -> dict[int, Entry]:

@@ -15,14 +15,16 @@ import pytest
 import rig
 from protocols import BadInputError
 from rig.config.loader import RigChoice, Source
-from rig.execution.plan import RunPlan
+from rig.execution.plan import RunPlan, StartError
 from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest
 from rig.session.prompts import FunctionOperator
 from rig.study.execution import StudyBusyError, locked, run_real, run_virtual
 from rig.study.plan import StudyPlan, planned_runs
 from rig.study.study import OtherStudyError, Study, archived, finished, load
+from runs.archive.writer import ArchiveError
 from runs.catalogue import catalogue, search
+from runs.file_lock import lock
 from runs.records import Status
 from runs.run import Run
 from tests.support.command_line import status_of
@@ -106,6 +108,73 @@ def test_a_mistake_in_the_protocol_is_reported_once_and_not_for_each_combination
     assert "combination" not in message
 
 
+KILLED_IN_A_RUN = """
+import os, sys
+from pathlib import Path
+from rig.config.loader import RigChoice, Source
+from rig.execution.plan import NullOperator
+from rig.study import execution
+from rig.study.study import load
+from runs.journal.journal import JournalWriter
+
+closed = JournalWriter.close
+def killed(self, footer):
+    if sys.argv[2] == "after":
+        closed(self, footer)
+    self.wait_until_synced(60)
+    os.kill(os.getpid(), 9)
+JournalWriter.close = killed
+plan = Path(sys.argv[1])
+study = load(plan, RigChoice("mock", Source.OPTION), folder=plan.parent / "data", fast=True)
+with execution.locked(study) as scratch:
+    execution.run_virtual(study, scratch, workers=1)
+"""
+
+
+@pytest.mark.parametrize(("moment", "status", "count"), [("before", "recovered", 2), ("after", "finished", 1)])
+def test_the_journal_of_a_killed_run_is_recovered_by_the_next_command_which_says_so(
+    plan: Path, capsys: pytest.CaptureFixture[str], moment: str, status: str, count: int
+) -> None:
+    plan.write_text("title: t\nprotocol: step.yaml\n")
+    data = plan.parent / "data"
+    code = subprocess.run([sys.executable, "-c", KILLED_IN_A_RUN, str(plan), moment], check=False).returncode
+    assert code == -signal.SIGKILL
+    (journal,) = data.glob(".dwell.study/*/*.mcap")
+    recorded = journal.read_bytes()
+    assert status_of("study", plan, "--fast", "--yes", "--rig", "mock", "--out", data) == 0
+    assert str(data / f"{journal.stem}.h5") in capsys.readouterr().err
+    assert (data / journal.name).read_bytes() == recorded
+    assert Run(data / f"{journal.stem}.h5").status == status
+    assert len(list(data.glob("*.h5"))) == count
+    assert not [path for path in (data / ".dwell.study").iterdir() if path.is_dir()]
+
+
+def test_a_journal_that_a_living_process_writes_stays_where_it_is(plan: Path) -> None:
+    plan.write_text("title: t\nprotocol: step.yaml\n")
+    study = loaded(plan)
+    place = study.folder / ".dwell.study" / "tmp1"
+    place.mkdir(parents=True)
+    with (place / "run.mcap").open("wb") as handle:
+        lock(handle.fileno())
+        with locked(study):
+            pass
+        assert (place / "run.mcap").exists()
+
+
+def test_a_run_whose_archive_cannot_be_written_keeps_its_journal(plan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan.write_text("title: t\nprotocol: step.yaml\n")
+    study = loaded(plan)
+
+    def full(path: Path) -> Path:
+        raise ArchiveError("no space left on the device")
+
+    monkeypatch.setattr("runs.archive.writer.finalise", full)
+    with locked(study) as scratch, pytest.raises(StartError, match="the journal is kept") as error:
+        run_virtual(study, scratch, workers=1)
+    (journal,) = scratch.glob("*/*.mcap")
+    assert str(journal) in str(error.value)
+
+
 @pytest.mark.realtime
 def test_a_study_that_is_killed_and_interrupted_has_each_run_once(plan: Path) -> None:
     data = plan.parent / "data"
@@ -123,9 +192,10 @@ def test_a_study_that_is_killed_and_interrupted_has_each_run_once(plan: Path) ->
     assert done.returncode == 0, done.stdout + done.stderr
     assert "30 of 30 runs" in done.stdout
 
-    entries = search(catalogue(data), study="dwell")
+    made = search(catalogue(data), study="dwell")
+    assert {entry.status for entry in made} <= {Status.FINISHED, Status.RECOVERED}
+    entries = [entry for entry in made if entry.status == Status.FINISHED]
     assert sorted(entry.study_number or 0 for entry in entries) == list(range(1, 31))
-    assert {entry.status for entry in entries} == {Status.FINISHED}
     runs = [Run(data / entry.file) for entry in entries]
     counts: dict[tuple[float, ...], int] = {}
     for run in runs:
