@@ -157,7 +157,7 @@ def save(draw: Callable[..., None], size: tuple[float, float], path: Path, *abou
             # Below the axis labels, whatever their size.
             figure.supxlabel(mark, x=0.995, ha="right", va="bottom", fontsize=6.5, color=MUTED)
         figure.savefig(path, dpi=300)
-    figure_data.write(figure, path.with_suffix(".csv"))
+    figure_data.write(figure, path.with_suffix(".csv"), mark)
 
 
 def narrow(figure: Figure) -> bool:

@@ -15,26 +15,33 @@ from matplotlib.figure import Figure
 
 from runs.printable_text import printable
 
-COLUMNS = ("panel", "kind", "number", "label", "x_label", "y_label", "x", "y", "low", "high")
+COLUMNS = ("panel", "kind", "number", "label", "x_label", "y_label", "x", "y", "low", "high", "remark")
 Points = Iterator[tuple[float, float, Any, Any]]
 
 
-def write(figure: Figure, path: Path) -> None:
+def write(figure: Figure, path: Path, remark: str = "") -> None:
     """Write the data of a drawn figure as CSV, one point a row.
 
     `panel` and `number` count panels, and what has one `kind` in a panel. `low` and `high` are the ends of a vertical
-    error bar or of a bar, empty elsewhere. The points of a `band` are those of its outline.
+    error bar or of a bar, empty elsewhere. The points of a `band` are those of its outline. `remark` is that of
+    the figure's corner, such as `simulated`.
     """
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         for panel, axes in enumerate(figure.axes, 1):
-            labels = (printable(axes.get_xlabel()), printable(axes.get_ylabel().replace("\n", " ")))
+            labels = (printable(_x_label(axes)), printable(axes.get_ylabel().replace("\n", " ")))
             counted: dict[str, int] = {}
             for kind, label, points in _drawn(axes):
                 counted[kind] = counted.get(kind, 0) + 1
                 named = "" if label.startswith("_") else printable(label)
-                writer.writerows((panel, kind, counted[kind], named, *labels, *point) for point in points)
+                writer.writerows((panel, kind, counted[kind], named, *labels, *point, remark) for point in points)
+
+
+def _x_label(axes: Axes) -> str:
+    """Return the label of the x axis; of panels below each other that share the axis, only the lowest shows it."""
+    together = (axes, *axes.get_shared_x_axes().get_siblings(axes))
+    return next((label for one in together if (label := one.get_xlabel())), "")
 
 
 def _drawn(axes: Axes) -> Iterator[tuple[str, str, Points]]:

@@ -127,7 +127,7 @@ def test_figures_for_print_are_as_wide_as_a_column_with_every_word_inside(
     drawn: list[Figure] = []
     keep = figure_export.drawing.figure_data.write
     monkeypatch.setattr(
-        "runs.report.figure_data.write", lambda figure, path: (drawn.append(figure), keep(figure, path))[0]
+        "runs.report.figure_data.write", lambda figure, path, mark: (drawn.append(figure), keep(figure, path, mark))[0]
     )
     written = figure_export.write([archive], tmp_path)
     for path, figure in zip(written, drawn, strict=True):
@@ -154,9 +154,10 @@ def test_the_data_beside_a_figure_have_its_bars_and_error_bars(tmp_path: Path) -
         axes.bar([1.0, 2.0], [5.0, 6.0], label="error")
         axes.fill_between([0.0, 1.0], [0.0, 1.0], [2.0, 3.0], label="band")
 
-    drawing.save(draw, (3.0, 2.0), tmp_path / "one.svg")
+    drawing.save(draw, (3.0, 2.0), tmp_path / "one.svg", mark="simulated")
     with (tmp_path / "one.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
+    assert {row["remark"] for row in rows} == {"simulated"}
     found = {kind: [row for row in rows if row["kind"] == kind] for kind in ("error bar", "bar", "band", "line")}
     bars = [tuple(float(row[name]) for name in ("x", "y", "low", "high")) for row in found["error bar"]]
     assert bars == [(1.0, 3.0, 2.5, 3.5), (2.0, 4.0, 3.75, 4.25)]
