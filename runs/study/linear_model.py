@@ -3,7 +3,9 @@
 response = mean + factors + two-factor interactions + blocks + drift x order + error. Factors and blocks are
 categorical, coded to a sum of zero; the order of the runs enters linearly. Tests are F tests of type II: the sum of
 squares that a term removes when it joins all others that do not contain it, over the mean square of the residuals of
-the whole model. Means of levels are those of the model without interactions, with 95 % intervals by Student's t.
+the whole model. Runs of a block follow each other, so blocks and order explain much of the same change with time, which
+the test of each leaves to the other: a joint test of both finds it. Means of levels are those of the model without
+interactions, with 95 % intervals by Student's t.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from scipy import stats
 
 Floats = NDArray[np.float64]
 ORDER, BLOCK, CROSSED = "order of the runs", "block", " x "
+TIME = f"{BLOCK} and {ORDER} together"
 
 
 @dataclass(frozen=True)
@@ -45,12 +48,16 @@ class LevelMean:
 
 @dataclass(frozen=True)
 class LinearModel:
-    """Tests, means of levels, change over the whole study by order, and the standard deviation of the residuals."""
+    """Tests, means of levels, change over the whole study by order, and the standard deviation of the residuals.
+
+    `shared` is the part of the variance of the order that lies between the blocks: at 1 they cannot be told apart.
+    """
 
     tests: tuple[TermTest, ...]
     levels: tuple[LevelMean, ...]
     drift: float
     drift_half_width: float
+    shared: float
     residual_std: float
     residual_dof: int
 
@@ -87,14 +94,20 @@ def fit(factors: Mapping[str, Sequence[float]], blocks: Sequence[int], order: Se
     variance = residual / dof if dof > 0 else math.nan
     t = float(stats.t.ppf(0.975, dof)) if dof > 0 else math.nan
 
-    tests = []
-    for term in terms:
-        others = [other for other in terms if other is not term and not term.parts <= other.parts]
+    def tested(name: str, *group: _Term) -> TermTest:
+        others = [other for other in terms if not any(term.parts <= other.parts for term in group)]
         without, rank_without = _residual(_design(others, n), y)
-        with_term, rank_with = _residual(_design([*others, term], n), y)
+        with_group, rank_with = _residual(_design([*others, *group], n), y)
         removed = rank_with - rank_without
-        f = (without - with_term) / removed / variance if removed and variance > 0 else math.nan
-        tests.append(TermTest(term.name, removed, f, float(stats.f.sf(f, removed, dof)) if removed else math.nan))
+        f = (without - with_group) / removed / variance if removed and variance > 0 else math.nan
+        return TermTest(name, removed, f, float(stats.f.sf(f, removed, dof)) if removed else math.nan)
+
+    tests = [tested(term.name, term) for term in terms]
+    in_time = [term for term in main if term.name in (BLOCK, ORDER)]
+    shared = 0.0
+    if len(in_time) > 1:
+        tests.append(tested(TIME, *in_time))
+        shared = 1 - _residual(_design(in_time[:1], n), position)[0] / float(np.sum((position - position.mean()) ** 2))
 
     design = _design(main, n)
     inverse = np.linalg.pinv(design.T @ design)
@@ -115,7 +128,7 @@ def fit(factors: Mapping[str, Sequence[float]], blocks: Sequence[int], order: Se
         for level, row in zip(levels[name], rows, strict=True):
             means.append(LevelMean(name, level, *estimate(row), *estimate(row - rows[0])))
     drift = estimate(np.eye(design.shape[1])[-1]) if spread > 0 else (math.nan, math.nan)
-    return LinearModel(tuple(tests), tuple(means), *drift, math.sqrt(variance), dof)
+    return LinearModel(tuple(tests), tuple(means), *drift, shared, math.sqrt(variance), dof)
 
 
 def _codes(count: int) -> Floats:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -21,49 +22,55 @@ from runs.report.html_table import html_table
 from runs.report.numbers import DASH, significant
 from runs.report.page import html_document
 from runs.run import Run
-from runs.study.linear_model import CROSSED, LinearModel, fit
+from runs.study.linear_model import BLOCK, CROSSED, ORDER, TIME, LinearModel, fit
 from runs.study.responses import RESPONSES, ResponseVariable
 
 # An interaction with a smaller p gets a sentence.
 _SMALL_P = 0.05
-_FACTS = ("number", "run", "block", "combination", "start_utc")
+# Blocks that share more of the variance of the order get a sentence.
+_COLLINEAR = 0.5
+_FACTS = ("number", "run", "block", "combination", "start_utc", "executor", "specimen", "operator")
 
 
 @dataclass(frozen=True)
 class StudyTable:
-    """The runs of a study: facts, settings by name, and responses in the order of `RESPONSES`, NaN where unknown."""
+    """The runs of a study: facts, settings by name, and responses in the order of `RESPONSES`, NaN where unknown.
+
+    `order` counts the runs from 1 by the times at which they really began.
+    """
 
     facts: tuple[tuple[str, ...], ...]
     settings: dict[str, tuple[float, ...]]
     responses: tuple[tuple[float, ...], ...]
     blocks: tuple[int, ...]
     order: tuple[int, ...]
-    simulated: bool
+    simulated: tuple[bool, ...]
 
 
 def tabulate(archives: Sequence[Path]) -> StudyTable:
     """Read the runs of a study."""
-    facts, settings, responses, blocks, order = [], [], [], [], []
-    simulated = False
+    facts, settings, responses, blocks, began, simulated = [], [], [], [], [], []
     for path in archives:
         run = Run(path)
         place = run.header.study
         assert place is not None
-        began = str(np.datetime64(run.header.started_utc_ns, "ns").astype("datetime64[s]"))
-        facts.append((str(place.number), run.header.run_id, str(place.block), str(place.combination), began))
+        header = run.header
+        start = str(np.datetime64(header.started_utc_ns, "ns").astype("datetime64[s]"))
+        conditions = (header.executor, header.metadata.get("specimen", ""), header.operator)
+        facts.append((str(place.number), header.run_id, str(place.block), str(place.combination), start, *conditions))
         settings.append({q.name: q.value[0] for q in run.header.protocol_parameters})
         responses.append([response.of(run) for response in RESPONSES])
         blocks.append(place.block)
-        order.append(place.number)
-        simulated |= run.header.simulated
+        began.append((header.started_utc_ns, place.number))
+        simulated.append(header.simulated)
     names = list(settings[0]) if settings else []
     return StudyTable(
         facts=tuple(facts),
         settings={name: tuple(row[name] for row in settings) for name in names},
         responses=tuple(zip(*responses, strict=True)),
         blocks=tuple(blocks),
-        order=tuple(order),
-        simulated=simulated,
+        order=tuple(sorted(began).index(start) + 1 for start in began),
+        simulated=tuple(simulated),
     )
 
 
@@ -93,16 +100,17 @@ def _csv(table: StudyTable) -> str:
     for row, facts in enumerate(table.facts):
         numbers = [values[row] for values in (*table.settings.values(), *table.responses)]
         texts = (f"{value:.9g}" if math.isfinite(value) else "" for value in numbers)
-        writer.writerow([*facts, *texts, int(table.simulated)])
+        writer.writerow([*facts, *texts, int(table.simulated[row])])
     return out.getvalue()
 
 
 def _body(name: str, title: str, planned: int, table: StudyTable) -> Iterator[str]:
-    badge = '<span class="badge simulated">simulated</span>' if table.simulated else ""
+    badge = '<span class="badge simulated">simulated</span>' if any(table.simulated) else ""
     yield f'<section class="run"><header class="run"><h1>{escape(title)}{badge}</h1>'
     yield f'<p class="sub">study {escape(name)} · {len(table.facts)} of {planned} runs finished</p></header>'
-    if table.simulated:
+    if any(table.simulated):
         yield '<p class="note"><b>Runs of this study were simulated.</b> They measure no real manipulator.</p>'
+    yield from _mixed(table)
     factors = {key: values for key, values in table.settings.items() if len(set(values)) > 1}
     shown = []
     for response, values in zip(RESPONSES, table.responses, strict=True):
@@ -116,7 +124,8 @@ def _body(name: str, title: str, planned: int, table: StudyTable) -> Iterator[st
         yield f"<p class=small>Not known for every run, and so not analysed: {', '.join(missing)}.</p>"
     yield (
         "<p class=small>Method: least squares with factors, their two-factor interactions, blocks and a linear drift "
-        "with the order of the runs; F tests of type II; means of levels without interactions, adjusted for the other "
+        "with the order in which the runs really began; F tests of type II; means of levels without interactions, "
+        "adjusted for the other "
         "terms, with 95 % intervals by Student's t. Small p: the term is more than the scatter between runs. "
         "Of terms without any effect, one in twenty has a p below 0.05 all the same.</p>"
     )
@@ -130,6 +139,16 @@ def _body(name: str, title: str, planned: int, table: StudyTable) -> Iterator[st
     yield "</section>"
 
 
+def _mixed(table: StudyTable) -> Iterator[str]:
+    """Say which conditions differ between runs that are analysed together."""
+    for name in ("executor", "specimen", "operator"):
+        column = _FACTS.index(name)
+        counts = Counter(facts[column] for facts in table.facts)
+        if len(counts) > 1:
+            each = ", ".join(f"{escape(value) or 'none stated'} ({count})" for value, count in sorted(counts.items()))
+            yield f'<p class="note">Runs of more than one {name} are analysed together: {each}.</p>'
+
+
 def _response(
     response: ResponseVariable,
     factors: dict[str, tuple[float, ...]],
@@ -140,12 +159,16 @@ def _response(
     yield f"<h2>{response.name.replace('_', ' ').capitalize()} [{response.unit}]</h2>"
     yield f"<p>{escape(response.about)}; scatter between equal runs {significant(model.residual_std, 2)} "
     yield f"{response.unit} (one standard deviation, {model.residual_dof} degrees of freedom).</p>"
-    drawing = svg(_draw, (8.2, 2.6), f"study/{response.name}", response, factors, table, y, model)
-    caption = (
-        "Points are runs. Left: means of the levels with 95 % intervals. Right: runs in their order, coloured by "
-        "block. In the table, \N{PLUS-MINUS SIGN} is half of the 95 % interval."
+    # A drawing for each panel: on a narrow page they stand below each other, with the letters still large enough.
+    drawings = "".join(
+        svg(_draw, (3.6, 2.6), f"study/{response.name}/{name}", response, name, factors.get(name), table, y, model)
+        for name in (*factors, ORDER)
     )
-    yield f"<figure>{drawing}<figcaption>{caption}</figcaption></figure>"
+    caption = (
+        "Points are runs. First: means of the levels with 95 % intervals. Last: runs in the order in which they "
+        "began, coloured by block. In the table, \N{PLUS-MINUS SIGN} is half of the 95 % interval."
+    )
+    yield f"<figure><div class=panels>{drawings}</div><figcaption>{caption}</figcaption></figure>"
     references = list({mean.factor: mean for mean in reversed(model.levels)}.values())
     rows = [
         [
@@ -156,10 +179,16 @@ def _response(
         ]
         for mean in model.levels
     ]
-    drift = ["order of the runs", "last minus first", "", _with_width(model.drift, model.drift_half_width)]
+    drift = [ORDER, "last minus first", "", _with_width(model.drift, model.drift_half_width)]
     yield _table(["factor", "level", "mean", "effect"], [*rows, drift])
     tests = [[t.name, str(t.dof), significant(t.f, 3), significant(t.p, 2)] for t in model.tests]
     yield _table(["term", "degrees of freedom", "F", "p"], tests)
+    if model.shared > _COLLINEAR:
+        yield (
+            f"<p class=small>Blocks share {100 * model.shared:.0f} % of the variance of the order of the runs. The "
+            f"tests of {BLOCK} and of {ORDER} leave the change that both explain to the other, so neither shows it. "
+            f"Whether anything changes with time, the test of {TIME} says.</p>"
+        )
     for test in model.tests:
         if CROSSED in test.name and test.p < _SMALL_P:
             one, other = test.name.split(CROSSED)
@@ -183,23 +212,33 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def _draw(
     figure: Figure,
     response: ResponseVariable,
-    factors: dict[str, tuple[float, ...]],
+    name: str,
+    levels: tuple[float, ...] | None,
     table: StudyTable,
     y: NDArray[np.float64],
     model: LinearModel,
 ) -> None:
-    """Responses over each factor with the means of its levels, and over the order of the runs."""
-    panels = figure.subplots(1, len(factors) + 1, sharey=True, squeeze=False)[0]
-    panels[0].set_ylabel(f"{response.name.replace('_', ' ')} [{response.unit}]")
-    for panel, (name, values) in zip(panels, factors.items(), strict=False):
-        panel.plot(values, y, "o", color=MUTED, ms=2.5, alpha=0.6)
-        means = [mean for mean in model.levels if mean.factor == name]
-        widths = [mean.half_width if math.isfinite(mean.half_width) else 0.0 for mean in means]
-        levels, centres = [mean.level for mean in means], [mean.mean for mean in means]
-        panel.errorbar(levels, centres, widths, fmt="o-", color=MEASURED, ms=4, lw=1, capsize=3)
-        panel.set_xlabel(name)
-        panel.margins(x=0.15)
-    for block in sorted(set(table.blocks)):
-        chosen = [k for k, b in enumerate(table.blocks) if b == block]
-        panels[-1].plot([table.order[k] for k in chosen], y[chosen], "o", ms=3, color=RUNS[(block - 1) % len(RUNS)])
-    panels[-1].set_xlabel("run")
+    """Responses over a factor with the means of its levels, or, without levels, over the order of the runs."""
+    panel = figure.subplots()
+    panel.set_ylabel(f"{response.name.replace('_', ' ')} [{response.unit}]")
+    if levels is None:
+        for block in sorted(set(table.blocks)):
+            chosen = [k for k, b in enumerate(table.blocks) if b == block]
+            panel.plot([table.order[k] for k in chosen], y[chosen], "o", ms=3, color=RUNS[(block - 1) % len(RUNS)])
+        panel.set_xlabel("run, by its start")
+        return
+    panel.plot(levels, y, "o", color=MUTED, ms=2.5, alpha=0.6)
+    means = [mean for mean in model.levels if mean.factor == name]
+    widths = [mean.half_width if math.isfinite(mean.half_width) else 0.0 for mean in means]
+    panel.errorbar(
+        [mean.level for mean in means],
+        [mean.mean for mean in means],
+        widths,
+        fmt="o-",
+        color=MEASURED,
+        ms=4,
+        lw=1,
+        capsize=3,
+    )
+    panel.set_xlabel(name)
+    panel.margins(x=0.15)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from runs.study.linear_model import fit
+from runs.study.linear_model import BLOCK, ORDER, TIME, fit
 
 
 def balanced(seed: int, drift: float = 0.0) -> tuple[dict[str, list[float]], list[int], list[int], np.ndarray]:
@@ -30,6 +30,34 @@ def test_known_effects_and_drift_are_found_and_absent_ones_are_not() -> None:
     assert p["a"] < 1e-6
     assert p["b"] > 0.01
     assert p["a x b"] > 0.01
+
+
+@pytest.mark.slow
+def test_a_drift_that_blocks_explain_too_is_found_by_the_joint_test_and_not_where_there_is_none() -> None:
+    single = joint = false = 0
+    for seed in range(200):
+        p = {test.name: test.p for test in fit(*balanced(seed, drift=0.3)).tests}
+        single += p[ORDER] < 0.05 or p[BLOCK] < 0.05
+        joint += p[TIME] < 0.05
+        false += {test.name: test.p for test in fit(*balanced(seed)).tests}[TIME] < 0.05
+    assert joint / 200 > 0.75
+    assert single < joint
+    assert 0.02 <= false / 200 <= 0.08
+
+
+def test_the_joint_test_of_block_and_order_is_that_of_the_two_nested_models() -> None:
+    factors, blocks, order, y = balanced(5, drift=0.3)
+    cells = np.array([factors["a"], factors["b"]]).T
+    factorial = (cells[:, None] == np.unique(cells, axis=0)[None]).all(axis=2).astype(float)
+    time = np.column_stack([(np.array(blocks)[:, None] == np.arange(1, 6)).astype(float), order])
+    whole = np.hstack([factorial, time])
+    left = [np.sum((y - x @ np.linalg.pinv(x) @ y) ** 2) for x in (factorial, whole)]
+    dof = 30 - 6 - 4 - 1
+    f = (left[0] - left[1]) / 5 / (left[1] / dof)
+    model = fit(factors, blocks, order, y)
+    assert next((test.dof, test.f) for test in model.tests if test.name == TIME) == (5, pytest.approx(f))
+    between = sum(6 * (np.mean(np.array(order)[np.array(blocks) == b]) - 15.5) ** 2 for b in range(1, 6))
+    assert model.shared == pytest.approx(between / np.sum((np.array(order) - 15.5) ** 2))
 
 
 @pytest.mark.slow

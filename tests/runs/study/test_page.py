@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import csv
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
-from runs.study.linear_model import fit
-from runs.study.page import StudyTable, _response
+from runs.archive.writer import finalise
+from runs.journal.journal import JournalWriter
+from runs.records import RunFooter, Status, StudyRole, StudyRun
+from runs.study.linear_model import TIME, fit
+from runs.study.page import StudyTable, _response, tabulate, write
 from runs.study.responses import RESPONSES
+from tests.support.synthetic_runs import header
 
 
 @pytest.mark.parametrize(("share", "said"), [(0.0, 0), (1.0, 1)])
@@ -15,7 +24,7 @@ def test_a_sentence_warns_of_means_whose_effect_depends_on_another_factor(share:
     first, second, order = (0.1, 0.1, 0.2, 0.2) * 6, (1.0, 2.0) * 12, tuple(range(1, 25))
     y = np.random.default_rng(0).normal(0.0, 0.1, 24) + share * (np.array(first) > 0.15) * (np.array(second) > 1.5)
     factors, blocks = {"peak_bar": first, "hold_s": second}, (1,) * 24
-    table = StudyTable((("1",),) * 24, factors, (tuple(y.tolist()),), blocks, order, simulated=True)
+    table = StudyTable((("1",),) * 24, factors, (tuple(y.tolist()),), blocks, order, (True,) * len(y))
     text = " ".join(_response(RESPONSES[0], factors, table, y, fit(factors, blocks, order, y)))
     assert text.count("The effect of peak_bar depends on hold_s") == said
 
@@ -26,7 +35,42 @@ def test_only_the_first_level_is_the_reference_also_where_another_has_no_effect(
     factors = {"peak_bar": pressures}
     blocks = (1,) * 12
     model = fit(factors, blocks, order, y)
-    table = StudyTable((("1",),) * 12, factors, (tuple(y),), blocks, order, simulated=True)
+    table = StudyTable((("1",),) * 12, factors, (tuple(y.tolist()),), blocks, order, (True,) * len(y))
     text = " ".join(_response(RESPONSES[0], factors, table, y, model))
     assert text.count("<td>reference</td>") == 1
     assert "± 0.0" not in text
+
+
+def archive(folder: Path, number: int, began: int, **about: Any) -> Path:
+    """A run of a study in a folder, that began at this second."""
+    place = StudyRun("dwell", StudyRole.RUN, number, 1, 1, "", "")
+    run_id = f"run-{number}"
+    head = replace(header(run_id), started_utc_ns=began * 10**9, study=place, **about)
+    writer = JournalWriter(folder / f"{run_id}.mcap", head)
+    writer.close(RunFooter(head.started_t_ns, Status.FINISHED, "", {}))
+    return finalise(folder / f"{run_id}.mcap")
+
+
+def test_the_order_of_the_runs_is_that_in_which_they_really_began(tmp_path: Path) -> None:
+    files = [archive(tmp_path, number, began) for number, began in ((1, 300), (2, 100), (3, 200))]
+    assert tabulate(files).order == (3, 1, 2)
+
+
+def test_the_page_and_the_table_say_whose_runs_are_analysed_together(tmp_path: Path) -> None:
+    people = ("A. Name", "B. Name", "A. Name")
+    files = [archive(tmp_path, n, n, operator=name, simulated=n == 1) for n, name in enumerate(people, 1)]
+    page, rows = write("dwell", "Dwell", 3, files, tmp_path)
+    assert "Runs of more than one operator are analysed together: A. Name (2), B. Name (1)." in page.read_text()
+    table = list(csv.DictReader(rows.read_text().splitlines()))
+    assert [row["operator"] for row in table] == list(people)
+    assert [row["simulated"] for row in table] == ["1", "0", "0"]
+
+
+def test_a_sentence_says_that_blocks_and_order_cannot_be_told_apart() -> None:
+    order, blocks = tuple(range(1, 13)), (1,) * 4 + (2,) * 4 + (3,) * 4
+    y = np.random.default_rng(0).normal(0.0, 0.1, 12)
+    model = fit({}, blocks, order, y)
+    table = StudyTable((("1",),) * 12, {}, (tuple(y.tolist()),), blocks, order, (True,) * 12)
+    text = " ".join(_response(RESPONSES[0], {}, table, y, model))
+    assert f"Blocks share {100 * model.shared:.0f} % of the variance of the order of the runs" in text
+    assert TIME in text
