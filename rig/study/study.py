@@ -19,10 +19,12 @@ from rig.config.loader import RigChoice, read
 from rig.execution.plan import RunPlan
 from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest
+from rig.study.changes import changes, specimen_facts
 from rig.study.plan import PlannedRun, StudyPlan, planned_runs
 from runs.catalogue import Entry, catalogue
 from runs.records import Status, StudyRole, StudyRun
 from runs.recovery import RecoveryOutcome, RecoveryStatus, orphans, recover
+from runs.run import Run
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
 
@@ -128,7 +130,7 @@ def load(
         name=file.stem,
         plan=plan,
         text=source.text,
-        sha256=_digest(source.text, [request for request, _ in checked]),
+        sha256=_digest(plan, [request for request, _ in checked]),
         folder=folder,
         runs=planned_runs(plan),
         requests=requests,
@@ -189,16 +191,18 @@ def _setting_problems(source: Document, plan: StudyPlan, protocol: Path) -> Iter
             yield source.problem(path, expected)
 
 
-def _digest(plan: str, requests: list[RunRequest]) -> str:
-    """SHA-256 of everything that defines the runs."""
-    parts: list[object] = [plan]
+def _digest(plan: StudyPlan, requests: list[RunRequest]) -> str:
+    """SHA-256 of everything that defines the runs; comments and layout of the files do not."""
+    parts: list[object] = [plan.model_dump(mode="json")]
     for request in requests:
-        parts += [request.protocol.text, sorted(request.protocol.files.items()), request.rig.yaml, request.variant]
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+        protocol = document.parse(request.protocol.text, request.protocol.name).data
+        parts += [protocol, sorted(request.protocol.files.items()), request.rig.yaml, request.variant]
+        parts += [request.fast, sorted(specimen_facts(request.metadata).items())]
+    return hashlib.sha256(json.dumps(parts, default=str).encode()).hexdigest()
 
 
 class OtherStudyError(Exception):
-    """The folder has runs of a study of this name with another plan, protocol or rig."""
+    """The folder has runs of a study of this name under other conditions: plan, protocol, rig, specimen or time."""
 
 
 def archived(study: Study) -> tuple[Entry, ...]:
@@ -207,17 +211,31 @@ def archived(study: Study) -> tuple[Entry, ...]:
     Journals of runs that were cut off are recovered first: a run that was complete then counts as finished.
 
     Raises:
-        OtherStudyError: archives of the same name are of another study.
+        OtherStudyError: archives of the same name were made under other conditions.
     """
     recovered(study.folder)
     entries = tuple(entry for entry in catalogue(study.folder) if entry.study == study.name)
-    other = next((entry.file for entry in entries if entry.study_sha256 != study.sha256), None)
-    if other is not None:
-        raise OtherStudyError(
-            f"{study.folder / other}: this run of study {study.name} has another plan, protocol or rig; restore them "
-            f"(`rig export` writes those of a run), or begin another study: copy the plan to a new name"
-        )
+    others = {entry.study_role: entry.file for entry in entries if entry.study_sha256 != study.sha256}
+    if others:
+        raise OtherStudyError(_refusal(study, sorted(others.values())))
     return entries
+
+
+def _refusal(study: Study, files: list[str]) -> str:
+    """Say what is other in a run of each role."""
+    found: list[str] = []
+    for file in files:
+        header = Run(study.folder / file).header
+        assert header.study is not None
+        conditioning = None if study.conditioning is None else study.conditioning[0]
+        request = study.requests[0] if header.study.role is StudyRole.RUN else conditioning
+        found += changes(header, study.text, request)
+    what = "".join(f"\n  {one}" for one in dict.fromkeys(found)) or "\n  the version of softrig"
+    return (
+        f"{study.folder / files[0]}: this run of study {study.name} was made under other conditions:{what}\n"
+        f"Restore them (`rig export --format yaml` writes the inputs of this run), or begin another study: copy the "
+        f"plan to a new name"
+    )
 
 
 def recovered(folder: Path) -> tuple[str, ...]:

@@ -155,7 +155,7 @@ def _mcap(source: Path, stem: Path) -> tuple[Path, ...]:
 
 
 def _yaml(source: Path, stem: Path) -> tuple[Path, ...]:
-    """Write a folder with protocol, rig and the files of both: what `rig run` needs to repeat the run."""
+    """Write a folder with protocol, rig, the files of both, and the plan of a study: what repeats the run."""
     header = Run(source).header
     folder = stem.with_name(f"{stem.name}-inputs")
     protocol, rig = f"{_file_name(header.protocol_name)}.yaml", f"{_file_name(header.rig_name)}-rig.yaml"
@@ -170,6 +170,8 @@ def _yaml(source: Path, stem: Path) -> tuple[Path, ...]:
     texts[protocol] = _settings(header) + texts[protocol]
     if header.rig_yaml:
         texts[rig] = _naming(source, header.rig_yaml, _added(texts, header.calibrations))
+    if header.study is not None:
+        _added(texts, [RecordedFile.of(f"{header.study.study}.yaml", "study", header.study.plan_yaml)])
     folder.mkdir(exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")

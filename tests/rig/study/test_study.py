@@ -24,6 +24,7 @@ from rig.study.plan import StudyPlan, planned_runs
 from rig.study.study import OtherStudyError, Study, archived, finished, load
 from runs.archive.writer import ArchiveError
 from runs.catalogue import catalogue, search
+from runs.export.exporters import export
 from runs.file_lock import lock
 from runs.records import Status
 from runs.run import Run
@@ -268,9 +269,35 @@ def test_a_study_with_another_plan_or_by_another_process_is_refused(plan: Path) 
         with pytest.raises(StudyBusyError), locked(study):
             pass
         run_virtual(study, scratch, workers=1)
-    plan.write_text("title: another\nprotocol: step.yaml\n")
-    with pytest.raises(OtherStudyError, match="another plan"):
+    before = archived(study)
+    plan.write_text("# a comment\ntitle: t\nprotocol: step.yaml\n")
+    assert archived(loaded(plan)) == before
+    plan.write_text("title: another\nprotocol: step.yaml\nrepeats: 2\n")
+    with pytest.raises(OtherStudyError, match="plan: title was t, is another\n  plan: repeats was nothing, is 2\n"):
         archived(loaded(plan))
+    plan.write_text("title: t\nprotocol: step.yaml\n")
+    (plan.parent / "step.yaml").write_text(PROTOCOL.replace("highest: 3", "highest: 2"))
+    with pytest.raises(OtherStudyError, match=r"protocol: parameters\.hold_s\.highest was 3, is 2"):
+        archived(loaded(plan))
+
+
+def test_runs_of_another_specimen_or_in_real_time_are_not_pooled(plan: Path) -> None:
+    plan.write_text("title: t\nprotocol: step.yaml\n")
+
+    def of(specimen: str, fast: bool = True, operator: str = "A. Name") -> Study:
+        rig = RigChoice("mock", Source.OPTION)
+        about = {"specimen": specimen}
+        return load(plan, rig, folder=plan.parent / "data", fast=fast, metadata=about, operator=operator)
+
+    with locked(of("A")) as scratch:
+        run_virtual(of("A"), scratch, workers=1)
+    with pytest.raises(OtherStudyError, match="metadata: specimen was A, is B"):
+        archived(of("B"))
+    with pytest.raises(OtherStudyError, match="run: time was virtual time, is real time"):
+        archived(of("A", fast=False))
+    (entry,) = archived(of("A", operator="B. Name"))
+    inputs = export(plan.parent / "data" / entry.file, "yaml", plan.parent)
+    assert next(path for path in inputs if path.name == "dwell.yaml").read_text() == plan.read_text()
 
 
 @pytest.mark.slow
