@@ -185,7 +185,7 @@ class StudyRun:
     block: int
     plan_yaml: str
     sha256: str
-    """Of everything that defines the study: plan, protocols and rig."""
+    """Of everything that defines the study: plan, protocols, rig, specimen, real or virtual time."""
 
 
 @dataclass(frozen=True)

@@ -165,23 +165,24 @@ def _performed(operator: StudyOperator, request: RunRequest, plan: RunPlan) -> N
 
 
 class _RuleCheck:
-    """Applies the stop rules to the archives that are new since it was made."""
+    """Applies the stop rules: when it is made, and to the archives that are new since then."""
 
     def __init__(self, study: Study) -> None:
         self._study = study
         self._before = {entry.file for entry in archived(study)}
+        self.check()
 
     def check(self) -> None:
         entries = archived(self._study)
         new = [entry for entry in entries if entry.file not in self._before]
         if reason := stop_reason(self._study.plan.stop, new, entries):
-            raise StudyStoppedError(f"study {self._study.name} is stopped: {reason}")
+            raise StudyStoppedError(f"study {self._study.name} is stopped by its plan: {reason}")
 
 
 def stop_reason(rules: StopRules, new: list[Entry], entries: tuple[Entry, ...]) -> str:
     """Return why a study ends now, by its archives since it was last begun and all of them; empty to go on.
 
-    Both are newest first.
+    Both are newest first. In virtual time runs end in another order than they begin, so that each new one is judged.
     """
     failed = 0
     for entry in new:
@@ -189,12 +190,17 @@ def stop_reason(rules: StopRules, new: list[Entry], entries: tuple[Entry, ...]) 
             break
         failed += 1
     if failed >= rules.failed_runs:
-        return f"{failed} failed runs in succession, the last {new[0].run_id} ({new[0].status})"
-    if rules.mean_error_mm is not None and new and new[0].study_role == StudyRole.RUN:
-        error_mm = new[0].mean_error_mm
-        if error_mm is not None and error_mm > rules.mean_error_mm:
-            return f"mean error {error_mm:.2f} mm of {new[0].run_id}, above {rules.mean_error_mm:g} mm"
+        count = "a run" if failed == 1 else f"{failed} runs in succession"
+        last = f"{new[0].run_id} ({new[0].status})"
+        return f"{count} did not finish, the last {last}; stop.failed_runs is {rules.failed_runs}"
+    if rules.mean_error_mm is not None:
+        for entry in new:
+            error_mm = entry.mean_error_mm
+            if entry.study_role == StudyRole.RUN and error_mm is not None and error_mm > rules.mean_error_mm:
+                found = f"run {entry.run_id} has a mean error of {error_mm:.3g} mm between measured and modelled tip"
+                return f"{found}; stop.mean_error_mm is {rules.mean_error_mm:g}"
     cycles = sum(entry.pressure_cycles or 0 for entry in entries)
     if rules.pressure_cycles is not None and cycles >= rules.pressure_cycles:
-        return f"{cycles} pressure cycles, of {rules.pressure_cycles} allowed"
+        kind = "simulated " if entries[0].simulated else ""
+        return f"its runs have {cycles} {kind}pressure cycles; stop.pressure_cycles is {rules.pressure_cycles}"
     return ""

@@ -129,7 +129,11 @@ def study(journal: Journal) -> Group | None:
         Field("combination", np.int32(place.combination), about="from 1; equal settings", limits=STUDY_NUMBERS),
         Field("block", np.int32(place.block), about="from 1", limits=STUDY_NUMBERS),
         Field("plan", place.plan_yaml, about="the plan of the study, verbatim"),
-        Field("sha256", place.sha256, about="of plan, protocols and rig"),
+        Field(
+            "sha256",
+            place.sha256,
+            about="of what defines the study: plan, protocols, rig, specimen, real or virtual time",
+        ),
     )
     return Group("entry/study", "NXcollection", fields, about="the place of the run in its study")
 

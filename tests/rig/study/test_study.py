@@ -19,14 +19,14 @@ from rig.execution.plan import RunPlan, StartError
 from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest
 from rig.session.prompts import FunctionOperator
-from rig.study.execution import StudyBusyError, locked, run_real, run_virtual
-from rig.study.plan import StudyPlan, planned_runs
+from rig.study.execution import StudyBusyError, locked, run_real, run_virtual, stop_reason
+from rig.study.plan import StopRules, StudyPlan, planned_runs
 from rig.study.study import OtherStudyError, Study, archived, finished, load
 from runs.archive.writer import ArchiveError
-from runs.catalogue import catalogue, search
+from runs.catalogue import Entry, catalogue, search
 from runs.export.exporters import export
 from runs.file_lock import lock
-from runs.records import Status
+from runs.records import Status, StudyRole
 from runs.run import Run
 from tests.support.command_line import status_of
 
@@ -310,6 +310,38 @@ def test_a_rule_stops_the_study_and_the_command_says_why(
     assert status_of(*command) == 1
     assert "mean error" in capsys.readouterr().err
     assert len(list((plan.parent / "data").glob("*.h5"))) == 1
+
+
+def ended(number: int, status: Status, error_mm: float | None = 1.0, cycles: int = 0) -> Entry:
+    return Entry(
+        f"{number}.h5",
+        f"run-{number}",
+        status=status,
+        simulated=True,
+        mean_error_mm=error_mm,
+        pressure_cycles=cycles,
+        study_role=StudyRole.RUN,
+    )
+
+
+def test_each_stop_rule_names_the_run_the_value_and_the_key_of_the_plan() -> None:
+    finished_run, failed = ended(1, Status.FINISHED, 3.0, 4), ended(2, Status.ABORTED)
+    newest_first = (failed, finished_run)
+    said = stop_reason(StopRules(), list(newest_first), newest_first)
+    assert said == "a run did not finish, the last run-2 (aborted); stop.failed_runs is 1"
+    said = stop_reason(StopRules(failed_runs=2), [failed, failed, finished_run], newest_first)
+    assert said == "2 runs in succession did not finish, the last run-2 (aborted); stop.failed_runs is 2"
+    said = stop_reason(StopRules(failed_runs=9, mean_error_mm=2.0), list(newest_first), newest_first)
+    assert said.startswith("run run-1 has a mean error of 3 mm")
+    assert said.endswith("stop.mean_error_mm is 2")
+    said = stop_reason(StopRules(pressure_cycles=4), [], newest_first)
+    assert said == "its runs have 4 simulated pressure cycles; stop.pressure_cycles is 4"
+    assert stop_reason(StopRules(failed_runs=2, mean_error_mm=3.0, pressure_cycles=5), [failed], newest_first) == ""
+
+
+def test_a_run_that_began_earlier_but_ended_later_is_judged_too() -> None:
+    newest_first = (ended(2, Status.FINISHED, 1.0), ended(1, Status.FINISHED, 9.0))
+    assert "run-1" in stop_reason(StopRules(mean_error_mm=2.0), list(newest_first), newest_first)
 
 
 def test_the_dry_plan_has_the_total_time_and_moves_nothing(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
