@@ -54,13 +54,13 @@ def study(
 
     if dry:
         tell_recovered()
-        study_output.planned(screen, found, finished(archived(found)), as_json=json)
+        study_output.planned(screen, found, archived(found), as_json=json)
         return
     with execution.locked(found) as scratch:
         tell_recovered()
         done = finished(archived(found))
         if len(done) < len(found.runs):
-            study_output.planned(screen, found, done)
+            study_output.planned(screen, found, archived(found))
             if not yes and not confirm(screen):
                 raise bad_input("--yes", "", "a confirmation: the study is not armed")
         try:

@@ -9,12 +9,15 @@ from rich.console import Console
 
 from rig.cli.column_table import ColumnTable
 from rig.cli.json_output import print_json
-from rig.study.study import Study
+from rig.study.study import ASSUMED_OVERHEAD_S, Study, finished, overhead_s
 from runs.catalogue import Entry
 
 
-def planned(screen: Console, study: Study, done: Mapping[int, Entry], *, as_json: bool = False) -> None:
-    """Print combinations, order and total time."""
+def planned(screen: Console, study: Study, entries: tuple[Entry, ...], *, as_json: bool = False) -> None:
+    """Print combinations, order and total time, from all archives of the study."""
+    done = finished(entries)
+    measured_s = overhead_s(study, entries)
+    each_s = ASSUMED_OVERHEAD_S if measured_s is None else measured_s
     left = tuple(run for run in study.runs if run.number not in done)
     every = study.plan.settings()
     if as_json:
@@ -22,8 +25,9 @@ def planned(screen: Console, study: Study, done: Mapping[int, Entry], *, as_json
             {"number": r.number, "block": r.block, "settings": every[r.combination - 1], "done": r.number in done}
             for r in study.runs
         ]
-        about = {"study": study.name, "duration_s": study.duration_s(study.runs), "runs": runs}
-        print_json({**about, "remaining_s": study.duration_s(left)})
+        about = {"study": study.name, "duration_s": study.duration_s(study.runs, each_s), "runs": runs}
+        overhead = {} if study.fast else {"overhead_s": each_s, "overhead_measured": measured_s is not None}
+        print_json({**about, **overhead, "remaining_s": study.duration_s(left, each_s)})
         return
     screen.print(f"study {study.name}: {study.plan.title}")
     table = ColumnTable("combination", *every[0], "duration [s]", "runs, in this order")
@@ -38,8 +42,12 @@ def planned(screen: Console, study: Study, done: Mapping[int, Entry], *, as_json
     time = "of virtual time " if study.fast else ""
     screen.print(
         f"{len(study.runs)} runs in {plan.blocks} {'block' if plan.blocks == 1 else 'blocks'}, {len(done)} done; "
-        f"{_time(study.duration_s(left))} {time}remain of {_time(study.duration_s(study.runs))}"
+        f"{_time(study.duration_s(left, each_s))} {time}remain of {_time(study.duration_s(study.runs, each_s))}"
     )
+    if not study.fast:
+        how = "assumed until two runs are done" if measured_s is None else "as the runs so far took"
+        prompts = "; without the prompts" if plan.block_prompt else ""
+        screen.print(f"with {each_s:.0f} s for the start and the end of each run ({how}){prompts}")
 
 
 def _time(seconds: float) -> str:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 
 from protocols import BadInputError, Problem, document
 from protocols.library import FOLDER, find
@@ -26,6 +29,8 @@ from runs.records import Status, StudyRole, StudyRun
 from runs.recovery import RecoveryOutcome, RecoveryStatus, orphans, recover
 from runs.run import Run
 
+ASSUMED_OVERHEAD_S = 15.0
+"""Until two runs of a study have shown how long the start and the end of a run take on this machine."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
 
 
@@ -61,15 +66,16 @@ class Study:
         """Whether the study runs in virtual time, in which a simulated arm begins each run as new."""
         return self.requests[0].fast
 
-    def duration_s(self, runs: tuple[PlannedRun, ...]) -> float:
-        """Time of these runs [s], with rests and conditioning; without starts and prompts."""
+    def duration_s(self, runs: tuple[PlannedRun, ...], overhead_s: float) -> float:
+        """Time of these runs [s], with rests, conditioning and the overhead of each run; without prompts."""
         total = sum(self.plans[run.combination - 1].trajectory.duration_s for run in runs)
         if self.fast:
             return total
+        cycles = 0
         if self.conditioning is not None:
             cycles = len(runs) if self.plan.conditioning_each_run else len({run.block for run in runs})
             total += cycles * self.conditioning[1].trajectory.duration_s
-        return total + self.plan.rest_s * max(len(runs) - 1, 0)
+        return total + (len(runs) + cycles) * overhead_s + self.plan.rest_s * max(len(runs) - 1, 0)
 
     def _place(self, run: PlannedRun, role: StudyRole) -> StudyRun:
         return StudyRun(self.name, role, run.number, run.combination, run.block, self.text, self.sha256)
@@ -249,6 +255,24 @@ def _said(outcome: RecoveryOutcome) -> str:
     if outcome.status is RecoveryStatus.UNREADABLE:
         return f"a run was cut off: its journal {outcome.path} is kept, but cannot be read: {outcome.message}"
     return ""
+
+
+def overhead_s(study: Study, entries: Iterable[Entry]) -> float | None:
+    """Time that a run of this study takes beyond its protocol [s]: processes start, and the archive is made.
+
+    The median over its archived runs; None with fewer than two, and in virtual time.
+    """
+    runs = sorted(
+        ((datetime.fromisoformat(entry.start_time), entry) for entry in entries if not study.fast),
+        key=lambda run: run[0],
+    )
+    gaps = [
+        (after - before).total_seconds()
+        - entry.duration_s
+        - (study.plan.rest_s if entry.study_role == StudyRole.RUN else 0.0)
+        for (before, entry), (after, _) in pairwise(runs)
+    ]
+    return max(median(gaps), 0.0) if gaps else None
 
 
 def finished(entries: tuple[Entry, ...]) -> dict[int, Entry]:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,7 @@ from rig.experiment.run import RunRequest
 from rig.session.prompts import FunctionOperator
 from rig.study.execution import StudyBusyError, locked, run_real, run_virtual, stop_reason
 from rig.study.plan import StopRules, StudyPlan, planned_runs
-from rig.study.study import OtherStudyError, Study, archived, finished, load
+from rig.study.study import ASSUMED_OVERHEAD_S, OtherStudyError, Study, archived, finished, load, overhead_s
 from runs.archive.writer import ArchiveError
 from runs.catalogue import Entry, catalogue, search
 from runs.export.exporters import export
@@ -312,6 +313,19 @@ def test_a_rule_stops_the_study_and_the_command_says_why(
     assert len(list((plan.parent / "data").glob("*.h5"))) == 1
 
 
+def test_the_overhead_of_a_run_is_measured_on_the_runs_that_are_done(plan: Path) -> None:
+    plan.write_text(PLAN + "rest_s: 10\n")
+    study = loaded(plan, fast=False)
+    starts = ("10:00:00", "10:00:20", "10:00:41", "12:00:00")
+    times = [f"2026-11-27T{start}+00:00" for start in starts]
+    entries = [replace(ended(n, Status.FINISHED), start_time=time, duration_s=2.0) for n, time in enumerate(times)]
+    assert overhead_s(study, entries) == pytest.approx(9.0)
+    assert overhead_s(study, entries[:1]) is None
+    assert study.duration_s(study.runs[:2], 9.0) == pytest.approx(
+        sum(study.plans[run.combination - 1].trajectory.duration_s for run in study.runs[:2]) + 10 + 2 * 9.0
+    )
+
+
 def ended(number: int, status: Status, error_mm: float | None = 1.0, cycles: int = 0) -> Entry:
     return Entry(
         f"{number}.h5",
@@ -347,8 +361,10 @@ def test_a_run_that_began_earlier_but_ended_later_is_judged_too() -> None:
 def test_the_dry_plan_has_the_total_time_and_moves_nothing(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plan.write_text(PLAN + "rest_s: 10\n")
     assert status_of("study", plan, "--dry", "--rig", "mock", "--out", plan.parent / "data") == 0
-    total_s = 30 * 0.2 + 10 * (0.1 + 0.15 + 0.2) + 29 * 10
-    assert f"{total_s:.1f} s remain" in capsys.readouterr().out
+    total_s = 30 * 0.2 + 10 * (0.1 + 0.15 + 0.2) + 29 * 10 + 30 * ASSUMED_OVERHEAD_S
+    text = capsys.readouterr().out
+    assert f"{round(total_s / 60)} min remain" in text.replace("0 h ", "")
+    assert "with 15 s for the start and the end of each run (assumed until two runs are done)" in text
     assert not list(plan.parent.glob("data/*.h5"))
 
 
