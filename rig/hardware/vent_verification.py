@@ -39,7 +39,7 @@ LOOK_S = 0.005
 
 @dataclass(frozen=True)
 class VentOutcome:
-    """Whether the pressures confirm the safe state, and the sentence that says so or says what is not known.
+    """Whether every chamber that vents is empty, and the sentence that says what the pressures show of it.
 
     `answered` is false where no pressure could be read.
     """
@@ -102,6 +102,8 @@ class VentVerification:
         )
         self._sensor_cards = [s.card for s in sensors]
         self._pressure_pa: NDArray[np.float64] | None = None
+        self._fell = np.zeros(len(self._venting), bool)
+        """Chambers that were not empty at one reading at least."""
         self._failure = ""
 
     def outcome(self, clock: Iterable[float]) -> VentOutcome:
@@ -132,6 +134,7 @@ class VentVerification:
         after = scans.t_ns > self._since_ns
         if after.any():
             self._pressure_pa = scans.pressure_pa[after].mean(axis=0)
+            self._fell |= self._excess_pa() >= VENTED_TOLERANCE_PA
             self._failure = ""
 
     def _excess_pa(self) -> NDArray[np.float64]:
@@ -164,7 +167,12 @@ class VentVerification:
         if not len(self._venting):
             return f"no pressure can confirm it{held}"
         levels = ", ".join(_bar(self._pressure(a)) for a in self._venting.tolist())
-        return f"the pressures confirm it: {levels} bar{held}"
+        if not self._fell.any():
+            # An empty chamber stays empty behind a valve that does not move.
+            return f"the pressures are low, but no chamber was seen to empty: {levels} bar{held}"
+        low = [str(a + 1) for a, fell in zip(self._venting.tolist(), self._fell.tolist(), strict=True) if not fell]
+        before = f" (low from the first reading on: actuator{'s' * (len(low) > 1)} {', '.join(low)})" if low else ""
+        return f"the pressures confirm it: {levels} bar{before}{held}"
 
     def _pressure(self, actuator: int) -> float:
         assert self._pressure_pa is not None

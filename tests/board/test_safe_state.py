@@ -44,7 +44,7 @@ def vent(run: BoardRun, mark: DigitalMark) -> None:
     with forked(["rig", "vent", "--rig", run.rig_file]) as command:
         said, _ = command.communicate()
     assert command.returncode == 0, said.decode()
-    assert "the pressures confirm it" in said.decode()
+    assert "; the pressures " in said.decode()
 
 
 def run_out_of_memory(run: BoardRun, mark: DigitalMark) -> None:

@@ -67,10 +67,26 @@ def decay(tau_s: float, start_bar: float = 0.7) -> Pressures:
     return lambda t_s: (start_bar * float(np.exp(-t_s / tau_s)), 0.0, 0.0)
 
 
-def test_chambers_at_the_pressure_of_the_exhaust_confirm_the_safe_state_with_the_next_scan() -> None:
+def test_chambers_at_the_pressure_of_the_exhaust_end_the_wait_with_the_next_scan() -> None:
     outcome, took_s = watched(lambda t_s: (0.004, -0.003, 0.0))
-    assert outcome == VentOutcome(True, "the pressures confirm it: 0.00, 0.00, 0.00 bar")
+    assert outcome.confirmed
     assert took_s == pytest.approx(PERIOD_S)
+
+
+def test_chambers_that_empty_confirm_the_safe_state() -> None:
+    outcome, _ = watched(lambda t_s: (0.5, 0.4, 0.3) if t_s < 0.1 else (0.0, 0.0, 0.004))
+    assert outcome == VentOutcome(True, "the pressures confirm it: 0.00, 0.00, 0.00 bar")
+
+
+def test_pressures_that_were_low_before_do_not_confirm_that_a_valve_vents() -> None:
+    outcome, _ = watched(lambda t_s: (0.06, 0.0, 0.004))
+    assert outcome == VentOutcome(True, "the pressures are low, but no chamber was seen to empty: 0.06, 0.00, 0.00 bar")
+
+
+def test_chambers_that_were_low_before_are_named_where_others_empty() -> None:
+    outcome, _ = watched(lambda t_s: (0.5 if t_s < 0.1 else 0.0, 0.05, 0.0))
+    expected = "the pressures confirm it: 0.00, 0.05, 0.00 bar (low from the first reading on: actuators 2, 3)"
+    assert outcome.sentence == expected
 
 
 @pytest.mark.parametrize("tau_s", [0.05, 0.5, 2.0, 14.0])
@@ -151,7 +167,7 @@ def held_rig() -> RigConfig:
 
 
 def test_a_chamber_that_is_held_is_stated_and_vents_for_an_emergency() -> None:
-    outcome, _ = watched(lambda t_s: (0.0, 0.5, 0.5), config=held_rig())
+    outcome, _ = watched(lambda t_s: (0.5 if t_s < 0.1 else 0.0, 0.5, 0.5), config=held_rig())
     assert outcome == VentOutcome(
         True, "the pressures confirm it: 0.00 bar, actuator 2 is held at 0.50 bar, actuator 3 is held at 0.50 bar"
     )
