@@ -122,7 +122,7 @@ def _actions(session: LoginSession) -> None:
 
 
 def _button(name: str, text: str, colour: str) -> ui.button:
-    return ui.button(text, color=colour).props(f"id={name} data-do={name} unelevated no-caps disable")
+    return ui.button(text, color=colour).props(f"id={name} data-do={name} unelevated no-caps")
 
 
 def _player() -> None:

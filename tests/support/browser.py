@@ -103,6 +103,13 @@ class Tab:
                 "Input.dispatchMouseEvent", type=kind, x=where[0], y=where[1], button="left", clickCount=1, buttons=1
             )
 
+    def press(self, key: str) -> None:
+        """Press and release a key by its name, as "Tab" or "Enter"."""
+        code = {"Tab": 9, "Enter": 13}[key]
+        text = {"text": "\r"} if key == "Enter" else {}
+        self.command("Input.dispatchKeyEvent", type="keyDown", key=key, code=key, windowsVirtualKeyCode=code, **text)
+        self.command("Input.dispatchKeyEvent", type="keyUp", key=key, code=key, windowsVirtualKeyCode=code)
+
     def size(self, width: int, height: int) -> None:
         """Set the window's inner size."""
         self.command(

@@ -38,7 +38,8 @@ function connect() {
     if (now?.state === "ended") return;
     if (!about) return void setTimeout(connect, RETRY_MS);
     state("lost");
-    banner(about?.live ? "Connection lost. The run continues without this page." : "Connection lost.");
+    const last = now ? ` The page shows the last values, of ${fixed(now.time_s, 1)} s.` : "";
+    banner(`Connection lost.${about.live ? " The run continues without this page." : ""}${last}`);
     setTimeout(connect, RETRY_MS);
   };
 }
@@ -119,14 +120,13 @@ function numbers() {
   for (const button of document.querySelectorAll("footer [data-do]")) {
     button.disabled = !acting && !(button.id === "stop" || button.id === "vent") || now.state === "ended";
     if (button.id === "skip" && now.state === "paused") button.disabled = true; // a pause holds its pressures
-    button.classList.toggle("disabled", button.disabled);
   }
   if (at("pause")) {
     at("pause").dataset.do = now.state === "paused" ? "resume" : "pause";
     at("pause").querySelector(".q-btn__content").textContent = now.state === "paused" ? "Resume" : "Pause";
   }
   if (now.state === "ended") {
-    banner(`The run has ended: ${now.ended}`);
+    banner(`The run has ended: ${now.ended}. The page shows its last values, of ${fixed(now.time_s, 1)} s.`);
     window.socket?.disconnect(); // NiceGUI's own connection would go on knocking at a page that is gone
   }
   if (at("place")) {
@@ -151,6 +151,7 @@ function estimates(rows) {
 function state(name) {
   at("state").textContent = name === "lost" ? "connection lost" : name;
   at("state").dataset.state = name;
+  at("softrig").classList.toggle("old", name === "lost" || name === "ended");
 }
 
 function banner(text) {
@@ -169,6 +170,7 @@ function events(rows) {
 }
 
 function wire() {
+  for (const button of document.querySelectorAll("footer [data-do]")) button.disabled = true; // until the run can act
   for (const button of document.querySelectorAll("[data-do]")) {
     let acted = -DOUBLE_CLICK_MS;
     button.addEventListener("click", () => {

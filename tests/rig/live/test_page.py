@@ -75,6 +75,8 @@ def test_a_run_is_watched_to_its_end_and_the_numbers_are_the_archives(browser: B
         mean = tab.value("window.softrig.now.tip.mean_error_mm")
         banner = tab.value("document.getElementById('banner').textContent")
         assert run.end() == 0, run.output
+        assert "last values" in banner
+        assert float(tab.value("getComputedStyle(document.getElementById('numbers')).opacity")) < 1.0
     assert tab.troubles == []
     assert [u for u in tab.requested if not u.startswith(("http://127.0.0.1:", "data:", "blob:"))] == []
     assert "finished" in banner
@@ -123,6 +125,26 @@ def test_vent_ends_the_run_at_once_with_every_valve_vented(browser: Browser, tmp
         tab = watch(browser, run)
         run.wait_until_pressurised()
         tab.click("#vent")
+        run.wait_until_safe(10.0)
+        assert run.end() == 130, run.output
+    assert "vented by" in runs.open(run.archive()).message
+
+
+def test_every_action_is_reached_and_done_by_the_keyboard_alone(browser: Browser, tmp_path: Path) -> None:
+    with rig_run(tmp_path, HANDLED, *LIVE) as run:
+        tab = watch(browser, run)
+        run.wait_until_pressurised()
+        ring = {}
+        for _ in range(12):
+            tab.press("Tab")
+            name, shadow = tab.value("[document.activeElement.id, getComputedStyle(document.activeElement).boxShadow]")
+            ring[name] = shadow
+            if name == "vent":
+                break
+        assert {"pause", "skip", "stop", "vent"} <= set(ring)
+        assert "none" not in [ring[name] for name in ("pause", "skip", "stop", "vent")]
+        assert tab.value("document.querySelectorAll('footer [aria-disabled]').length") == 0
+        tab.press("Enter")
         run.wait_until_safe(10.0)
         assert run.end() == 130, run.output
     assert "vented by" in runs.open(run.archive()).message
