@@ -89,9 +89,9 @@ class Bench:
         """
         if len(self._inputs) == 1:
             (name,) = self._inputs
-            only = self._cards[name].read()
+            only = self._card_scans(name)
             return self._scans(only.t_ns, only.volts, only.lost, only.late_ns, only.damaged)
-        scans = {name: self._pending[name].with_new(self._cards[name].read()) for name in self._inputs}
+        scans = {name: self._pending[name].with_new(self._card_scans(name)) for name in self._inputs}
         lost, damaged = sum(s.lost for s in scans.values()), sum(s.damaged for s in scans.values())
         late_ns = max(s.late_ns for s in scans.values())
         first, *others = scans
@@ -108,6 +108,19 @@ class Bench:
             until = int(t_ns[-1]) if len(t_ns) else -1
             self._pending[name].keep(s, until, inclusive=name != first)
         return self._scans(t_ns, volts, lost, late_ns, damaged)
+
+    def _card_scans(self, name: str) -> Scans:
+        """New scans of one card. Raises CardError, also for an error in the driver's code or scans of a wrong shape."""
+        try:
+            scans = self._cards[name].read()
+            shape, expected = scans.volts.shape, (len(scans.t_ns), len(self._inputs[name]))
+        except CardError:
+            raise
+        except Exception as error:
+            raise CardError(f"card {name}: read of its driver failed: {type(error).__name__}: {error}") from error
+        if shape != expected:
+            raise CardError(f"card {name}: read of its driver returned volts of shape {shape} instead of {expected}")
+        return scans
 
     def _scans(
         self, t_ns: NDArray[np.int64], signals_v: NDArray[np.float64], lost: int, late_ns: int, damaged: int
@@ -126,7 +139,12 @@ class Bench:
         """Set every valve (V,) [V]."""
         self._commanded_v = None
         for name, column in self._safe.columns.items():
-            self._cards[name].write(valve_v[column])
+            try:
+                self._cards[name].write(valve_v[column])
+            except CardError:
+                raise
+            except Exception as error:
+                raise CardError(f"card {name}: write of its driver failed: {type(error).__name__}: {error}") from error
         self._commanded_v = valve_v.copy()
 
     def write_trigger(self, *, high: bool) -> None:

@@ -205,6 +205,26 @@ def test_an_unexpected_error_of_a_read_back_is_an_error_of_the_card(
         bench.arm()
 
 
+def test_an_unexpected_error_of_a_driver_names_card_and_method(
+    bench: Bench, cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(*_: object) -> None:
+        raise KeyError("no such line")
+
+    monkeypatch.setattr(cards["other"], "write", failing)
+    with pytest.raises(CardError, match="card other: write of its driver failed: KeyError: 'no such line'"):
+        bench.write(np.zeros(2))
+    monkeypatch.setattr(cards["other"], "read", failing)
+    with pytest.raises(CardError, match="card other: read of its driver failed: KeyError: 'no such line'"):
+        bench.read()
+
+
+def test_scans_of_a_wrong_shape_are_an_error_of_the_card(bench: Bench, cards: dict[str, FakeCard]) -> None:
+    cards["other"].next = Scans(np.array([1], np.int64), np.zeros((1, 2)))
+    with pytest.raises(CardError, match=r"card other: .* volts of shape \(1, 2\) instead of \(1, 1\)"):
+        bench.read()
+
+
 def test_a_valve_may_stand_safe_or_vented_and_nowhere_else(bench: Bench, cards: dict[str, FakeCard]) -> None:
     bench.arm()
     assert bench.unsafe_output() == ""
