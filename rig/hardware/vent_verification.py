@@ -199,10 +199,8 @@ class VentVerification:
         )
 
 
-def verify_venting(
-    config: RigConfig, *, vent: bool, patience_s: float = VENTING_S, alive: Callable[[], None] = lambda: None
-) -> VentOutcome:
-    """Open a rig whose safe state has been written and watch its chambers vent; `alive` is called repeatedly.
+def verify_venting(config: RigConfig, *, vent: bool, patience_s: float = VENTING_S) -> VentOutcome:
+    """Open a rig whose safe state has been written and watch its chambers vent.
 
     For a process that does not sample itself. A card that cannot be opened, because another process still has it, is
     tried again for UNREADABLE_S.
@@ -210,7 +208,7 @@ def verify_venting(
     source = _OpenedBench(config)
     try:
         verification = VentVerification(config, source, vent=vent, patience_s=patience_s, since_ns=time.monotonic_ns())
-        return verification.outcome(real_time(alive))
+        return verification.outcome(real_time(lambda: None))
     finally:
         source.close()
 

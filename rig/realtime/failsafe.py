@@ -9,6 +9,7 @@ import threading
 import time
 
 from rig.config.schema import RigConfig
+from rig.hardware.call_limit import within
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.opening import card_type
 from rig.hardware.safe_state import failure_of, make_safe
@@ -89,9 +90,13 @@ class FailsafeThread:
 def force_safe_state(config: RigConfig, memory: SharedState) -> str:
     """Write the safe state, kill control and the watchdog, which may only be suspended, and write it again.
 
-    Returns why it could not be written; empty on success.
+    Returns why it could not be written; empty on success. A driver that never returns is a failure, too.
     """
-    failure_of(lambda: make_safe(config, vent=memory.vents))
+
+    def write() -> None:
+        within(lambda: make_safe(config, vent=memory.vents))
+
+    failure_of(write)
     for pid in (memory.control_pid, memory.watchdog_pid):
         if pid:
             with contextlib.suppress(ProcessLookupError):
@@ -99,7 +104,7 @@ def force_safe_state(config: RigConfig, memory: SharedState) -> str:
     time.sleep(0.005)
     # A card with exclusive access is free only once its process has released its memory; and a killed process may have
     # written once more before it died.
-    failure = failure_of(lambda: make_safe(config, vent=memory.vents), RELEASE_S)
+    failure = failure_of(write, RELEASE_S)
     # Set only after the second write: other processes stop checking when it is set.
     memory.safe_ns = 0 if failure else time.monotonic_ns()
     return failure

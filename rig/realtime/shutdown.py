@@ -5,8 +5,10 @@ from __future__ import annotations
 import time
 
 from rig.config.schema import RigConfig
+from rig.hardware.call_limit import LONGEST_CALL_S, within
+from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import UNSAFE, unsafe_output
-from rig.hardware.vent_verification import VentOutcome, verify_venting
+from rig.hardware.vent_verification import LONGEST_VENTING_S, UNCONFIRMED, VentOutcome, verify_venting
 from rig.realtime.failsafe import force_safe_state
 from rig.realtime.process_group import ProcessGroup
 from rig.realtime.shared_state import SharedState, Stage, Stop
@@ -60,7 +62,10 @@ class Shutdown:
             # The watchdog publishes at its end whether its last write has succeeded.
             self._processes.await_exit("watchdog", timing.ending_s)
         if self._written():
-            off = unsafe_output(self._config)
+            try:
+                off = within(lambda: unsafe_output(self._config), alive=self._alive)
+            except CardError as error:
+                return f"{UNSAFE}: its outputs cannot be read back: {error}"
             if not off:
                 return ""
             if failure := force_safe_state(self._config, self._memory):
@@ -85,12 +90,15 @@ class Shutdown:
         # A card that admits one process at a time, or one command, is free once these have exited.
         for name in ("control", "watchdog"):
             self._processes.await_exit(name, timing.ending_s)
-        return verify_venting(
-            self._config,
-            vent=memory.vents,
-            patience_s=timing.vented_s,
-            alive=lambda: memory.heartbeat("supervisor", time.monotonic_ns()),
-        )
+        limit_s = max(timing.vented_s, LONGEST_VENTING_S) + LONGEST_CALL_S
+        try:
+            return within(
+                lambda: verify_venting(self._config, vent=memory.vents, patience_s=timing.vented_s),
+                limit_s,
+                self._alive,
+            )
+        except CardError as error:
+            return VentOutcome(False, f"{UNCONFIRMED}: {error}", answered=False)
 
     def unconfirmed(self, timing: TimingLimits) -> str:
         """What the pressures do not confirm of a safe state that was written; empty if they do, or if none was."""
@@ -103,6 +111,9 @@ class Shutdown:
         """Write the safe state; return why it could not be written, empty on success."""
         failure = force_safe_state(self._config, self._memory)
         return failure if not failure or UNSAFE in failure else f"{UNSAFE}: {failure}"
+
+    def _alive(self) -> None:
+        self._memory.heartbeat("supervisor", time.monotonic_ns())
 
     def _verifying(self, timing: TimingLimits) -> bool:
         """True while control watches the chambers vent, which may take long on a slow bench."""

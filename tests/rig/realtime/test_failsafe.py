@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -18,6 +19,7 @@ import rig.config.loader
 from protocols import SetPointTrajectory
 from rig.config.schema import RigConfig
 from rig.execution.plan import RunPlan
+from rig.hardware import call_limit
 from rig.hardware.safe_state import UNSAFE
 from rig.realtime import watchdog_process
 from rig.realtime.child_process import ChildJob, await_device_access, ended_within, supervisor_monitor
@@ -299,6 +301,19 @@ def test_a_supervisor_that_hangs_and_dies_costs_control_no_processor_time(
     with subprocess.Popen(["sleep", "60"]) as supervisor:
         assert "did not stop" in watchdog_process._watch(memory, supervisor.pid, None, lambda: timing)  # type: ignore[arg-type]
     assert looks < 400
+
+
+def test_a_driver_that_never_returns_from_the_safe_write_is_reported_and_control_is_killed(
+    config: RigConfig, memory: SharedState, sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    released = threading.Event()
+    monkeypatch.setattr("rig.realtime.failsafe.make_safe", lambda config, *, vent: released.wait())
+    monkeypatch.setattr("rig.realtime.failsafe.within", partial(call_limit.within, limit_s=0.05))
+    memory.control_pid = sleeper.pid
+    assert "has not returned within 0.05 s" in force_safe_state(config, memory)
+    released.set()
+    assert not memory.safe_ns
+    assert ended_within(sleeper, 30)
 
 
 def test_outputs_that_could_not_be_written_are_not_called_safe(
