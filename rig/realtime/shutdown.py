@@ -80,7 +80,8 @@ class Shutdown:
             )
             return ""
         message = self._memory.message("watchdog")
-        return message if UNSAFE in message else f"{UNSAFE}: neither control nor the watchdog has reported that it was"
+        why = self._written_message or "neither control nor the watchdog has reported that it was"
+        return message if UNSAFE in message else f"{UNSAFE}: {why}"
 
     def confirm(self, timing: TimingLimits) -> VentOutcome:
         """Whether the pressures confirm the safe state: by the readings of control, else by this process's own."""
