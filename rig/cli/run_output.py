@@ -94,9 +94,12 @@ def _how_simulated(config: RigConfig) -> str:
     emulated = [name for name, card in config.cards.items() if card.bench_is_simulated and not card.simulated]
     if emulated:
         return f" (SIMULATED: card {', '.join(emulated)} is stated as an emulated board)"
-    real = [name for name, card in config.cards.items() if not card.simulated]
+    real = [f"card {name}" for name, card in config.cards.items() if not card.simulated]
+    real += [f"camera {name}" for name, camera in config.cameras.items() if not camera.simulated]
+    real += [f"tracker {name}" for name, tracker in config.trackers.items() if not tracker.simulated]
     if real:
-        return f" (SIMULATED in part: card {', '.join(real)} is real)" if config.simulated else ""
+        verb = "is" if len(real) == 1 else "are"
+        return f" (SIMULATED in part: {', '.join(real)} {verb} real)" if config.simulated else ""
     return " (SIMULATED: no hardware is touched)"
 
 

@@ -73,7 +73,10 @@ def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> 
     real += [name for name, camera in config.cameras.items() if not camera.is_mock]
     real += [name for name, tracker in config.trackers.items() if not tracker.is_mock]
     if real:
-        raise StartError(f"virtual time needs a simulated rig, and {', '.join(real)} of rig {config.name} is real")
+        raise StartError(
+            f"virtual time needs softrig's simulated bench, and rig {config.name} has {', '.join(real)}: "
+            "run it without --fast"
+        )
     virtual = _VirtualRun(plan, operator)
     gc.freeze()  # imported objects are not scanned by the garbage collector
     try:

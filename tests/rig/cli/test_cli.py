@@ -250,13 +250,19 @@ def test_check_prints_the_peak_pressure_and_the_limit_without_touching_anything(
     assert not list(here.iterdir())
 
 
-def test_a_real_card_beside_a_simulated_camera_is_not_called_untouched(
-    here: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("simulated", "real", "named"),
+    [
+        ("daq: {driver: mock, device: mock0", "daq: {driver: comedi, device: pci1716", "card daq"),
+        ("    driver: mock\n    device: mock0", "    driver: opencv\n    device: /dev/video0", "camera front"),
+    ],
+)
+def test_a_real_device_beside_a_simulated_one_is_not_called_untouched(
+    simulated: str, real: str, named: str, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    mixed = loader.text("mock").replace("daq: {driver: mock, device: mock0", "daq: {driver: comedi, device: pci1716")
-    (here / "mixed.yaml").write_text(mixed)
+    (here / "mixed.yaml").write_text(loader.text("mock").replace(simulated, real))
     assert status_of("check", "ramp-a", "--rig", "mixed.yaml") == 0
-    assert "SIMULATED in part: card daq is real" in capsys.readouterr().out
+    assert f"SIMULATED in part: {named} is real" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("here")
