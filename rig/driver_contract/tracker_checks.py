@@ -15,6 +15,7 @@ from rig.hardware.trackers.base import TrackerReading
 from rig.hardware.trackers.opening import open_tracker
 
 READINGS = 50
+READS_AT_ONCE = 15
 FIRST_S, NEXT_S = 5.0, 1.0
 _TOLERANCE = 1e-6
 
@@ -61,6 +62,22 @@ def times(subject: TrackerSubject) -> str:
     return rate_and_age(readings, "readings", subject.config.trackers[subject.name].rate_hz, early_s)
 
 
+def time_outs(subject: TrackerSubject) -> str:
+    """A read with a time-out of 0 returns at once, with a reading that has arrived or None."""
+    period_s = 1 / subject.config.trackers[subject.name].rate_hz
+    with closing(open_tracker(subject.config, subject.name)) as tracker:
+        tracker.read(FIRST_S)
+        took_s = []
+        for _ in range(READS_AT_ONCE):
+            began = time.monotonic()
+            tracker.read(0.0)
+            took_s.append(time.monotonic() - began)
+    typical_s = float(np.median(took_s))
+    if typical_s > period_s / 2:
+        raise BrokenContractError(f"a read with a time-out of 0 takes {typical_s * 1e3:.1f} ms: it waits for a reading")
+    return f"a read with a time-out of 0 takes {typical_s * 1e3:.2f} ms"
+
+
 def reopening(subject: TrackerSubject) -> str:
     """A closed tracker can be opened again."""
     began = time.monotonic()
@@ -74,5 +91,6 @@ def reopening(subject: TrackerSubject) -> str:
 TRACKER_CHECKS: tuple[Check[TrackerSubject], ...] = (
     Check("poses", "position, rotation and positive definite covariance of the tip", poses),
     Check("times", "CLOCK_MONOTONIC, increasing, at rate_hz", times),
+    Check("time-outs", "read waits no longer than its time-out", time_outs),
     Check("reopening", "a closed tracker can be opened again", reopening),
 )

@@ -61,7 +61,11 @@ class TrackerSource:
 
     def _newest(self, reading: TrackerReading) -> TrackerReading:
         """The newest reading that has arrived: as with pictures, a late reader leaves out those before it."""
+        began_ns = time.monotonic_ns()
         for _ in range(_MOST_SKIPPED):
+            # A driver that waits for a reading in spite of the time-out of 0 must not keep the reader here.
+            if reading.t_ns >= began_ns:
+                break
             newer = self._tracker.read(0.0)
             if newer is None:
                 break

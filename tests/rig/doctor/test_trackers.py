@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
 
 from rig.config import loader
 from rig.doctor.devices import rig_devices
+from rig.driver_contract import tracker_checks
 from rig.driver_contract.runner import bench_of
 from rig.driver_contract.tracker_checks import TRACKER_CHECKS, TrackerSubject
 from rig.hardware.installed_drivers import installed_drivers
@@ -40,3 +42,21 @@ def test_the_mock_tracker_keeps_the_contract() -> None:
     with bench_of(config, rig_file):
         results = [check.result("tracker pose", TrackerSubject(config, "pose")) for check in TRACKER_CHECKS]
     assert [(result.check, result.found) for result in results if result.failed] == []
+
+
+class Patient:
+    """A tracker that waits for its next reading whatever the time-out is."""
+
+    def read(self, timeout_s: float) -> None:
+        time.sleep(0.02)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def test_a_tracker_that_waits_in_spite_of_its_time_out_breaks_the_contract(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracker_checks, "open_tracker", lambda *_: Patient())
+    check = next(check for check in TRACKER_CHECKS if check.name == "time-outs")
+    result = check.result("tracker pose", TrackerSubject(loader.load("mock-tracker"), "pose"))
+    assert result.failed
+    assert "waits for a reading" in result.found

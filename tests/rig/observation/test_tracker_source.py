@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
@@ -22,6 +24,30 @@ class Waiting:
 
     def read(self, timeout_s: float) -> TrackerReading | None:
         return self._readings.pop(0) if self._readings else None
+
+
+class Patient:
+    """A tracker that waits for its next reading whatever the time-out is."""
+
+    def __init__(self) -> None:
+        self.reads = 0
+
+    def read(self, timeout_s: float) -> TrackerReading | None:
+        self.reads += 1
+        time.sleep(0.002)
+        clock = ClockEstimate(0.0, 0.0, 0.0)
+        return TrackerReading(self.reads, time.monotonic_ns(), True, np.zeros(3), np.eye(3), np.eye(6), clock, 0.0)
+
+
+def test_a_driver_that_waits_in_spite_of_its_time_out_does_not_keep_the_reader(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tracker = Patient()
+    monkeypatch.setattr(tracker_source, "open_tracker", lambda *_: tracker)
+    source = TrackerSource(loader.load("mock-tracker"), seed=0)
+    source.await_all(1.0)
+    source.read(1.0)
+    assert tracker.reads == 3
 
 
 def test_a_late_reader_takes_the_newest_pose_and_counts_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
