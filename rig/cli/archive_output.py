@@ -186,11 +186,11 @@ def _add_tip_path(table: Table, path: TipErrorSummary) -> None:
     if path.truth is not None:
         errors.append(("true, simulated", path.truth))
     for words, error in errors:
-        table.add_row(f"tip to reference, rms ({words})", _number(error.rms_mm, 3))
-        table.add_row(f"  lag {_number(error.lag_ms, 1)} ms", _number(error.lag_mm, 3))
-        table.add_row("  across the path", _number(error.contour_mm, 3))
-    table.add_row("  noise of the measured tip", _number(path.measured.noise_mm, 3))
-    table.add_row("  predicted by the model", _number(path.predicted_mm, 3))
+        table.add_row(f"tip to reference, rms ({words}) [mm]", _number(error.rms_mm, 3))
+        table.add_row(f"  lag of {_number(error.lag_ms, 1)} ms [mm]", _number(error.lag_mm, 3))
+        table.add_row("  across the path [mm]", _number(error.contour_mm, 3))
+    table.add_row("  noise of the measured tip [mm]", _number(path.measured.noise_mm, 3))
+    table.add_row("  predicted by the model [mm]", _number(path.predicted_mm, 3))
 
 
 def _add_tip_plans(table: Table, plans: TipPlans) -> None:
@@ -250,4 +250,4 @@ def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
 def cycles(specimen: str, count: int, runs_counted: int) -> None:
     """Print how many pressure cycles a specimen has made."""
     counted = f"{runs_counted} run{'' if runs_counted == 1 else 's'}"
-    typer.echo(f"specimen {specimen}: {count} pressure cycles in {counted} of this folder")
+    typer.echo(f"specimen {specimen}: {count} pressure cycle{'' if count == 1 else 's'} in {counted} of this folder")

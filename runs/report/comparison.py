@@ -99,7 +99,7 @@ def by_model(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
 
 
 def by_axis(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
-    """Return the rms errors of each run in the shape of the paper's Table 5; nothing where nothing was measured.
+    """Return the rms errors of each run as the paper's Table 5, with y; nothing where nothing was measured.
 
     A case is its protocol, as in the paper; where several runs had the same one and the same model, the run.
     """
@@ -109,15 +109,14 @@ def by_axis(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
         (
             f"{escape(run.header.run_id if alike else run.header.protocol_name)}{_marked(s.simulated)}",
             escape(run.header.model_variant),
-            plain(s.rmse_mm[2], 4),
-            plain(s.rmse_mm[0], 4),
+            *(plain(s.rmse_mm[axis], 4) for axis in (2, 0, 1)),
         )
         for run, s in zip(runs, summaries, strict=True)
         if math.isfinite(s.rmse_mm[0])
     ]
-    table = html_table(("case", "model", "z [mm]", "x [mm]"), rows, words=2)
+    table = html_table(("case", "model", "z [mm]", "x [mm]", "y [mm]"), rows, words=2)
     title = "<h2>Root mean square error by direction</h2>"
-    caption = "<p class=small>As the paper's Table 5: over every frame.</p>"
+    caption = "<p class=small>As the paper's Table 5, and the direction y: over every frame.</p>"
     return f"<div>{title}\n{table}{caption}</div>" if table else ""
 
 

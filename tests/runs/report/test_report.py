@@ -234,8 +234,8 @@ def test_several_runs_are_listed_in_the_form_of_the_papers_tables(archive: Path,
     cells = [re.findall(r"<td[^>]*>([^<]*)</td>", table(chosen, summaries)) for table in (by_model, by_axis)]
     one = "1 (simulated)"
     assert cells[0] == ["\u2715", "\u2715", "17.20", one, "\u2714", "\u2714", "1.27", one]
-    assert cells[1][:4] == ["stairs (simulated)", "inhomogeneous+rpe", "0.3269", "1.7349"]
-    assert cells[1][4:] == ["other (simulated)", "homogeneous", "0.8019", "1.6247"]
+    assert cells[1][:5] == ["stairs (simulated)", "inhomogeneous+rpe", "0.3269", "1.7349", "0.1000"]
+    assert cells[1][5:] == ["other (simulated)", "homogeneous", "0.8019", "1.6247", "0.1000"]
 
 
 def test_runs_of_one_protocol_and_model_have_different_labels(archive: Path, short: Path) -> None:
