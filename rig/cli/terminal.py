@@ -145,7 +145,8 @@ def _line(progress: Progress) -> str:
         parts.append("bar " + " ".join(f"{s / PA_PER_BAR:.3f}/{m / PA_PER_BAR:.3f}" for s, m in pairs))
         parts += _auxiliary(progress)
     if progress.observation is not None and progress.observation["seen"] == DetectionStatus.MEASURED:
-        parts.append(f"tip mm {_point(progress.observation['measured_m'])}, error {_error_mm(progress):.2f}")
+        tip = f"tip{_earlier(progress)} mm {_point(progress.observation['measured_m'])}"
+        parts.append(f"{tip}, error {_error_mm(progress):.2f}")
         if np.isfinite(path := _path_error_mm(progress.observation)):
             parts.append(f"path error {path:.2f}")
     elif progress.observation is not None and progress.observation["seen"] == DetectionStatus.NO_CAMERA:
@@ -157,6 +158,14 @@ def _line(progress: Progress) -> str:
     if progress.prompt is not None:
         parts.append(f"WAITING: {progress.prompt} (then press Enter)")
     return " | ".join(parts)
+
+
+def _earlier(progress: Progress) -> str:
+    """How long before the sample the tip was seen, where a tenth of a second or more: as in virtual time."""
+    if progress.sample is None or progress.observation is None:
+        return ""
+    age_s = 1e-9 * (int(progress.sample["t_ns"]) - int(progress.observation["t_ns"]))
+    return f" {age_s:.1f} s earlier" if age_s >= 0.1 else ""
 
 
 def _losses(progress: Progress) -> str:

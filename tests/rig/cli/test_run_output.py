@@ -210,6 +210,19 @@ def test_a_usual_terminal_shows_every_number_of_an_adapting_run_with_six_actuato
         assert f"parameter_{i} {-0.0012345 - 1e-7 * i:.5g} +- 0.00011 1/bar" in said
 
 
+@pytest.mark.parametrize(("seen_ns", "words"), [(1_000_000_000, "tip 1.0 s earlier mm"), (1_990_000_000, "tip mm")])
+def test_a_line_of_progress_says_how_long_before_the_pressures_the_tip_was_seen(seen_ns: int, words: str) -> None:
+    progress = running(estimates=0)
+    assert progress.sample is not None
+    assert progress.observation is not None
+    progress.sample["t_ns"], progress.observation["t_ns"] = 2_000_000_000, seen_ns
+    screen = Console(file=io.StringIO(), width=200, color_system=None)
+    with Terminal(screen, lambda: None, "ramp-a on mock") as terminal:
+        terminal.show(progress)
+    assert isinstance(screen.file, io.StringIO)
+    assert f"| {words} -123.45 6.78 187.65" in screen.file.getvalue()
+
+
 def test_a_large_screen_shows_everything() -> None:
     screen = live(running(actuators=6, estimates=3), 80, 40)
     for words in (
