@@ -30,8 +30,9 @@ class TipControlMonitor:
         """What has changed since the last call; `failure` says why there is no controller any more, else empty."""
         if failure and not self._failure:
             self._failure = failure
-            self._lost(protocol_s, failure)
             yield Event(t_ns, Level.WARNING, SOURCE, f"{failure}; the run continues without it")
+        if self._failure and source in _UNCONTROLLED:
+            self._lost(protocol_s, self._failure)
         before, self._source = self._source, source
         if source == before:
             return
