@@ -21,16 +21,22 @@ class StampedPlan(NamedTuple):
     times_s: Array
     setpoint_pa: Array
 
-    def check(self, valves: int) -> None:
-        """Raises ValueError unless the plan has at most MOST_POINTS points, and set-points of every valve at each."""
-        if (
-            self.times_s.ndim != 1
-            or len(self.times_s) > MOST_POINTS
-            or (self.setpoint_pa.shape != (len(self.times_s), valves))
-        ):
+    @classmethod
+    def checked(cls, times_s: object, setpoint_pa: object, valves: int) -> StampedPlan:
+        """The plan of a controller, which may be code of the user.
+
+        Raises:
+            TypeError: an array has no real numbers.
+            ValueError: more than MOST_POINTS points, or not a set-point of every valve at each.
+        """
+        times, setpoints = np.asarray(times_s), np.asarray(setpoint_pa)
+        for name, array in (("times_s", times), ("setpoint_pa", setpoints)):
+            if array.dtype.kind not in "iuf":
+                raise TypeError(f"{name} of a plan are real numbers; found an array of {array.dtype}")
+        if times.ndim != 1 or len(times) > MOST_POINTS or setpoints.shape != (len(times), valves):
             expected = f"at most {MOST_POINTS} times, and a set-point of each of {valves} valves at each"
-            shapes = f"{self.times_s.shape} and {self.setpoint_pa.shape}"
-            raise ValueError(f"a plan has {expected}; found arrays of shape {shapes}")
+            raise ValueError(f"a plan has {expected}; found arrays of shape {times.shape} and {setpoints.shape}")
+        return cls(times.astype(np.float64), setpoints.astype(np.float64))
 
     @classmethod
     def of(cls, record: NDArray[np.void] | np.void) -> StampedPlan:

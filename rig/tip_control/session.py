@@ -89,10 +89,7 @@ class TipControlSession:
         row = self._row.copy()
         row["t_ns"], row["frame"], row["start_s"] = observation["t_ns"], observation["frame"], start_s
         row["status"], row["iterations"], row["active"] = plan.status, plan.iterations, plan.active
-        stamped = StampedPlan(
-            np.asarray(plan.times_s, dtype=np.float64), np.asarray(plan.setpoint_pa, dtype=np.float64)
-        )
-        stamped.check(len(self._actuators))
+        stamped = StampedPlan.checked(plan.times_s, plan.setpoint_pa, len(self._actuators))
         if len(stamped.times_s):
             ahead = start_s + np.array(PLAN_AHEAD_S)
             within = ahead <= stamped.times_s[-1]
