@@ -50,6 +50,9 @@ def read_columns(path: Path, columns: Bounds, *, timed: bool = True) -> tuple[Sa
     rows = text.split("\n")
     if not rows[0].strip():
         raise BadInputError([Problem(str(path), 1, 1, "", "nothing", _header_wish(wanted))])
+    if not timed and TIME in _cells(rows[0]):
+        expected = f"no column {TIME}, or a step without a speed: only one of them can set the times"
+        raise BadInputError([Problem(str(path), 1, rows[0].index(TIME) + 1, "", TIME, expected)])
     places = _header(path, rows[0], tuple(wanted))
     width = len(_cells(rows[0]))
     table: list[list[float]] = []

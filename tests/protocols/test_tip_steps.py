@@ -184,6 +184,15 @@ def test_a_wrong_row_of_a_path_file_is_reported_with_line_and_column(tmp_path: P
     assert "(mm)" in first.expected
 
 
+def test_a_path_file_with_times_is_not_followed_at_a_speed(tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text("x_mm,y_mm,z_mm,time_s\n0,0,190,0\n10,0,190,1\n")
+    with pytest.raises(BadInputError) as caught:
+        expanded(tmp_path, "tip: {csv: {file: p.csv, speed_mm_per_s: 10}}")
+    (problem,) = caught.value.problems
+    assert (Path(problem.file).name, problem.line, problem.column, problem.value) == ("p.csv", 1, 16, "time_s")
+    assert "a step without a speed" in problem.expected
+
+
 @pytest.mark.parametrize(
     ("rows", "words", "line", "expected"),
     [
