@@ -169,7 +169,7 @@ class VentVerification:
         levels = ", ".join(_bar(self._pressure(a)) for a in self._venting.tolist())
         if not self._fell.any():
             # An empty chamber stays empty behind a valve that does not move.
-            return f"the pressures are low, but no chamber was seen to empty: {levels} bar{held}"
+            return f"the pressures are low from the first reading on: {levels} bar{held}"
         low = [str(a + 1) for a, fell in zip(self._venting.tolist(), self._fell.tolist(), strict=True) if not fell]
         before = f" (low from the first reading on: actuator{'s' * (len(low) > 1)} {', '.join(low)})" if low else ""
         return f"the pressures confirm it: {levels} bar{before}{held}"
