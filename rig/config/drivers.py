@@ -109,7 +109,8 @@ class DriverRegistry:
         """`kind` is the section of the rig file; its plug-ins are the entry points `softrig.<kind>`."""
         self.kind = kind
         self.built_in = {driver.name: driver for driver in drivers}
-        self._group = PluginGroup(f"softrig.{kind}", _checked)
+        self._group = PluginGroup(f"softrig.{kind}", self._checked)
+        self._base: type[BaseModel] = BaseModel
         self._loaded: dict[str, Driver] = {}
 
     def __getitem__(self, name: str) -> Driver:
@@ -144,11 +145,21 @@ class DriverRegistry:
         `base` serves the drivers of softrig that have no model of their own. `unknown` reads the section in an archive
         whose driver is not installed here.
         """
+        self._base = base
         sections = [driver.section for driver in self.built_in.values() if driver.section is not None]
         own: Any = base
         if sections:
             own = Annotated[functools.reduce(operator.or_, sections), Field(discriminator="driver")]
         return Annotated[own, PluginSections("driver", base, self.built_in, self.plugins, self.section, unknown)]
+
+    def _checked(self, name: str, found: object) -> Plugin:
+        if not isinstance(found, Plugin):
+            raise TypeError(f"of type {type(found).__name__}, not a rig.config.drivers.Plugin")
+        if not (isinstance(found.section, type) and issubclass(found.section, self._base)):
+            raise TypeError(f"`section` is not a subclass of {self._base.__module__}.{self._base.__name__}")
+        if not callable(found.open):
+            raise TypeError("`open` is not a function")
+        return found
 
     def simulates(self, name: str | None) -> bool:
         """True for a driver of simulated devices; False for one that is not installed."""
@@ -184,16 +195,6 @@ class DriverRegistry:
             yield InstalledDriver(
                 self.kind, entry.name, row.package, plugin.about, plugin.safe_state, plugin.simulated, keys
             )
-
-
-def _checked(name: str, found: object) -> Plugin:
-    if not isinstance(found, Plugin):
-        raise TypeError(f"of type {type(found).__name__}, not a rig.config.drivers.Plugin")
-    if not (isinstance(found.section, type) and issubclass(found.section, BaseModel)):
-        raise TypeError("`section` is not a model of a section of the rig file")
-    if not callable(found.open):
-        raise TypeError("`open` is not a function")
-    return found
 
 
 CAMERA_DRIVERS = DriverRegistry(

@@ -160,6 +160,11 @@ def test_a_fault_between_a_plugins_card_and_the_valves_is_found(site: Path) -> N
         ("import sys; sys.exit(3)", "SystemExit: 3"),
         ("import a_library_that_is_absent", "No module named 'a_library_that_is_absent'"),
         ("box = 5", "of type int, not a rig.config.drivers.Plugin"),
+        (
+            "from rig.config.drivers import Plugin\nfrom rig.config.tracker_sections import TrackerConfig\n"
+            "box = Plugin(TrackerConfig, print, about='a tracker')",
+            "`section` is not a subclass of rig.config.card_sections.CardConfig",
+        ),
     ],
 )
 def test_a_broken_plugin_is_one_message(
