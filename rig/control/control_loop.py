@@ -73,8 +73,9 @@ class ControlLoop:
             for actuator in valve.actuators:
                 self._valve_of[actuator - 1] = index
         self.lost = 0
-        self.damaged = 0
         """Scans that the cards have dropped."""
+        self.damaged = 0
+        """Lines between computer and cards that were damaged."""
         self._has_voltage = np.array([valve.output_unit == "V" for valve in config.valves])
         self._scan_t_ns = 0
         self._excuse_ns = self._excused_until_ns = 0
