@@ -1,4 +1,4 @@
-"""Escapes of control characters and bidirectional marks, for texts of unknown origin that a terminal may show."""
+"""Escapes of characters that a terminal or a spreadsheet would obey, for texts of unknown origin."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import unicodedata
 
 _KEPT = "\n\t\u200c\u200d"
 """Newline, tab, and the joiners of Persian, Hindi and emoji."""
+
+_FORMULAS = ("=", "+", "-", "@", "\t", "\n")
+"""First characters of spreadsheet formulas; a spreadsheet skips the last two."""
 
 
 def printable(text: str) -> str:
@@ -22,3 +25,9 @@ def _shown(sign: str) -> str:
     if "\udc80" <= sign <= "\udcff":
         return f"\\x{ord(sign) - 0xDC00:02x}"  # a byte of a file name that is not UTF-8
     return sign.encode("unicode_escape", "surrogatepass").decode("ascii")
+
+
+def spreadsheet_text(text: str) -> str:
+    """A text as a cell of a CSV file: printable, and no formula of a spreadsheet, by an apostrophe (OWASP)."""
+    text = printable(text)
+    return f"'{text}" if text.startswith(_FORMULAS) else text

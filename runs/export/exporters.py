@@ -15,13 +15,11 @@ import yaml
 from runs.archive.checked import ArchiveError, opened
 from runs.archive.schema import BYTES
 from runs.overwriting import WouldOverwriteError, staged
-from runs.printable_text import printable
+from runs.printable_text import spreadsheet_text
 from runs.records import RecordedFile, RunHeader
 from runs.run import Run, paths_of
 from runs.table import facts, segments, table, tables
 
-_FORMULAS = ("=", "+", "-", "@", "\t", "\n")
-"""First characters of spreadsheet formulas; a spreadsheet skips the last two."""
 SIMULATED = "simulated"
 """Column of every CSV: 1 where card, camera or arm was simulated, else 0."""
 
@@ -80,7 +78,7 @@ def _csv(source: Path, stem: Path) -> tuple[Path, ...]:
         path = stem.with_name(f"{stem.name}-{name}.csv")
         with path.open("w", newline="", encoding="utf-8") as file:
             lines = csv.writer(file)
-            lines.writerow([*map(_plain_text, columns), SIMULATED])
+            lines.writerow([*map(spreadsheet_text, columns), SIMULATED])
             rows = zip(*(_cells(column) for column in columns.values()), strict=True)
             lines.writerows((*row, simulated) for row in rows)
         written.append(path)
@@ -91,14 +89,8 @@ def _cells(column: np.ndarray[Any, Any]) -> list[Any]:
     if column.dtype.kind == "f":
         return ["" if value != value else repr(value) for value in column.tolist()]
     if column.dtype.kind == "O":
-        return [_plain_text(value) for value in column.tolist()]
+        return [spreadsheet_text(value) for value in column.tolist()]
     return list(column.tolist())
-
-
-def _plain_text(text: str) -> str:
-    """Escape control characters, and a text that a spreadsheet would evaluate as a formula by an apostrophe (OWASP)."""
-    text = printable(text)
-    return f"'{text}" if text.startswith(_FORMULAS) else text
 
 
 def _mat(source: Path, stem: Path) -> tuple[Path, ...]:

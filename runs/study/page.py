@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from runs.overwriting import refuse_existing, write_text
+from runs.printable_text import spreadsheet_text
 from runs.report.colours import MEASURED, MUTED, RUNS
 from runs.report.drawing import svg
 from runs.report.html_table import html_table
@@ -100,7 +101,7 @@ def _csv(table: StudyTable) -> str:
     for row, facts in enumerate(table.facts):
         numbers = [values[row] for values in (*table.settings.values(), *table.responses)]
         texts = (f"{value:.9g}" if math.isfinite(value) else "" for value in numbers)
-        writer.writerow([*facts, *texts, int(table.simulated[row])])
+        writer.writerow([*map(spreadsheet_text, facts), *texts, int(table.simulated[row])])
     return out.getvalue()
 
 

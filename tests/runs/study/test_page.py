@@ -66,6 +66,12 @@ def test_the_page_and_the_table_say_whose_runs_are_analysed_together(tmp_path: P
     assert [row["simulated"] for row in table] == ["1", "0", "0"]
 
 
+def test_a_text_in_the_table_is_no_formula_of_a_spreadsheet(tmp_path: Path) -> None:
+    _, rows = write("dwell", "Dwell", 1, [archive(tmp_path, 1, 1, operator="=1+1")], tmp_path)
+    (row,) = csv.DictReader(rows.read_text().splitlines())
+    assert row["operator"] == "'=1+1"
+
+
 def test_a_sentence_says_that_blocks_and_order_cannot_be_told_apart() -> None:
     order, blocks = tuple(range(1, 13)), (1,) * 4 + (2,) * 4 + (3,) * 4
     y = np.random.default_rng(0).normal(0.0, 0.1, 12)
