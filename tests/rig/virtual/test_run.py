@@ -152,7 +152,7 @@ def test_a_level_above_the_limit_is_refused_before_anything_starts(tmp_path: Pat
 
 def test_virtual_time_refuses_a_real_rig(tmp_path: Path) -> None:
     request = experiment.request("ramp-a", "pci1716", folder=tmp_path, fast=True)
-    with pytest.raises(StartError, match="simulated rig"):
+    with pytest.raises(StartError, match="simulated bench"):
         experiment.run(request, experiment.plan(request), NullOperator())
     assert not list(tmp_path.glob("*.h5"))
 
