@@ -139,7 +139,7 @@ def _tiles(s: Summary) -> str:
     tiles = [
         (with_unit(s.error_mm.mean, "mm", 2), "mean error, measured to model (3-D)"),
         (with_unit(s.in_plane_mm.mean, "mm", 2), "mean error in the plane of motion"),
-        (f"{' / '.join(plain(axis, 2) for axis in s.rmse_mm)} <small>mm</small>", "rms error in x / y / z"),
+        *((with_unit(rmse, "mm", 2), f"rms error in {axis}") for axis, rmse in zip("xyz", s.rmse_mm, strict=True)),
         (with_unit(s.settled_error_mm, "mm", 2), "mean settled error of the steps"),
         (with_unit(s.settling_s, "s", 2), f"longest settling within {BAND_BAR * 1e3:.0f} mbar"),
         (with_unit(s.overshoot_bar * 1e3, "mbar", 1), "largest overshoot"),
