@@ -10,6 +10,8 @@ import threading
 
 _REPEAT_S = 0.01
 """Delay of a repeated SIGINT."""
+_NEW_OBJECTS = 50_000
+"""Objects that are allocated between two collections of garbage."""
 
 
 def _stand_in_for_closed() -> None:
@@ -51,6 +53,8 @@ def _repeat_ignored_interrupts() -> None:
 def main() -> None:
     """Load the command, then obey it."""
     _stand_in_for_closed()
+    # Imported modules are hundreds of thousands of objects and no garbage: Python would scan them again and again.
+    gc.set_threshold(_NEW_OBJECTS)
     # Pydantic would look for plugins in every installed distribution, here and in every process of a run.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     # The matrices here are small: threads of the linear algebra cost more than they save, and waste a core by waiting.

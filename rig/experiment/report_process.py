@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
@@ -74,6 +75,8 @@ def begin_here(archive: Path) -> Callable[[], Path]:
 
 def main() -> int:
     """Report process: import, wait for an archive, write its report; exit at end of input."""
+    # The process ends with its one report: nothing is gained by scans for garbage.
+    gc.disable()
     import runs.report.page  # noqa: F401
     from runs.report.drawing import load_fonts_and_layouts
 
