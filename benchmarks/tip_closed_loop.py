@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 import model
 from model.dynamics import Dynamics
+from model.units import PA_PER_BAR
 from rig.arm_effects.base import ArmEffect
-from rig.sections.quantities import PA_PER_BAR
 from rig.tip_control.interface import (
     ControllerMeasurement,
     ReferenceTrajectory,

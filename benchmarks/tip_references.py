@@ -32,10 +32,10 @@ from numpy.typing import NDArray
 import protocols
 from benchmarks.random_tip_paths import SHAPES, drawn_rig, stated_rig, tip_step
 from benchmarks.virtual_tip_run import SHARED_HORIZON, distances_m, perform
+from model.units import PA_PER_BAR
 from protocols import BadInputError, SetPointTrajectory
 from rig.config.schema import RigConfig
 from rig.experiment.preflight import check
-from rig.sections.quantities import PA_PER_BAR
 from rig.tip_planning.inverse import RigTipInverse
 from runs.records import Level, Status
 

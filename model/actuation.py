@@ -14,7 +14,8 @@ from typing import Any, ClassVar
 
 from numpy.typing import NDArray
 
-PA_PER_BAR = 1e5
+from model.units import PA_PER_BAR
+
 MOST_STOPS = 3
 """Stop elements of an actuator."""
 

@@ -13,6 +13,7 @@ from model.actuation import ActuationLaw, Proportional
 from model.geometry import Geometry
 from model.laws.base import ConstitutiveLaw
 from model.material import Material
+from model.units import GRAVITY_M_S2
 from model.variants import MODULUS_RULES, POINTWISE, variant_named
 
 Array = NDArray[np.float64]
@@ -42,7 +43,7 @@ class Arm:
     material: Material
     variant: str = "inhomogeneous+rpe"
     cap_mass_kg: float = 0.05
-    gravity_m_s2: Triple = (0.0, 0.0, 9.81)
+    gravity_m_s2: Triple = (0.0, 0.0, GRAVITY_M_S2)
     rod_weight: bool = False
     modulus_rule: str = POINTWISE
     rpe_as: Literal["force", "strain"] = "force"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from model.units import PA_PER_BAR
+
 
 class NotConverged(Exception):  # noqa: N818 - the outcome is the name
     """No equilibrium was found; the message says at which pressures."""
@@ -12,7 +14,7 @@ class NotConverged(Exception):  # noqa: N818 - the outcome is the name
     @classmethod
     def at(cls, pressure_pa: NDArray[np.float64]) -> NotConverged:
         """The error at pressures (N,) [Pa]."""
-        bar = ", ".join(f"{value / 1e5:.4g}" for value in pressure_pa)
+        bar = ", ".join(f"{value / PA_PER_BAR:.4g}" for value in pressure_pa)
         return cls(f"no equilibrium found at {bar} bar: a pressure or load may be far outside the arm's range")
 
 
@@ -22,5 +24,5 @@ class Unstable(NotConverged):
     @classmethod
     def at(cls, pressure_pa: NDArray[np.float64]) -> Unstable:
         """The error at pressures (N,) [Pa]."""
-        bar = ", ".join(f"{value / 1e5:.4g}" for value in pressure_pa)
+        bar = ", ".join(f"{value / PA_PER_BAR:.4g}" for value in pressure_pa)
         return cls(f"no stable equilibrium found at {bar} bar: the arm buckles or snaps under these loads")

@@ -8,7 +8,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from model.actuation import PA_PER_BAR
 from model.arm import Arm
 from model.geometry import Geometry
 from model.kernels import layout
@@ -16,6 +15,7 @@ from model.kernels.arguments import ArmArguments
 from model.kernels.law import Walls, kernel_law
 from model.loads import Loads
 from model.section import CrossSection, section, upper
+from model.units import PA_PER_BAR
 from model.variants import DEFAULT_TUBE_LAW
 from model.viscoelasticity import viscous_time_s
 

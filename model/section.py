@@ -18,8 +18,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from model.actuation import PA_PER_BAR
 from model.geometry import Geometry
+from model.units import PA_PER_BAR
 
 Array = NDArray[np.float64]
 

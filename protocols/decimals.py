@@ -5,6 +5,7 @@ from __future__ import annotations
 from decimal import Decimal
 
 PA_PER_BAR = 100_000
+"""An integer, as `Decimal` multiplies by no float."""
 
 _ROUNDING = Decimal("1e-12")
 """Relative error, at most, of a quotient without end: 0.2 / 3 times 3 is 0.2."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from runs.archive.reader import ArchiveReader
 from runs.columns import Tip
+from runs.columns.conversions import PA_PER_BAR
 from runs.periodic_motion import PeriodicMotion, periodic_motions
 from runs.records import DetectionStatus, Interval, Status
 from runs.tip_error import TipErrorSummary, tip_error
@@ -285,7 +286,7 @@ def _step(
         kind=interval.kind,
         start_s=interval.start_s,
         stop_s=interval.stop_s,
-        level_bar=tuple(level / 1e5 for level in interval.level_pa),
+        level_bar=tuple(level / PA_PER_BAR for level in interval.level_pa),
         weight_g=_mean(tip.weight_g[frames]),
         dwell=dwell,
         settling_s=settling,

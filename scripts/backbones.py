@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from model import Arm
 from model.statics import statics
-from rig.sections.quantities import PA_PER_BAR
+from model.units import PA_PER_BAR
 
 
 def backbones(path: Path) -> None:

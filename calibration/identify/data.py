@@ -10,27 +10,21 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from calibration.identify.errors import NoDataError
-from calibration.identify.orientation import (
-    M_PER_MM,
-    MIN_FRAMES,
-    averaged_share,
-    mean_orientations,
-    orientations,
-)
-from calibration.identify.poses import PA_PER_BAR, Poses
+from calibration.identify.orientation import MIN_FRAMES, averaged_share, mean_orientations, orientations
+from calibration.identify.poses import Poses
 from calibration.identify.pressure_course import PressureCourse, course_rows, mean_around
 from calibration.identify.pressure_history import pressure_history
 from calibration.identify.pressure_samples import on_even_frames
 from calibration.identify.pressure_smoothing import curve, noise_std, regression_calibrated, smoothed
 from calibration.identify.section_poses import mean_sections, section_poses
 from calibration.identify.unresolved_pressures import unresolved_courses
+from model.units import KG_PER_G, M_PER_MM, PA_PER_BAR
 from runs.interpolation import interpolated
 from runs.records import DetectionStatus
 from runs.run import Run
 
 Array = NDArray[np.float64]
 
-KG_PER_G = 1e-3
 
 SETTLE_S = 1.5
 # A frame is used if it lies at most this many camera periods outside the pressure record.

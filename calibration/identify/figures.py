@@ -19,6 +19,7 @@ from calibration.identify.parameters import known
 from calibration.identify.profile_likelihood import RISE_95, LikelihoodProfile
 from calibration.identify.results import NORMAL_95, Fit
 from calibration.identify.setup import Setup
+from model.units import PA_PER_BAR
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
 
 Array = NDArray[np.float64]
@@ -85,7 +86,7 @@ def residuals(figure: Figure, fit: Fit) -> None:
     panels = figure.subplots(3, 3, sharey="row")
     for k, (run, poses) in enumerate(zip(fit.runs, fit.problem.data, strict=True)):
         time = np.arange(len(poses)) * (poses.period_s or 1.0)
-        over = (time, poses.pressure_pa.max(axis=1) / 1e5, 1e3 * run.predicted_m[:, 2])
+        over = (time, poses.pressure_pa.max(axis=1) / PA_PER_BAR, 1e3 * run.predicted_m[:, 2])
         for axis in range(3):
             for panel, x in zip(panels[axis], over, strict=True):
                 panel.plot(x, 1e3 * run.residual_m[:, axis], ".", ms=3.5, color=colour(k), label=run.run_id)

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.identify.poses import PA_PER_BAR, Poses
+from calibration.identify.poses import Poses
+from model.units import GRAVITY_M_S2, PA_PER_BAR
 
 # A run leaves the range if it exceeds it by more than this share, and by this amount.
 _SHARE, _PRESSURE_PA, _LOAD_N = 0.05, 2e3, 0.05
 # A chamber is pressed above this share of the largest pressure of the fit.
 _PRESSED = 0.1
-_STANDARD_GRAVITY_M_S2 = 9.80665
 
 
 def loaded(data: Sequence[Poses]) -> bool:
@@ -22,7 +22,7 @@ def loaded(data: Sequence[Poses]) -> bool:
 
 def load_n(poses: Poses) -> float:
     """The largest load [N] of a run: hung weight and measured force."""
-    weights = poses.weight_kg * _STANDARD_GRAVITY_M_S2 + np.linalg.norm(poses.wrench[:, :3], axis=1)
+    weights = poses.weight_kg * GRAVITY_M_S2 + np.linalg.norm(poses.wrench[:, :3], axis=1)
     return float(weights.max(initial=0.0))
 
 

@@ -21,6 +21,7 @@ from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
 from calibration.identify.tip_predictor import SUBSTEPS, Predictor
 from calibration.parallel_map import Progress, parallel_map
+from model.units import PA_PER_BAR
 
 Array = NDArray[np.float64]
 
@@ -212,7 +213,7 @@ def compared(poses: Poses) -> Poses:
 
 def excursion(poses: Poses) -> Array:
     """Distance (K,) [m] of each tip from the tip at the least pressure and weight."""
-    effort = np.abs(poses.pressure_pa).sum(axis=1) / 1e5 + poses.weight_kg
+    effort = np.abs(poses.pressure_pa).sum(axis=1) / PA_PER_BAR + poses.weight_kg
     rest = poses.tip_m[np.flatnonzero(poses.has_tip)[np.argmin(effort[poses.has_tip])]]
     out: Array = np.linalg.norm(poses.tip_m - rest, axis=1)
     return out

@@ -20,10 +20,10 @@ from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from calibration.identify.tip_predictor import Predictor
 from model.arm import Arm
+from model.units import PA_PER_BAR
 
 Array = NDArray[np.float64]
 
-_PA_PER_BAR = 1e5
 # Highest pressure and way of the pressure, over the reference pressure, at which most of the softening has happened.
 _SOFT_PEAK, _SOFT_TRAVEL = 0.5, 3.0
 _HALF_NORMAL_MEAN = math.sqrt(2.0 / math.pi)
@@ -113,7 +113,7 @@ def _sum_curvature(poses: Poses, reference_pa: float) -> Array:
 
 
 def _direction(poses: Poses, _: float) -> Array:
-    return _per_actuator(poses.history.direction * _PA_PER_BAR)
+    return _per_actuator(poses.history.direction * PA_PER_BAR)
 
 
 def _creep(poses: Poses, _: float) -> Array:

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calibration.identify.errors import NoDataError
+from model.units import M_PER_MM
 from runs.run import Run
 
 Array = NDArray[np.float64]
 
-M_PER_MM = 1e-3
 RAD_PER_DEG = np.pi / 180
 # Fewest frames of a plateau.
 MIN_FRAMES = 5

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 import model
 from calibration.identify.errors import NoDataError
-from calibration.identify.poses import PA_PER_BAR, Poses
+from calibration.identify.poses import Poses
+from model.units import GRAVITY_M_S2, PA_PER_BAR
 
 Array = NDArray[np.float64]
 
-GRAVITY_M_S2 = 9.81
 # Eq 32 was fitted to weights of 100 to 1200 g, and E is printed beside it.
 PUBLISHED_WEIGHTS_KG: Array = np.linspace(0.1, 1.2, 12)
 PUBLISHED_MODULUS_PA = 289142.05

@@ -16,12 +16,11 @@ from calibration.identify.parameter import Prior
 from calibration.identify.profile_likelihood import LikelihoodProfile
 from calibration.identify.results import Estimate, RunFit, SectionFit
 from calibration.identify.setup import Setup
-from model.actuation import PA_PER_BAR
 from model.material import Material
+from model.units import MM_PER_M, PA_PER_BAR
 from runs.overwriting import write_text
 
 VERSION = 2
-_MM = 1e3
 # Residuals of a motion that are written out: enough to draw, few enough to read.
 _MAX_RESIDUALS = 100
 
@@ -120,7 +119,7 @@ def content(
             for e in fit.estimates
         ],
         "covariance": np.asarray(fit.covariance, dtype=float).tolist(),
-        "residuals": {"rms_mm": _MM * fit.rms_m, "discrepancy_mm": _MM * fit.discrepancy_m},
+        "residuals": {"rms_mm": MM_PER_M * fit.rms_m, "discrepancy_mm": MM_PER_M * fit.discrepancy_m},
         "data": [
             {
                 "run": run.run_id,
@@ -128,8 +127,8 @@ def content(
                 "used_as": "motion" if run.moving else "plateaus",
                 "frames": run.frames,
                 "outliers": run.outliers,
-                "rms_before_mm": _MM * run.rms_before_m,
-                "rms_mm": _MM * run.rms_m,
+                "rms_before_mm": MM_PER_M * run.rms_before_m,
+                "rms_mm": MM_PER_M * run.rms_m,
                 **({"oriented_frames": run.oriented, "rms_deg": math.degrees(run.rms_rad)} if run.oriented else {}),
                 **({"sections": [section_facts(one) for one in run.sections]} if run.sections else {}),
                 "residual_mm": _residuals(run),
@@ -141,8 +140,8 @@ def content(
 
 def section_facts(one: SectionFit) -> dict[str, object]:
     """What a file states of a section: where it is, how many frames count, and how far it is from the model."""
-    found: dict[str, object] = {"name": one.name, "at_mm": _MM * one.at_m, "frames": one.frames}
-    found["rms_mm"] = _MM * one.rms_m
+    found: dict[str, object] = {"name": one.name, "at_mm": MM_PER_M * one.at_m, "frames": one.frames}
+    found["rms_mm"] = MM_PER_M * one.rms_m
     return found | ({"oriented_frames": one.oriented, "rms_deg": one.rms_deg} if one.oriented else {})
 
 
@@ -152,9 +151,9 @@ def _prior(prior: Prior) -> dict[str, float]:
 
 def _mounting(setup: Setup) -> dict[str, list[float]]:
     return {
-        "base_translation_mm": [_MM * x for x in setup.base_translation_m],
+        "base_translation_mm": [MM_PER_M * x for x in setup.base_translation_m],
         "base_rotation_deg": [math.degrees(x) for x in setup.base_rotation_rad],
-        "tool_offset_mm": [_MM * x for x in setup.tool_offset_m],
+        "tool_offset_mm": [MM_PER_M * x for x in setup.tool_offset_m],
         "tool_rotation_deg": [math.degrees(x) for x in setup.tool_rotation_rad],
     }
 
@@ -167,7 +166,7 @@ def _residuals(run: RunFit) -> list[list[float]]:
     """Measured minus predicted [mm], to a tenth of a micrometre; of a motion a hundred rows, evenly spaced."""
     known = run.residual_m[np.isfinite(run.residual_m).all(axis=1)]
     chosen = np.unique(np.linspace(0, len(known) - 1, min(len(known), _MAX_RESIDUALS)).round().astype(int))
-    rows: list[list[float]] = np.round(_MM * known[chosen if run.moving else slice(None)], 4).tolist()
+    rows: list[list[float]] = np.round(MM_PER_M * known[chosen if run.moving else slice(None)], 4).tolist()
     return rows
 
 
@@ -206,9 +205,9 @@ def _geometry(setup: Setup) -> dict[str, Any]:
     geometry = setup.turned_arm.geometry
     x, y = geometry.positions_m.T
     return {
-        "length_mm": _MM * geometry.length_m,
-        "inner_radius_mm": _MM * geometry.inner_radius_m,
-        "outer_radius_mm": _MM * geometry.outer_radius_m,
-        "circle_radius_mm": float(_MM * np.hypot(x, y).mean()),
+        "length_mm": MM_PER_M * geometry.length_m,
+        "inner_radius_mm": MM_PER_M * geometry.inner_radius_m,
+        "outer_radius_mm": MM_PER_M * geometry.outer_radius_m,
+        "circle_radius_mm": float(MM_PER_M * np.hypot(x, y).mean()),
         "actuator_angles_deg": np.degrees(np.arctan2(y, x)).tolist(),
     }

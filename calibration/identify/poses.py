@@ -16,7 +16,6 @@ from calibration.identify.section_poses import SectionPoses
 
 Array = NDArray[np.float64]
 
-PA_PER_BAR = 1e5
 # Fewest entries of a quasi-static motion for which the correlation of neighbours can be estimated.
 MIN_IN_SEQUENCE = 32
 # Kinds of the numbers that a fit compares; those of a section have its name in them.

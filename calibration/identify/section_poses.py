@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from calibration.identify.errors import NoDataError
 from calibration.identify.orientation import (
-    M_PER_MM,
     MIN_FRAMES,
     RAD_PER_DEG,
     Orientations,
     averaged_orientations,
     averaged_share,
 )
+from model.units import M_PER_MM
 from runs.columns import Sections
 from runs.records import DetectionStatus
 from runs.run import Run

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-PA_PER_BAR = 1e5
-
 
 @dataclass(frozen=True)
 class Drive:

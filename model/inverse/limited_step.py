@@ -7,11 +7,11 @@ import piqp
 from numpy.typing import NDArray
 from scipy import sparse
 
-from model.inverse.drive import PA_PER_BAR, Drive
+from model.inverse.drive import Drive
+from model.units import MM_PER_M, PA_PER_BAR
 
 Array = NDArray[np.float64]
 
-MM_PER_M = 1e3
 DAMPING = 1e-4
 """Levenberg-Marquardt damping, relative to the mean square of the gradients."""
 

@@ -11,7 +11,8 @@ from scipy.optimize import least_squares
 
 from model import batch, sensitivities
 from model.arm import Arm
-from model.inverse.drive import PA_PER_BAR, Drive
+from model.inverse.drive import Drive
+from model.units import MM_PER_M, PA_PER_BAR
 from model.variation import GRADIENT_STEP_PA, Variation
 
 Array = NDArray[np.float64]
@@ -20,7 +21,6 @@ STARTS = (0.1, 0.5, 0.9)
 """Pressures of each valve among which the search starts, relative to the highest pressure."""
 SEARCHES = 4
 """Starting points of the search: those whose tips are the nearest to the target."""
-MM_PER_M = 1e3
 
 
 @dataclass(frozen=True, eq=False)

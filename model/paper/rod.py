@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root
 
-from model.actuation import PA_PER_BAR
 from model.arm import Arm
 from model.errors import NotConverged
 from model.loads import Loads
@@ -21,6 +20,7 @@ from model.paper.kernels import SAMPLE, STATE, RodArguments, SectionArguments, j
 from model.pressures import pressures
 from model.schemes import DEFAULT_ALPHA, DEFAULT_SCHEME, scheme_named
 from model.shape import Shape
+from model.units import PA_PER_BAR
 
 Array = NDArray[np.float64]
 Erratum = Literal["K12", "weight moment", "stretch as strain"]

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols.steps.base import MotionStep, SecondsOrNone, TrajectoryBuilder
-from protocols.steps.tip_shapes import MM, Circle, FigureEight, HeldPoint, PathFile, Points, Star, TipShape
+from protocols.steps.tip_shapes import M_PER_MM, Circle, FigureEight, HeldPoint, PathFile, Points, Star, TipShape
 from protocols.validation import ValidationFault, faults
 
 Coordinate = Literal["x", "y", "z"]
@@ -67,7 +67,7 @@ class TipStep(MotionStep):
             shape.path(builder.data(self)),
             tuple(sorted(AXES.index(axis) for axis in self.coordinates)),
             self.lead_in_s,
-            self.tolerance_mm * MM,
+            self.tolerance_mm * M_PER_MM,
         )
 
     def read(self, folder: Path) -> tuple[Any, dict[str, str]]:

@@ -20,7 +20,7 @@ from protocols.tip_paths import HarmonicPath, PiecewisePath, TipPath, closed_pol
 from protocols.validation import ValidationFault, faults
 
 Array = NDArray[np.float64]
-MM = 1e-3
+M_PER_MM = 1e-3
 FARTHEST_MM = 10_000.0
 SAME_M = 1e-5
 """First and last point of a path that repeats are equal within this: they may be rounded."""
@@ -71,7 +71,7 @@ class _Closed(TipShape):
         period_s = self.period_s
         if period_s is None:
             assert self.speed_mm_per_s is not None
-            period_s = length_m(self._path(1.0, 1.0)) / (self.speed_mm_per_s * MM)
+            period_s = length_m(self._path(1.0, 1.0)) / (self.speed_mm_per_s * M_PER_MM)
         return self._path(period_s, self.periods if self.periods is not None else (self.duration_s or 0.0) / period_s)
 
     @abstractmethod
@@ -86,7 +86,7 @@ class _Closed(TipShape):
         second = np.cross(normal, first)
         angle = math.radians(self.rotation_deg)
         turned = math.cos(angle) * first + math.sin(angle) * second
-        return np.array(self.centre_mm) * MM, turned, math.cos(angle) * second - math.sin(angle) * first
+        return np.array(self.centre_mm) * M_PER_MM, turned, math.cos(angle) * second - math.sin(angle) * first
 
 
 class Circle(_Closed):
@@ -96,7 +96,7 @@ class Circle(_Closed):
 
     def _path(self, period_s: float, periods: float) -> TipPath:
         centre, first, second = self._axes()
-        radius = self.radius_mm * MM
+        radius = self.radius_mm * M_PER_MM
         return HarmonicPath(centre, radius * first[None], radius * second[None], period_s, periods * period_s)
 
 
@@ -108,7 +108,7 @@ class FigureEight(_Closed):
 
     def _path(self, period_s: float, periods: float) -> TipPath:
         centre, first, second = self._axes()
-        sines = np.array([0.5 * self.width_mm * MM * first, 0.5 * self.height_mm * MM * second])
+        sines = np.array([0.5 * self.width_mm * M_PER_MM * first, 0.5 * self.height_mm * M_PER_MM * second])
         return HarmonicPath(centre, np.zeros((2, 3)), sines, period_s, periods * period_s)
 
 
@@ -124,7 +124,7 @@ class Star(_Closed):
         inner = 0.4 * self.radius_mm if self.inner_radius_mm is None else self.inner_radius_mm
         corners = []
         for k in range(2 * self.points):
-            angle, radius = math.pi * k / self.points, MM * (inner if k % 2 else self.radius_mm)
+            angle, radius = math.pi * k / self.points, M_PER_MM * (inner if k % 2 else self.radius_mm)
             corners.append(centre + radius * (math.cos(angle) * first + math.sin(angle) * second))
         times = period_s * np.linspace(0.0, 1.0, 2 * self.points + 1)
         return PiecewisePath(times, closed_polyline(corners), smooth=True, repeats=periods)
@@ -154,7 +154,7 @@ class Points(TipShape):
         return self
 
     def path(self, data: Any) -> TipPath:
-        points = np.array(self.at_mm) * MM
+        points = np.array(self.at_mm) * M_PER_MM
         if self.periods is not None:
             points = closed_polyline(list(points)) if (points[0] != points[-1]).any() else points
         times, corners = [0.0], [points[0]]
@@ -165,7 +165,7 @@ class Points(TipShape):
             way_s = self.move_s
             if way_s is None:
                 assert self.speed_mm_per_s is not None
-                way_s = float(np.linalg.norm(after - before)) / (self.speed_mm_per_s * MM)
+                way_s = float(np.linalg.norm(after - before)) / (self.speed_mm_per_s * M_PER_MM)
             times.append(times[-1] + way_s)
             corners.append(after)
         if self.dwell_s > 0 and self.periods is None:
@@ -181,7 +181,7 @@ class HeldPoint(TipShape):
     duration_s: Seconds
 
     def path(self, data: Any) -> TipPath:
-        point = np.array(self.at_mm) * MM
+        point = np.array(self.at_mm) * M_PER_MM
         return PiecewisePath(np.array([0.0, self.duration_s]), np.array([point, point]), smooth=True)
 
 
@@ -202,17 +202,17 @@ class PathFile(TipShape):
         """Times (k,) [s] and points (k, 3) [m]; and the text of the file."""
         coordinates = dict.fromkeys(("x_mm", "y_mm", "z_mm"), (-FARTHEST_MM, FARTHEST_MM, "mm"))
         columns, text = read_columns(folder / self.file, coordinates, timed=self.speed_mm_per_s is None)
-        points = np.column_stack(columns.values) * MM
+        points = np.column_stack(columns.values) * M_PER_MM
         if fault := self._fault(points):
             lines = [number for number, row in enumerate(text.split("\n"), start=1) if row.strip()]
-            x, y, z = (f"{round(value / MM, 3):g}" for value in points[-1])
+            x, y, z = (f"{round(value / M_PER_MM, 3):g}" for value in points[-1])
             raise BadInputError([Problem(str(folder / self.file), lines[-1], 1, "", f"{x}, {y}, {z} mm", fault)])
         if self.periods is not None:
             points[-1] = points[0]
         if self.speed_mm_per_s is not None:
             points = points[np.r_[True, (np.diff(points, axis=0) != 0).any(axis=1)]]
             ways = np.linalg.norm(np.diff(points, axis=0), axis=1)
-            times = np.r_[0.0, np.cumsum(ways)] / (self.speed_mm_per_s * MM)
+            times = np.r_[0.0, np.cumsum(ways)] / (self.speed_mm_per_s * M_PER_MM)
         else:
             times = np.array(columns.times_s)
         return (times, points), {self.file: text}
@@ -222,6 +222,6 @@ class PathFile(TipShape):
         if self.speed_mm_per_s is not None and (points == points[0]).all():
             return "another point than the others: with speed_mm_per_s the rows have to be a way"
         if self.periods is not None and np.abs(points[-1] - points[0]).max() > SAME_M:
-            x, y, z = (f"{round(value / MM, 3):g}" for value in points[0])
+            x, y, z = (f"{round(value / M_PER_MM, 3):g}" for value in points[0])
             return f"the first row again, {x}, {y}, {z} mm: with periods the rows are repeated"
         return ""

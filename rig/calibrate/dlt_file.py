@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.cross_validation import CrossValidation
+from model.units import MM_PER_M
 from rig.calibrate import file_sections, inputs
 from rig.calibrate.dlt_fit import DLTCalibrationResult
 from rig.config import calibration_schema
@@ -14,8 +15,6 @@ from rig.config.board_sections import BoardPattern
 from rig.config.calibration_files import rounded
 from rig.config.optics import placement_of
 from rig.config.schema import RigConfig
-
-_MM = 1e3
 
 
 def _points(names: tuple[str, ...], corners: int) -> tuple[str, ...]:
@@ -30,13 +29,13 @@ def _section(
     dlt, observation = result.dlts[name], result.observations[name]
     place, covariance = result.places[name]
     # World in mm: what multiplies a coordinate is a thousand times smaller.
-    scale = np.where(np.isin(np.arange(11), (3, 7)), 1.0, 1 / _MM)
-    units = np.array([_MM] * 3 + [np.rad2deg(1)] * 3)
+    scale = np.where(np.isin(np.arange(11), (3, 7)), 1.0, 1 / MM_PER_M)
+    units = np.array([MM_PER_M] * 3 + [np.rad2deg(1)] * 3)
     spread = covariance * np.outer(units, units)
     known = bool(np.all(np.isfinite(spread)))
     std = np.sqrt(np.diag(spread)) if known else np.zeros(6)
     placement = placement_of(
-        replace(place, translation_std_m=float(np.sqrt(np.mean(std[:3] ** 2))) / _MM,
+        replace(place, translation_std_m=float(np.sqrt(np.mean(std[:3] ** 2))) / MM_PER_M,
                 rotation_std_rad=float(np.deg2rad(np.sqrt(np.mean(std[3:] ** 2)))))
     )  # fmt: skip
     return calibration_schema.DLTCamera(
@@ -82,7 +81,7 @@ def dlt_file(
 
 
 def _test(found: CrossValidation, *, by_point: bool) -> calibration_schema.LeaveOneOut | None:
-    mm, px, edges = found.errors_m * _MM, found.errors_px, found.edges_m * _MM
+    mm, px, edges = found.errors_m * MM_PER_M, found.errors_px, found.edges_m * MM_PER_M
     if not (len(mm) or len(px)):
         return None
     return calibration_schema.LeaveOneOut(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from calibration.camera import CalibrationError
 from calibration.pressure import SensorFit, fit_sensor
+from model.units import PA_PER_BAR
 from protocols import Problem
 from protocols.problems import raise_all
 from rig.calibrate import control_points, file_sections
@@ -19,7 +20,6 @@ from rig.config import calibration_schema
 from rig.config.calibration_files import rounded
 from rig.config.schema import RigConfig
 from rig.execution.plan import StoppedError
-from rig.sections.quantities import PA_PER_BAR
 from rig.simulator.plant import Plant
 from rig.valves.iso6358 import ATMOSPHERE_PA
 

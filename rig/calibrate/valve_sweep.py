@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from calibration.camera import CalibrationError
 from model import Arm
 from model.statics import statics
+from model.units import PA_PER_BAR
 from rig.calibrate import file_sections
 from rig.calibrate.bench_driver import BenchDriver
 from rig.calibrate.valve_fit import FittedValve, RateMeasurement, fit
@@ -18,7 +19,6 @@ from rig.config.arm_model import model_arm
 from rig.config.calibration_files import rounded
 from rig.config.schema import RigConfig
 from rig.control.interlocks.actuator_interlocks import PressureRate
-from rig.sections.quantities import PA_PER_BAR
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from rig.valves.metering import FlowMetering
 

@@ -13,6 +13,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from model.units import PA_PER_BAR
 from rig.cli.column_table import ColumnTable, facts_table
 from rig.cli.exit_status import DONE, FAULT, INTERRUPTED
 from rig.config.schema import RigConfig
@@ -22,7 +23,6 @@ from rig.experiment.run import RunRequest, RunResult
 from rig.hardware.safe_state import safe_voltages
 from rig.realtime.scheduling import obtainable
 from rig.realtime.timing_limits import has_real_valves, remedies, timing_sentence
-from rig.sections.quantities import PA_PER_BAR
 from runs.printable_text import printable
 from runs.records import Status
 

@@ -17,10 +17,10 @@ from rich.progress_bar import ProgressBar
 from rich.table import Column, Table
 from rich.text import Text
 
+from model.units import PA_PER_BAR
 from rig.cli.keyboard import Keyboard
 from rig.cli.nonblocking_writer import NonBlockingWriter
 from rig.execution.plan import Progress
-from rig.sections.quantities import PA_PER_BAR
 from runs.printable_text import printable
 from runs.records import DetectionStatus, Event, Level, Quantity
 

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 import model
 from model.material import MaxwellBranch
+from model.units import GRAVITY_M_S2
 from rig.config.schema import RigConfig
 from rig.config.sections import GeometryConfig, MaterialConfig, Variant
 
 Floats = NDArray[np.float64]
-
-GRAVITY_M_S2 = 9.81
 
 
 def model_arm(config: RigConfig, variant: Variant | None = None) -> model.Arm:

@@ -6,15 +6,8 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from model.actuation import (
-    ACTUATION_LAWS,
-    MOST_STOPS,
-    PA_PER_BAR,
-    ActuationLaw,
-    Proportional,
-    StopElement,
-    actuation_law_named,
-)
+from model.actuation import ACTUATION_LAWS, MOST_STOPS, ActuationLaw, Proportional, StopElement, actuation_law_named
+from model.units import PA_PER_BAR
 from rig.config.sections import GeometryConfig, MaterialConfig
 from rig.sections.base import Section
 from rig.sections.quantities import Flag, MassG, Triple

@@ -12,12 +12,12 @@ from pydantic import AfterValidator, ConfigDict, Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from model.material import MOST_BRANCHES
+from model.units import PA_PER_BAR
 from model.variants import VARIANTS, variant_named
 from protocols.validation import ValidationFault, faults
 from rig.config.drivers import CAMERA_DRIVERS
 from rig.sections.base import Section
 from rig.sections.quantities import (
-    PA_PER_BAR,
     ActuatorNumber,
     BarSpan,
     Count,

@@ -10,13 +10,14 @@ from typing import Annotated
 from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
+from model.units import KG_PER_G, M_PER_MM, PA_PER_BAR
 from rig.sections.base import Section
 
 _Std = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 _Stated = _Std | SkipJsonSchema[None]
 _Angle = Annotated[float, Field(gt=0, le=180, allow_inf_nan=False, strict=True)] | SkipJsonSchema[None]
 
-_MM, _G, _MS, _PERCENT, _DEG, _PA_PER_BAR = 1e-3, 1e-3, 1e-3, 1e-2, math.pi / 180, 1e5
+_S_PER_MS, _PERCENT, _DEG = 1e-3, 1e-2, math.pi / 180
 
 
 class Uncertainties(Section):
@@ -63,10 +64,10 @@ class Uncertainties(Section):
 
 
 _PARAMETERS: dict[str, tuple[str, float]] = {
-    "length_mm": ("length_m", _MM),
-    "inner_radius_mm": ("inner_radius_m", _MM),
-    "outer_radius_mm": ("outer_radius_m", _MM),
-    "circle_radius_mm": ("circle_radius_m", _MM),
+    "length_mm": ("length_m", M_PER_MM),
+    "inner_radius_mm": ("inner_radius_m", M_PER_MM),
+    "outer_radius_mm": ("outer_radius_m", M_PER_MM),
+    "circle_radius_mm": ("circle_radius_m", M_PER_MM),
     "actuator_angles_deg": ("actuator_angles", _DEG),
     "youngs_modulus_pa": ("youngs_modulus_pa", 1.0),
     "a1_per_N": ("a1_per_n", 1.0),
@@ -78,15 +79,15 @@ _PARAMETERS: dict[str, tuple[str, float]] = {
     "branch_modulus": ("branch_moduli", 1.0),
     "branch_time_s": ("branch_times", 1.0),
     "stop_weight": ("stop_weights", 1.0),
-    "stop_width_bar": ("stop_widths", _PA_PER_BAR),
+    "stop_width_bar": ("stop_widths", PA_PER_BAR),
     "push_growth_per_bar": ("push_growth_per_bar", 1.0),
-    "cap_mass_g": ("cap_mass_kg", _G),
+    "cap_mass_g": ("cap_mass_kg", KG_PER_G),
     "gravity_direction_deg": ("gravity", _DEG),
-    "base_translation_mm": ("base_translation", _MM),
+    "base_translation_mm": ("base_translation", M_PER_MM),
     "base_rotation_deg": ("base_rotation", _DEG),
-    "tool_offset_mm": ("tool", _MM),
+    "tool_offset_mm": ("tool", M_PER_MM),
     "tool_rotation_deg": ("tool_rotation", _DEG),
     "sensor_gain_percent": ("sensor_gains", _PERCENT),
-    "sensor_lag_ms": ("sensor_lag_s", _MS),
-    "sensor_filter_ms": ("sensor_filter_s", _MS),
+    "sensor_lag_ms": ("sensor_lag_s", _S_PER_MS),
+    "sensor_filter_ms": ("sensor_filter_s", _S_PER_MS),
 }

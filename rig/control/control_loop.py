@@ -10,13 +10,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from model.units import PA_PER_BAR
 from rig.control import step as control
 from rig.control.auxiliary import AuxiliaryMeans
 from rig.control.protocol_position import ProtocolPosition, advance, skip
 from rig.control.stream_follower import StreamFollower
 from rig.execution.plan import RunPlan
 from rig.hardware.bench import BenchScans
-from rig.sections.quantities import PA_PER_BAR
 from rig.tip_control.plan_follower import PlanFollower, SetPointSource
 from rig.tip_control.plan_record import StampedPlan
 from runs.records import SolveStatus, blank, sample_dtype

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from model.units import PA_PER_BAR
 from protocols import SetPointTrajectory
 from protocols.trajectory import StreamInterval
 from rig.config.schema import RigConfig
 from rig.control.interlocks.base import StreamSilence
-from rig.sections.quantities import PA_PER_BAR
 from runs.columns import StreamStatus
 
 Array = NDArray[np.float64]

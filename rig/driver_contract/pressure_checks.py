@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from model.units import PA_PER_BAR
 from rig.config.schema import RigConfig
 from rig.driver_contract.card_subject import CardSubject, needs_outputs, polled
 from rig.driver_contract.check import BrokenContractError, Check, NotApplicableError
 from rig.hardware.cards.base import Card
 from rig.hardware.vent_verification import VENTED_TOLERANCE_PA, VentVerification, real_time
-from rig.sections.quantities import PA_PER_BAR
 from rig.valves.base import RegulatorState, ValveSection
 
 TARGET = 0.5

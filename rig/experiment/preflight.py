@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from model.units import PA_PER_BAR
 from protocols import Problem, Protocol, Segment, SetPointTrajectory
 from rig.config.schema import RigConfig
-from rig.sections.quantities import PA_PER_BAR
 
 JUMP_PA = 500.0
 """Largest change between segments that is not a jump; half the accuracy of the paper's sensors."""

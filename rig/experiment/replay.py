@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from model.units import PA_PER_BAR
 from model.variants import VARIANTS
 from protocols.problems import bad_input
 from rig.config import loader
@@ -24,7 +25,6 @@ from rig.experiment.provenance import git_state, quantities, section_places, ver
 from rig.hardware.cameras.base import Frame, FrameSet
 from rig.observation.observer import Observer
 from rig.observation.tip_force import MeasuredTipForce
-from rig.sections.quantities import PA_PER_BAR
 from runs.archive.writer import ArchiveError, finalise
 from runs.data_folder import DATA, free_id
 from runs.journal.journal import SUFFIX, JournalWriter

@@ -15,10 +15,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from model.units import PA_PER_BAR
 from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench, open_bench
 from rig.hardware.cards.base import CardError
-from rig.sections.quantities import PA_PER_BAR
 
 UNCONFIRMED = "the safe state is NOT confirmed, shut the air off by hand"
 """Begin of the message where the pressures do not show that the chambers vent."""

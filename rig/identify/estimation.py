@@ -16,6 +16,7 @@ from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
 from calibration.identify.search import Progress as SearchProgress
 from calibration.identify.setup import Setup
+from model.units import PA_PER_BAR
 from protocols import BadInputError, Problem
 from rig.config.arm_model import model_arm
 from rig.config.loader import RigFile
@@ -24,7 +25,6 @@ from rig.config.schema import RigConfig
 from rig.config.sections import Placement
 from rig.identify.initial_setup import rig_of
 from rig.observation.online_estimation import default_parameters, section_priors
-from rig.sections.quantities import PA_PER_BAR
 from runs.run import Run
 
 # A narrower prior, relative to the parameter's span, makes the problem ill-conditioned.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calibration.gravity import GravityDirection
+from model.units import PA_PER_BAR
 from protocols.arguments import text_problems
 from protocols.problems import BadInputError, raise_all
 from protocols.source_positions import Document
@@ -30,7 +31,6 @@ from rig.importing.tables import read as read_table
 from rig.importing.timestamps import RowTimes, times
 from rig.importing.tracker_frames import PlacedTips, tips_in_base, wrench
 from rig.importing.units import KILOGRAMS, VOLTS
-from rig.sections.quantities import PA_PER_BAR
 from runs.archive.writer import finalise
 from runs.data_folder import DATA, free_id
 from runs.export.exporters import SIMULATED

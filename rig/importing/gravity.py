@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.gravity import GravityDirection, GravityUndeterminedError, gravity_direction
+from model.units import GRAVITY_M_S2
 from protocols import document
 from protocols.source_positions import Document
 from rig.calibrate.file_sections import origin
-from rig.config.arm_model import GRAVITY_M_S2
 from rig.config.calibration_files import SUFFIX, LoadedCalibration, parse, rounded, sha256_of, text_of
 from rig.config.calibration_schema import GravityFile, SourceFileSection
 from rig.config.loader import RigFile

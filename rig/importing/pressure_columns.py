@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from model.units import PA_PER_BAR
 from protocols.source_positions import Document
 from rig.importing.columns import ColumnReader
 from rig.importing.mapping import Mapping
 from rig.importing.pressure_delay import measured_delay
 from rig.importing.units import PASCALS, PressureUnit
-from rig.sections.quantities import PA_PER_BAR
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from runs.interpolation import interpolated
 

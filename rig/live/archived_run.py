@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import model
 from model.statics import statics
+from model.units import KG_PER_G, MM_PER_M, PA_PER_BAR
 from protocols import BadInputError
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.loader import recorded
@@ -35,14 +36,11 @@ from rig.live.view_state import (
 )
 from rig.observation.overlay import arm_lines
 from rig.realtime.picture_rings import LINE_POINTS
-from rig.sections.quantities import PA_PER_BAR
 from runs.records import DetectionStatus
 from runs.run import Run
 
 HISTORY_ROWS = 1500
 PACKET_S = 1 / 30
-MM_PER_M = 1e3
-KG_PER_G = 1e-3
 UNKNOWN_LENGTH_MM = 170.0
 """Length of the arm that the page draws where the archived rig cannot be read."""
 Floats = NDArray[np.float64]

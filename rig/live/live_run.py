@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from model.units import MM_PER_M
 from rig.live.client_session import ClientSession
 from rig.live.messages import Message
 from rig.live.packets import (
-    MM,
     History,
     RunningMean,
     ViewOverlay,
@@ -156,14 +156,14 @@ class LiveRun:
             self.missed += int(rows["missed"].sum())
 
     def _take_observation(self, row: NDArray[np.void]) -> None:
-        error = MM * float(np.linalg.norm(row["measured_m"] - row["model_m"]))
+        error = MM_PER_M * float(np.linalg.norm(row["measured_m"] - row["model_m"]))
         mean = self._mean.add(error)
         self.dropped += int(row["dropped"])
         self.observations[int(row["frame"])] = row, mean
         if len(self.observations) > 16:
             del self.observations[next(iter(self.observations))]
-        std_mm = MM * np.sqrt(np.diagonal(row["covariance_m2"]))
-        measured, model = MM * row["measured_m"], MM * row["model_m"]
+        std_mm = MM_PER_M * np.sqrt(np.diagonal(row["covariance_m2"]))
+        measured, model = MM_PER_M * row["measured_m"], MM_PER_M * row["model_m"]
         self.track.add(track_row(self.seconds(int(row["t_ns"])), measured, std_mm, model, error, mean))
 
 
@@ -201,7 +201,7 @@ class LiveRunViewer:
         if number > self._shown and source.view is not None:
             view = source.view[0]
             update.overlay = ViewOverlay(
-                view["corners_px"][: int(view["found"])], view["tip_px"], view["model_px"], MM * view["lines_m"]
+                view["corners_px"][: int(view["found"])], view["tip_px"], view["model_px"], MM_PER_M * view["lines_m"]
             )
             update.picture = source.picture()
         self._shown, self._frame, self._sent = number, frame, time.monotonic()
@@ -261,7 +261,9 @@ class LiveRunViewer:
 
     def _sections(self) -> tuple[SectionView, ...]:
         row, _ = self._observation()
-        return sections(self._source.session.plan.config.sections, MM * row["section_m"], MM * row["section_model_m"])
+        return sections(
+            self._source.session.plan.config.sections, MM_PER_M * row["section_m"], MM_PER_M * row["section_model_m"]
+        )
 
     def _tip(self) -> TipView:
         row, mean = self._observation()
@@ -269,7 +271,7 @@ class LiveRunViewer:
             frame=int(row["frame"]),
             seen=DetectionStatus(int(row["seen"])).words,
             model_ok=bool(row["model_ok"]),
-            error_mm=MM * float(np.linalg.norm(row["measured_m"] - row["model_m"])),
+            error_mm=MM_PER_M * float(np.linalg.norm(row["measured_m"] - row["model_m"])),
             mean_error_mm=mean,
             reprojection_px=float(row["reprojection_px"]),
             age_ms=(time.monotonic_ns() - int(row["t_ns"])) * 1e-6,

@@ -11,11 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from model.units import PA_PER_BAR
 from rig.live.view_state import ViewState
-from rig.sections.quantities import PA_PER_BAR
 
 Floats = NDArray[np.float64]
-MM = 1e3
 HISTORY_ROWS = 4000
 JPEG_QUALITY = 80
 LATENESS_WINDOW_S = 1.0

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.sections.quantities import PA_PER_BAR
+from model.units import PA_PER_BAR
 from runs.records import AuxiliaryChannel, Quantity
 
 Floats = NDArray[np.float64]

@@ -15,11 +15,11 @@ from calibration.identify.recursive_estimator import RecursiveEstimator, Section
 from calibration.identify.section_mounts import offset_names, rotation_names
 from calibration.identify.setup import Setup
 from model.statics import statics
+from model.units import PA_PER_BAR
 from model.variants import variant_named
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
-from rig.sections.quantities import PA_PER_BAR
 from runs.records import DetectionStatus, Quantity, adaptation_dtype, blank
 
 

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from model.units import PA_PER_BAR
 from protocols.trajectory import StreamInterval
 from rig.control.stream_follower import StreamLimits, StreamPosition, stream_status
 from rig.execution.plan import RunPlan
 from rig.realtime.shared_state import SharedState
-from rig.sections.quantities import PA_PER_BAR
 from runs.columns import StreamStatus
 from runs.records import DetectionStatus, Level, blank, streamed_dtype
 

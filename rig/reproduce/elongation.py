@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 import model
 from calibration.identify.data import at_rest
 from calibration.identify.paper_identification import (
-    GRAVITY_M_S2,
     PUBLISHED_MODULUS_PA,
     Elongation,
     PaperIdentification,
@@ -21,11 +20,11 @@ from calibration.identify.paper_identification import (
     published_modulus,
 )
 from model.tube import BallooningError, Tube
+from model.units import GRAVITY_M_S2, PA_PER_BAR
 from rig.config.arm_model import model_geometry
 from rig.config.loader import recorded
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
-from rig.sections.quantities import PA_PER_BAR
 from runs.report.colours import INK, MEASURED, MODEL, MUTED
 from runs.report.drawing import legend
 from runs.run import Run

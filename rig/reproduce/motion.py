@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from model.paper.rod import PaperRod
+from model.units import PA_PER_BAR
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
 from rig.reproduce import verdicts
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
 from rig.reproduce.table4 import SCHEMES, Space
-from rig.sections.quantities import PA_PER_BAR
 from runs.records import DetectionStatus
 from runs.report.colours import MEASURED, MODEL
 from runs.report.drawing import decimated, decimated_indices, legend

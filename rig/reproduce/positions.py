@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from calibration.identify.data import at_rest
 from model.statics import statics
+from model.units import PA_PER_BAR
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
 from rig.reproduce import verdicts
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
-from rig.sections.quantities import PA_PER_BAR
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED
 from runs.report.drawing import legend
 from runs.run import Run

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from model import Arm
 from model.dynamics import Dynamics
 from model.paper.rod import PaperRod
+from model.units import PA_PER_BAR
 from rig.reproduce.comparison import PaperComparison, PaperFigure
-from rig.sections.quantities import PA_PER_BAR
 
 Array = NDArray[np.float64]
 Space = Literal["euler", "rk4"]

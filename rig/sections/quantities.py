@@ -10,8 +10,6 @@ from pydantic import AfterValidator, Field, JsonValue
 
 from protocols.validation import ValidationFault, faults
 
-PA_PER_BAR = 1e5
-
 
 def _rising(span: tuple[float, float]) -> tuple[float, float]:
     if span[0] >= span[1]:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from model.units import G_PER_KG, PA_PER_BAR
 from rig.config.input_sections import SimulatedInput
 from rig.config.schema import RigConfig
-from rig.sections.quantities import PA_PER_BAR
 
-G_PER_KG = 1e3
 SEED_STREAM = 7
 """Keeps the noise of these inputs apart from that of the pressure sensors, which have the same seed."""
 

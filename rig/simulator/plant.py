@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from model import NotConverged
 from model.dynamics import Dynamics
 from model.shape import Shape
+from model.units import PA_PER_BAR
 from rig.config.arm_model import TipLoad, true_arm, true_geometry
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError, Scans
-from rig.sections.quantities import PA_PER_BAR
 from rig.simulator import pneumatics
 from rig.simulator.auxiliary_inputs import SimulatedInputs
 from rig.simulator.converter import quantised_output_v

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.kernels.jit import kernel
+from model.units import PA_PER_BAR
 from rig.config.schema import RigConfig
 from rig.config.simulator_sections import Simulator
-from rig.sections.quantities import PA_PER_BAR
 from rig.valves import iso6358
 from rig.valves.base import SimulatedValve
 from rig.valves.iso6358 import ANR_K, ANR_PA, ATMOSPHERE_PA

@@ -13,8 +13,8 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
-from model.inverse.drive import PA_PER_BAR
 from model.inverse.static_map import StaticMap
+from model.units import PA_PER_BAR
 from rig.tip_control.estimation.estimator import TipEstimator
 from rig.tip_control.estimation.measurement_map import tip_map_of
 from rig.tip_control.estimation.state import EstimatorState

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from model.units import PA_PER_BAR
 from protocols.tip_inverse import HISTORY_STEP_S, TipInverse, TipRequest, TipSolution
 from protocols.tip_paths import fade
-from rig.sections.quantities import PA_PER_BAR
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.learning import STEP_S, DisturbanceLearner, PathPeriod, Repetition
 from runs.interpolation import interpolated

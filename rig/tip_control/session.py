@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from model.units import PA_PER_BAR
 from protocols.tip_reference import TipMotion
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from rig.execution.plan import RunPlan
-from rig.sections.quantities import PA_PER_BAR
 from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory, TipControlSettings
 from rig.tip_control.plan_record import StampedPlan
 from rig.tip_control.registry import controller_class

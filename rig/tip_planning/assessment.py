@@ -12,12 +12,12 @@ from calibration.identify.parameter import Parameter
 from calibration.identify.parameters import groups, known
 from calibration.identify.setup import Setup
 from model import batch, sensitivities
+from model.units import PA_PER_BAR
 from model.variation import GRADIENT_STEP_PA, Variation
 from protocols import SetPointTrajectory, TipMotion
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
-from rig.sections.quantities import PA_PER_BAR
 from rig.tip_planning.path_follower import drive_of
 
 Array = NDArray[np.float64]

@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.inverse.reachable import ReachablePoint, nearest_reachable
+from model.units import MM_PER_M, PA_PER_BAR
 from protocols.tip_inverse import TipRefusedError, TipRequest
 from protocols.tip_paths import TipPath, length_m
-from rig.sections.quantities import PA_PER_BAR
 from rig.tip_planning.path_follower import NO_SOLUTION, PathFollower, PathSolution, TruncatedPath
 
 Array = NDArray[np.float64]
 
-MM = 1e3
 SMALLEST = 0.1
 """Smallest share of speed and size that is tried."""
 FIRST = 0.8
@@ -55,14 +54,14 @@ def infeasible_path_error(follower: PathFollower, request: TipRequest, found: Pa
     target = found.target_m[first]
     at_s = request.begin_s + request.lead_in_s + t_s
     where = "in the lead-in" if t_s < 0 else f"{t_s:.2f} s into the path"
-    off = MM * float(found.error_m[first])
+    off = MM_PER_M * float(found.error_m[first])
     text = f"{_point(target, request.coordinates)} at {at_s:.2f} s ({where}); the model's tip is {off:.2f} mm off"
     cause = _out_of_reach(follower, nearest) if out_of_reach else _too_fast(follower, found, first)
     worst_m = float(found.error_m.max())
-    expected = f"a path that the arm follows within {MM * request.tolerance_m:g} mm; {cause}; "
+    expected = f"a path that the arm follows within {MM_PER_M * request.tolerance_m:g} mm; {cause}; "
     if out_of_reach:
         place = _point(nearest.tip_m, request.coordinates)
-        expected += f"the nearest reachable point is {place}, {MM * nearest.distance_m:.2f} mm away"
+        expected += f"the nearest reachable point is {place}, {MM_PER_M * nearest.distance_m:.2f} mm away"
     else:
         expected += "at rest the arm reaches the point"
         if farther := _farther_on(follower, request, found):
@@ -80,7 +79,7 @@ def _farther_on(follower: PathFollower, request: TipRequest, found: PathSolution
         return ""
     at_s = request.begin_s + request.lead_in_s + float(found.times_s[worst])
     point, place = (_point(tip_m, request.coordinates) for tip_m in (target, nearest.tip_m))
-    return f"but not {point} at {at_s:.2f} s: there the nearest is {place}, {MM * nearest.distance_m:.2f} mm away"
+    return f"but not {point} at {at_s:.2f} s: there the nearest is {place}, {MM_PER_M * nearest.distance_m:.2f} mm away"
 
 
 def _nearest(follower: PathFollower, request: TipRequest, target_m: Array) -> ReachablePoint:
@@ -227,5 +226,5 @@ def _valve(follower: PathFollower, valve: int, where: str) -> str:
 
 
 def _point(point_m: Array, coordinates: tuple[int, ...]) -> str:
-    numbers = ", ".join(f"{'xyz'[axis]} {round(MM * point_m[axis], 2) + 0.0:.2f}" for axis in coordinates)
+    numbers = ", ".join(f"{'xyz'[axis]} {round(MM_PER_M * point_m[axis], 2) + 0.0:.2f}" for axis in coordinates)
     return f"({numbers}) mm"

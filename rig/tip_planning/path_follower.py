@@ -14,12 +14,12 @@ from model import sensitivities
 from model.inverse.drive import Drive
 from model.inverse.path import PathFollowing, PathInverse
 from model.inverse.static_map import MOST_VALVES, StaticMap
+from model.units import PA_PER_BAR
 from protocols.tip_inverse import HISTORY_S, HISTORY_STEP_S, TipRequest
 from protocols.tip_paths import ScaledPath, TipPath, TipStart, fade
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
-from rig.sections.quantities import PA_PER_BAR
 from runs.interpolation import interpolated
 
 Array = NDArray[np.float64]

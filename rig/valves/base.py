@@ -15,10 +15,11 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
+from model.units import PA_PER_BAR
 from protocols.validation import ValidationFault
 from rig.sections.base import Section
 from rig.sections.control import Control, Limits
-from rig.sections.quantities import PA_PER_BAR, ActuatorNumber, Index, NonNegative, VoltSpan, Word
+from rig.sections.quantities import ActuatorNumber, Index, NonNegative, VoltSpan, Word
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from rig.valves.metering import FlowMetering, MeasuredFlow
 

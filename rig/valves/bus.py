@@ -6,9 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from model.units import PA_PER_BAR
 from protocols.validation import ValidationFault
 from rig.sections.control import Control, Limits
-from rig.sections.quantities import PA_PER_BAR, BarSpan
+from rig.sections.quantities import BarSpan
 from rig.valves.base import SimulatedValve, ValidationFaults, ValveTruth
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from rig.valves.regulating import PressureRegulator, RegulatingValve, range_faults

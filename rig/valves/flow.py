@@ -16,9 +16,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from model.units import PA_PER_BAR
 from protocols.validation import ValidationFault
 from rig.sections.control import Control, Limits
-from rig.sections.quantities import PA_PER_BAR, Bar, NonNegative, Positive, Volt
+from rig.sections.quantities import Bar, NonNegative, Positive, Volt
 from rig.valves.base import Regulator, RegulatorState, SimulatedValve, ValidationFaults, ValveTruth, VoltageValve
 from rig.valves.iso6358 import ANR_PA, ATMOSPHERE_PA, flow_function, sonic_conductance
 from rig.valves.metering import FlowMetering, MeasuredFlow, flow_curve_faults

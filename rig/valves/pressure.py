@@ -6,9 +6,10 @@ from __future__ import annotations
 
 from typing import Literal
 
+from model.units import PA_PER_BAR
 from protocols.validation import ValidationFault
 from rig.sections.control import Control, Limits
-from rig.sections.quantities import PA_PER_BAR, BarSpan, VoltSpan
+from rig.sections.quantities import BarSpan, VoltSpan
 from rig.valves.base import SimulatedValve, ValidationFaults, ValveTruth, VoltageValve
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from rig.valves.regulating import PressureRegulator, RegulatingValve, range_faults

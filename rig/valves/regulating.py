@@ -9,9 +9,10 @@ from typing import Annotated
 from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
+from model.units import PA_PER_BAR
 from protocols.validation import ValidationFault
 from rig.sections.control import Limits
-from rig.sections.quantities import PA_PER_BAR, Bar
+from rig.sections.quantities import Bar
 from rig.valves.base import Regulator, RegulatorState, ValidationFaults, ValveSection, ValveTruth
 from rig.valves.iso6358 import ATMOSPHERE_PA
 

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.statics import statics
+from model.units import PA_PER_BAR
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
 from rig.hardware.cameras.base import FrameSet
 from rig.hardware.cards.base import CardSetup, Channel
 from rig.hardware.cards.comedi import ComediCard
 from rig.observation.observer import Observer
-from rig.sections.quantities import PA_PER_BAR
 from rig.simulator.mock_camera import MockCamera
 from rig.simulator.tip_pose import TipPose
 from runs.records import DetectionStatus

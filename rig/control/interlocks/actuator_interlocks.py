@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Self
 
+from model.units import PA_PER_BAR
 from rig.config.schema import RigConfig
 from rig.config.sections import Sensor
 from rig.control.interlocks.base import ActuatorInterlock, Trip
 from rig.control.sensor_state import RegulatorDemand, SensorState
-from rig.sections.quantities import PA_PER_BAR
 
 FROZEN_FACTOR = 2.0
 """A constant reading counts as frozen once the valve should have moved it by this multiple of the accuracy."""

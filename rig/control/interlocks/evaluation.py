@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from model.units import PA_PER_BAR
 from rig.config.schema import RigConfig
 from rig.control import sensor_state
 from rig.control.interlocks.actuator_interlocks import (
@@ -21,7 +22,6 @@ from rig.control.interlocks.actuator_interlocks import (
 from rig.control.interlocks.base import ActuatorInterlock, Sample, SampleInterlock, Trip
 from rig.control.interlocks.sample_interlocks import BrokenSensors, EmergencyStops, SilentStream, StaleSamples
 from rig.control.sensor_state import RegulatorDemand, SensorSettings, SensorState
-from rig.sections.quantities import PA_PER_BAR
 
 SAMPLE_INTERLOCKS: tuple[type[SampleInterlock], ...] = (EmergencyStops, StaleSamples, SilentStream, BrokenSensors)
 ACTUATOR_INTERLOCKS: tuple[type[ActuatorInterlock], ...] = (

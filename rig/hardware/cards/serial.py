@@ -10,6 +10,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from model.units import PA_PER_BAR
 from rig.config.card_sections import SerialCardConfig
 from rig.hardware.cards.base import CardError, CardSetup, Scans
 from rig.hardware.cards.scan_clock import ScanClock
@@ -25,7 +26,6 @@ from rig.hardware.cards.serial_protocol import (
     drive,
     encoded,
 )
-from rig.sections.quantities import PA_PER_BAR
 
 HELLO_S = 3.0
 """Time to answer after opening: opening a port resets some boards, whose boot loader then waits."""

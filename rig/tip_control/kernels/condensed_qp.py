@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from model.units import MM_PER_M, PA_PER_BAR
 from rig.tip_control.kernels.arguments import (
     FilteredState,
     ModalStep,
@@ -21,9 +22,6 @@ from rig.tip_control.kernels.compilation import Array, compiled
 from rig.tip_control.kernels.interpolation import interpolate, interval_at
 from rig.tip_control.kernels.prediction import shoot
 from rig.tip_control.move_blocking import MoveBlocking
-
-_PA_PER_BAR = 1e5
-_MM_PER_M = 1e3
 
 
 @compiled
@@ -58,10 +56,10 @@ def gauss_newton_program(
     tips, sensitivities = prediction.tips_m, prediction.sensitivities
     free = (knots - 1) * valves
     hessian, gradient, row, wanted = blocking.rate_hessian.copy(), np.zeros(free), np.empty(free), np.empty(3)
-    before = deviation[1:].copy().reshape(free) / _PA_PER_BAR
+    before = deviation[1:].copy().reshape(free) / PA_PER_BAR
     for k in range(free):
         for valve in range(valves):
-            gradient[k] += blocking.rate_gradient[k, valve] * deviation[0, valve] / _PA_PER_BAR
+            gradient[k] += blocking.rate_gradient[k, valve] * deviation[0, valve] / PA_PER_BAR
     for k in range(1, frames):
         interpolate(frames_s[k], reference.times_s, reference.position_m, wanted)
         left, share = interval_at(frames_s[k], grid_s)
@@ -69,10 +67,10 @@ def gauss_newton_program(
             if not np.isfinite(wanted[axis]):
                 continue
             tip = (1 - share) * tips[left, axis] + share * tips[left + 1, axis]
-            gap = _MM_PER_M * (wanted[axis] - tip)
+            gap = MM_PER_M * (wanted[axis] - tip)
             for j in range(free):
                 slope = (1 - share) * sensitivities[left, axis, j] + share * sensitivities[left + 1, axis, j]
-                row[j] = _MM_PER_M * _PA_PER_BAR * slope
+                row[j] = MM_PER_M * PA_PER_BAR * slope
             for j in range(free):
                 gap += row[j] * before[j]
             for i in range(free):
@@ -86,9 +84,9 @@ def gauss_newton_program(
             level = feed[k, valve] + blocking.first_weights[k] * deviation[0, valve]
             rise = level - feed[k - 1, valve] - blocking.first_weights[k - 1] * deviation[0, valve]
             place = (k - 1) * valves + valve
-            lowest[place], highest[place] = -level / _PA_PER_BAR, (tip_map.limit_pa - level) / _PA_PER_BAR
-            lowest[half + place] = (-change_pa - rise) / _PA_PER_BAR
-            highest[half + place] = (change_pa - rise) / _PA_PER_BAR
+            lowest[place], highest[place] = -level / PA_PER_BAR, (tip_map.limit_pa - level) / PA_PER_BAR
+            lowest[half + place] = (-change_pa - rise) / PA_PER_BAR
+            highest[half + place] = (change_pa - rise) / PA_PER_BAR
     return QuadraticProgram(hessian, gradient, lowest, highest, deviation, prediction)
 
 
@@ -106,7 +104,7 @@ def plan_of(
     for knot in range(1, knots):
         for valve in range(valves):
             place = (knot - 1) * valves + valve
-            deviation[knot, valve] = solution_bar[place] * _PA_PER_BAR
+            deviation[knot, valve] = solution_bar[place] * PA_PER_BAR
             change[place] = deviation[knot, valve] - deviation_pa[knot, valve]
     moved = prediction.tips_m.copy()
     for k in range(moved.shape[0]):

@@ -13,8 +13,9 @@ import runs
 from calibration.identify.data import at_rest, in_motion
 from calibration.identify.errors import NoDataError
 from model.statics import statics
+from model.units import GRAVITY_M_S2
 from protocols import BadInputError
-from rig.config.arm_model import GRAVITY_M_S2, TipLoad, model_arm
+from rig.config.arm_model import TipLoad, model_arm
 from rig.config.loader import load, read, text
 from rig.experiment.replay import replay
 from rig.hardware.cameras.base import FrameSet
