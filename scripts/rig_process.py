@@ -119,7 +119,7 @@ class RigProcess:
     def valve_v(self) -> np.ndarray:  # type: ignore[type-arg]
         """Voltages of the card's outputs, read from outside the run."""
         registers = Registers.attach(self.device)
-        volts = registers.outputs["volts"].copy()
+        volts = registers.outputs["value"].copy()
         registers.close()
         return volts
 

@@ -54,7 +54,7 @@ class BenchDriver:
         self._config, self._bench, self._clock, self._check = config, bench, clock, check
         self._prepared = control.prepare(config)
         self._period_s = self._prepared.period_s
-        self._volts = np.full(config.actuators, np.nan)
+        self._signals = np.full(config.actuators, np.nan)
         self._pressure_pa = np.full(config.actuators, np.nan)
         self._scan_t_ns = 0
         self._stops_closed = (True,) * len(config.emergency_stops)
@@ -72,7 +72,7 @@ class BenchDriver:
         for now in self._period(seconds, until):
             rows.take(*self._listen())
             state, command = control.step(self._prepared, state, self._sample(now), setpoint_pa, still)
-            self._bench.write(command.valve_v)
+            self._bench.write(command.outputs)
             if command.trip is not None:
                 raise TrippedError(command.trip)
         return rows.log()
@@ -81,7 +81,7 @@ class BenchDriver:
         """Open one flow-metering valve to an offset from its closed voltage, for `seconds` or until the pressure
         changes by `band_pa`; the other valves are in their safe state.
         """
-        command_v = np.array(self._prepared.safe_v)
+        command_v = np.array(self._prepared.safe_output)
         settings = self._prepared.valves[valve]
         command_v[valve] = settings.opening_v(offset_v)
         chambers = list(settings.actuators)
@@ -125,11 +125,11 @@ class BenchDriver:
         self._stops_closed = scans.stops_closed
         if len(scans.t_ns):
             self._scan_t_ns = int(scans.t_ns[-1])
-            self._pressure_pa, self._volts = scans.pressure_pa.mean(axis=0), scans.volts[-1]
-        return scans.t_ns, scans.pressure_pa, scans.volts
+            self._pressure_pa, self._signals = scans.pressure_pa.mean(axis=0), scans.signals[-1]
+        return scans.t_ns, scans.pressure_pa, scans.signals
 
     def _sample(self, now: int) -> Sample:
-        return Sample(now, self._scan_t_ns, self._volts, self._pressure_pa, stops_closed=self._stops_closed)
+        return Sample(now, self._scan_t_ns, self._signals, self._pressure_pa, stops_closed=self._stops_closed)
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from rig.config.schema import RigConfig
 from rig.execution.plan import RunPlan
 from rig.experiment.preflight import peak_pa, trough_pa
 from rig.experiment.run import RunRequest, RunResult
-from rig.hardware.safe_state import safe_voltages
+from rig.hardware.safe_state import safe_outputs
 from rig.realtime.scheduling import obtainable
 from rig.realtime.timing_limits import has_real_valves, remedies, timing_sentence
 from runs.printable_text import printable
@@ -77,7 +77,7 @@ def check_screen(request: RunRequest, plan: RunPlan) -> Group:
         # On a narrow terminal words may wrap; a number must not.
         number = "bar" in head
         table.add_column(head, justify="right" if number else "left", overflow="fold", min_width=5 if number else None)
-    for i, (valve, safe) in enumerate(zip(config.valves, safe_voltages(config), strict=True), 1):
+    for i, (valve, safe) in enumerate(zip(config.valves, safe_outputs(config), strict=True), 1):
         actuators = ", ".join(str(a) for a in valve.actuators)
         highest = max(peak[a - 1] for a in valve.actuators)
         where = f"{valve.card} AO {valve.channel}"

@@ -176,7 +176,7 @@ def _actuators(arm: ArmConfig, valves: Valves, sensors: Sensors) -> Iterator[Val
 
 def _valves(valves: Valves) -> Iterator[ValidationFault]:
     for index, valve in _numbered(valves):
-        if valve.safe_state == "hold" and valve.closed_v is None:
+        if valve.safe_state == "hold" and valve.closed_output is None:
             reason = f"vent: a valve of type {valve.type} has no closed position that holds the pressure"
             yield ValidationFault(("valves", index, "safe_state"), reason)
         yield from _below(("valves", index), valve.faults())

@@ -33,7 +33,7 @@ class ValveOutputs(Protocol):
     def read(self) -> BenchScans:
         """Scans since the last call."""
 
-    def write(self, valve_v: NDArray[np.float64]) -> None:
+    def write(self, outputs: NDArray[np.float64]) -> None:
         """Set every valve [V]."""
 
 
@@ -80,7 +80,7 @@ class ControlLoop:
         self._scan_t_ns = 0
         self._excuse_ns = self._excused_until_ns = 0
         self._pressure_pa: NDArray[np.float64] = np.full(config.actuators, np.nan)
-        self._volts: NDArray[np.float64] = np.full(config.actuators, np.nan)
+        self._signals: NDArray[np.float64] = np.full(config.actuators, np.nan)
 
     @property
     def finished(self) -> bool:
@@ -151,7 +151,7 @@ class ControlLoop:
                 pressure_pa = pressure_pa[scans.t_ns > self._scan_t_ns - self.period_ns]
             # The result of NumPy's mean in half the time.
             self._pressure_pa = np.add.reduce(pressure_pa) / len(pressure_pa)
-            self._volts = scans.volts[-1]
+            self._signals = scans.signals[-1]
         return len(scans.t_ns)
 
     def cycle(
@@ -177,7 +177,7 @@ class ControlLoop:
         sample = control.Sample(
             t_ns=now_ns,
             scan_t_ns=self._scan_t_ns,
-            volts=self._volts,
+            signals=self._signals,
             pressure_pa=self._pressure_pa,
             stalled_ns=self._stalled_ns(now_ns, lateness_ns + missed * self.period_ns),
             time_stopped=self._time_may_stop,
@@ -185,14 +185,14 @@ class ControlLoop:
             stream=None if self._stream is None else self._stream.silence,
         )
         self._state, command = control.step(self._prepared, self._state, sample, setpoint_pa, rate_pa_s)
-        self._bench.write(command.valve_v)
+        self._bench.write(command.outputs)
         row = self._row
         row["t_ns"] = self._scan_t_ns
         row["cycle"] = number
         row["protocol_s"] = protocol_s
         row["setpoint_pa"] = setpoint_pa
         row["measured_pa"] = self._pressure_pa
-        row["valve_v"] = np.where(self._has_voltage, command.valve_v, np.nan)
+        row["valve_v"] = np.where(self._has_voltage, command.outputs, np.nan)
         if self._auxiliary is not None:
             row["aux"] = self._auxiliary.value
         row["scans"] = taken

@@ -24,7 +24,7 @@ class SensorSettings:
     One count of 16 bits, the accuracy, the largest tracking error, and the lowest pressure that its valve can reach.
     """
 
-    lsb_v: float
+    resolution: float
     accuracy_pa: float
     tracking_pa: float
     lowest_pa: float = 0.0
@@ -40,7 +40,7 @@ class SensorState(NamedTuple):
 
     pressure_pa: float = math.nan
     rate_pa_s: float = 0.0
-    changed_v: float = math.nan
+    changed_signal: float = math.nan
     unchanged_s: float = 0.0
     changed_integral_pa_s: float = 0.0
     expected_change_pa: float = 0.0
@@ -61,18 +61,18 @@ class RegulatorDemand(NamedTuple):
     integral_pa_s: float
 
 
-def lsb_v(sensor: Sensor) -> float:
+def resolution(sensor: Sensor) -> float:
     """One count of the 16-bit input of a sensor, in the unit of the input."""
     return (sensor.signal_range[1] - sensor.signal_range[0]) / SIXTEEN_BITS
 
 
-def started(state: SensorState, volts: float, pressure_pa: float, demand: RegulatorDemand) -> SensorState:
+def started(state: SensorState, signal: float, pressure_pa: float, demand: RegulatorDemand) -> SensorState:
     """The state; the initial one at the first scan."""
     if not math.isnan(state.pressure_pa):
         return state
     return SensorState(
         pressure_pa=pressure_pa,
-        changed_v=volts,
+        changed_signal=signal,
         moved_pa=pressure_pa,
         moved_reference_pa=demand.reference_pa,
         setpoint_pa=demand.setpoint_pa,
@@ -83,7 +83,7 @@ def updated(
     settings: SensorSettings,
     state: SensorState,
     dt: float,
-    volts: float,
+    signal: float,
     pressure: float,
     demand: RegulatorDemand,
     counted: float,
@@ -91,10 +91,10 @@ def updated(
     """The state after a scan `dt` after the last one; `counted` is the part of `dt` that counts for the timers."""
     slope = (pressure - state.pressure_pa) / dt
     rate = state.rate_pa_s + (slope - state.rate_pa_s) * dt / (RATE_FILTER_S + dt)
-    if abs(volts - state.changed_v) >= settings.lsb_v:
-        changed, unchanged, expected, integral = volts, 0.0, 0.0, demand.integral_pa_s
+    if abs(signal - state.changed_signal) >= settings.resolution:
+        changed, unchanged, expected, integral = signal, 0.0, 0.0, demand.integral_pa_s
     else:
-        changed, unchanged, integral = state.changed_v, state.unchanged_s + counted, state.changed_integral_pa_s
+        changed, unchanged, integral = state.changed_signal, state.unchanged_s + counted, state.changed_integral_pa_s
         # No valve position can empty a chamber below the lowest pressure.
         expected = max(
             state.expected_change_pa + (demand.rate_pa_s - integral) * counted, -max(pressure - settings.lowest_pa, 0.0)

@@ -30,10 +30,10 @@ class ControlSettings:
     """The settings of a rig in SI."""
 
     period_s: float
-    safe_v: tuple[float, ...]
-    vent_v: tuple[float, ...]
-    closed_v: tuple[float | None, ...]
-    """The voltage that closes each valve; None for a valve that keeps its voltage without a sample."""
+    safe_output: tuple[float, ...]
+    vent_output: tuple[float, ...]
+    closed_output: tuple[float | None, ...]
+    """The output that closes each valve; None for a valve that keeps its output without a sample."""
     valves: tuple[Regulator, ...]
     valve_of: tuple[int, ...]
     """Index of the valve of each actuator."""
@@ -59,9 +59,9 @@ class ControlState(NamedTuple):
 
 
 class ControlOutput(NamedTuple):
-    """Valve voltages (V,) to write now, and the trip if they are the safe voltages."""
+    """Valve outputs (V,), each in its unit, to write now, and the trip if they are the safe ones."""
 
-    valve_v: NDArray[np.float64]
+    outputs: NDArray[np.float64]
     trip: Trip | None
 
 
@@ -70,9 +70,9 @@ def prepare(config: RigConfig) -> ControlSettings:
     valve_of = {a: v for v, valve in enumerate(config.valves) for a in valve.actuators}
     return ControlSettings(
         period_s=1.0 / config.control.rate_hz,
-        safe_v=tuple(valve.safe_v() for valve in config.valves),
-        vent_v=tuple(valve.safe_v(vent=True) for valve in config.valves),
-        closed_v=tuple(valve.closed_v for valve in config.valves),
+        safe_output=tuple(valve.safe_output() for valve in config.valves),
+        vent_output=tuple(valve.safe_output(vent=True) for valve in config.valves),
+        closed_output=tuple(valve.closed_output for valve in config.valves),
         valves=tuple(valve.regulator(config.limits, config.control) for valve in config.valves),
         valve_of=tuple(valve_of[a + 1] for a in range(config.actuators)),
         limits=evaluation.settings(config),
@@ -92,23 +92,23 @@ def step(
     setpoint_pa: NDArray[np.float64],
     rate_pa_s: NDArray[np.float64],
 ) -> tuple[ControlState, ControlOutput]:
-    """Return the valve voltages for a sample, the set-points (N,) [Pa] and their rates of change (N,) [Pa/s].
+    """Return the valve outputs for a sample, the set-points (N,) [Pa] and their rates of change (N,) [Pa/s].
 
-    Without a new scan the valves keep their voltages for three periods; then flow-metering valves are closed, and
+    Without a new scan the valves keep their outputs for three periods; then flow-metering valves are closed, and
     finally the samples count as stale. After a stall of this program each reference restarts at the measured pressure
     and returns to the set-point within the rate limit.
     """
     if state.trip is None:
         state = _step(settings, state, sample, setpoint_pa.tolist(), rate_pa_s.tolist())
     if state.trip is not None:
-        ending_v = settings.vent_v if state.trip.vent else settings.safe_v
-        return state, ControlOutput(np.array(ending_v), state.trip)
+        ending = settings.vent_output if state.trip.vent else settings.safe_output
+        return state, ControlOutput(np.array(ending), state.trip)
     unmeasured = sample.t_ns - sample.scan_t_ns > UNMEASURED_PERIODS * settings.period_s * 1e9
-    voltages = []
-    for valve, safe, closed in zip(state.valves, settings.safe_v, settings.closed_v, strict=True):
-        voltage = safe if math.isnan(valve.valve_v) else valve.valve_v
-        voltages.append(closed if unmeasured and closed is not None else voltage)
-    return state, ControlOutput(np.array(voltages), None)
+    outputs = []
+    for valve, safe, closed in zip(state.valves, settings.safe_output, settings.closed_output, strict=True):
+        output = safe if math.isnan(valve.output) else valve.output
+        outputs.append(closed if unmeasured and closed is not None else output)
+    return state, ControlOutput(np.array(outputs), None)
 
 
 def _step(

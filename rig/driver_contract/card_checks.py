@@ -9,7 +9,7 @@ from contextlib import closing, suppress
 import numpy as np
 
 from rig.config.card_sections import CARD_DRIVERS
-from rig.driver_contract.card_subject import CardSubject, Volts, needs_outputs, polled, settled_readback
+from rig.driver_contract.card_subject import CardSubject, Values, needs_outputs, polled, settled_readback
 from rig.driver_contract.check import BrokenContractError, Check, NotApplicableError
 from rig.driver_contract.device_time import timed
 from rig.driver_contract.other_process import holding, in_second_process
@@ -33,17 +33,17 @@ def opening(subject: CardSubject) -> str:
     """Opening and closing touch no output."""
     needs_outputs(subject)
     with closing(subject.open()) as card:
-        card.write(subject.volts(0.5))
-        before = settled_readback(card, subject.volts(0.5), subject)
+        card.write(subject.outputs(0.5))
+        before = settled_readback(card, subject.outputs(0.5), subject)
     began = time.monotonic()
     with closing(subject.open(inputs=False)) as card:
         took_s = time.monotonic() - began
         after = card.readback()
     if np.all(np.isnan(before)) or np.all(np.isnan(after)):
         raise NotApplicableError(f"the card has no read-back before a write; opened in {took_s * 1e3:.1f} ms")
-    safe = subject.safe_v
-    kept = np.abs(after - before) <= subject.tolerance_v
-    if not np.all(kept | (np.abs(after - safe) <= subject.tolerance_v)):
+    safe = subject.safe_output
+    kept = np.abs(after - before) <= subject.output_tolerance
+    if not np.all(kept | (np.abs(after - safe) <= subject.output_tolerance)):
         raise BrokenContractError(
             f"outputs at {subject.stated(before)} stand at {subject.stated(after)} after the card was opened again"
         )
@@ -57,14 +57,14 @@ def read_back(subject: CardSubject) -> str:
     with closing(subject.open()) as card:
         card.start()
         for fraction in FRACTIONS:
-            written = subject.volts(fraction)
+            written = subject.outputs(fraction)
             began = time.monotonic()
             card.write(written)
             found = settled_readback(card, written, subject)
             slowest_s = max(slowest_s, time.monotonic() - began)
             if np.all(np.isnan(found)):
                 raise NotApplicableError("the card has no read-back: an output that does not obey is not detected")
-            if not np.all(np.abs(found - written) <= subject.tolerance_v):
+            if not np.all(np.abs(found - written) <= subject.output_tolerance):
                 raise BrokenContractError(
                     f"{subject.stated(written)} were written and {subject.stated(found)} read back"
                 )
@@ -75,15 +75,15 @@ def bad_values(subject: CardSubject) -> str:
     """NaN is refused, and a value outside the range is clipped."""
     needs_outputs(subject)
     with closing(subject.open()) as card:
-        written = subject.volts(0.5)
+        written = subject.outputs(0.5)
         card.write(written)
         with suppress(CardError):
             card.write(np.full(len(written), np.nan))
             found = card.readback()
             raise BrokenContractError(f"NaN was accepted; the outputs stand at {subject.stated(found)}")
-        card.write(np.array([c.high_v + 100.0 for c in subject.setup.outputs]))
-        found = settled_readback(card, np.array([c.high_v for c in subject.setup.outputs]), subject)
-        if np.any(found > np.array([c.high_v for c in subject.setup.outputs]) + subject.tolerance_v):
+        card.write(np.array([c.high + 100.0 for c in subject.setup.outputs]))
+        found = settled_readback(card, np.array([c.high for c in subject.setup.outputs]), subject)
+        if np.any(found > np.array([c.high for c in subject.setup.outputs]) + subject.output_tolerance):
             raise BrokenContractError(f"the outputs stand at {subject.stated(found)}, beyond range_V")
     return "NaN refused, clipped to range_V"
 
@@ -97,17 +97,17 @@ def sampling(subject: CardSubject) -> str:
     with closing(subject.open()) as card:
         if len(subject.setup.outputs):
             # Where the supply is on, as of a simulated device, the sensors read more than zero.
-            card.write(subject.volts(0.5))
+            card.write(subject.outputs(0.5))
         card.start()
         for one, _ in polled(card, subject.period_s, subject.sample_s):
             newest_ns = time.monotonic_ns()
             if len(subject.setup.outputs):
-                card.write(subject.volts(0.5))  # the heartbeat of a device that vents by itself
+                card.write(subject.outputs(0.5))  # the heartbeat of a device that vents by itself
             scans.append(one)
             ages_s += [(newest_ns - t_ns) * 1e-9 for t_ns in one.t_ns[-1:].tolist()]
     for one in scans:
-        if one.volts.shape != (len(one.t_ns), inputs):
-            raise BrokenContractError(f"`volts` has the shape {one.volts.shape} for {len(one.t_ns)} times")
+        if one.signals.shape != (len(one.t_ns), inputs):
+            raise BrokenContractError(f"`signals` has the shape {one.signals.shape} for {len(one.t_ns)} times")
     t_ns = np.concatenate([s.t_ns for s in scans])
     if len(t_ns) < 2:
         raise BrokenContractError(f"{len(t_ns)} scans in {subject.sample_s:g} s")
@@ -121,7 +121,7 @@ def sampling(subject: CardSubject) -> str:
         raise BrokenContractError(
             f"the newest scan is {min(ages_s) * 1e3:.0f} ms old at best; a run stops at {stale_s * 1e3:g} ms (stale_s)"
         )
-    volts = np.concatenate([s.volts for s in scans])
+    volts = np.concatenate([s.signals for s in scans])
     if not np.all(np.isfinite(volts)):
         raise BrokenContractError("a voltage is not finite")
     _within_range(subject, volts)
@@ -133,14 +133,14 @@ def sampling(subject: CardSubject) -> str:
     return f"{rate:.0f} scans/s, period {np.median(gaps_ms):.2f} ms, longest {gaps_ms.max():.2f} ms, {lost} lost"
 
 
-def _within_range(subject: CardSubject, volts: Volts) -> None:
+def _within_range(subject: CardSubject, volts: Values) -> None:
     """Raise BrokenContractError for readings far beyond the range of their input: they are in another unit."""
     for channel, column in zip(subject.setup.inputs, volts.T, strict=True):
-        margin = channel.high_v - channel.low_v
-        if column.min() < channel.low_v - margin or column.max() > channel.high_v + margin:
+        margin = channel.high - channel.low
+        if column.min() < channel.low - margin or column.max() > channel.high + margin:
             raise BrokenContractError(
                 f"input {channel.number} reads {column.min():g} to {column.max():g}, beyond the range of the input, "
-                f"{channel.low_v:g} to {channel.high_v:g}: in which unit?"
+                f"{channel.low:g} to {channel.high:g}: in which unit?"
             )
 
 
@@ -150,7 +150,7 @@ def durations(subject: CardSubject) -> str:
     with closing(subject.open()) as card:
         card.start()
         writes: list[float] = []
-        volts = subject.volts(0.5)
+        volts = subject.outputs(0.5)
         reads = []
         for _, took_s in polled(card, period_s, subject.sample_s):
             reads.append(took_s)
@@ -196,10 +196,10 @@ def closing_again(subject: CardSubject) -> str:
 def second_opener(subject: CardSubject) -> str:
     """A second process writes the outputs, or gets an error that names the process that has the card."""
     needs_outputs(subject)
-    volts = subject.volts(0.6)
+    volts = subject.outputs(0.6)
     with closing(subject.open()) as card:
         card.start()
-        card.write(subject.volts(0.3))
+        card.write(subject.outputs(0.3))
         answer = in_second_process(subject, volts)
         if "raised" in answer or "error" in answer:
             raise BrokenContractError(f"the second process got {answer.get('raised') or answer['error']}")
@@ -210,13 +210,13 @@ def second_opener(subject: CardSubject) -> str:
                 )
             return "the card admits one process, and names it"
         found = np.array(answer["stands"])
-        if not np.all(np.isnan(found) | (np.abs(found - volts) <= subject.tolerance_v)):
+        if not np.all(np.isnan(found) | (np.abs(found - volts) <= subject.output_tolerance)):
             raise BrokenContractError(
                 f"the second process wrote {subject.stated(volts)} and reads back {subject.stated(found)}"
             )
         seen = settled_readback(card, volts, subject)
         # The device may have vented by itself since.
-        stands = np.minimum(np.abs(seen - volts), np.abs(seen - subject.safe_v)) <= subject.tolerance_v
+        stands = np.minimum(np.abs(seen - volts), np.abs(seen - subject.safe_output)) <= subject.output_tolerance
         if not np.all(np.isnan(seen) | stands):
             raise BrokenContractError(
                 f"a second process set {subject.stated(volts)} and the first process still reads back "
@@ -230,7 +230,7 @@ def second_opener(subject: CardSubject) -> str:
 def killed_owner(subject: CardSubject) -> str:
     """After SIGKILL of the process that drives the card, the safe state can be written."""
     needs_outputs(subject)
-    with holding(subject, subject.volts(0.5)) as process:
+    with holding(subject, subject.outputs(0.5)) as process:
         process.kill()
         killed = time.monotonic()
         process.wait()
@@ -258,16 +258,16 @@ def silence(subject: CardSubject) -> str:
     if silence_s is None:
         raise NotApplicableError("the driver does not state a time without writes after which the device vents")
     patience_s = silence_s(section)
-    with holding(subject, subject.volts(0.5)) as process:
+    with holding(subject, subject.outputs(0.5)) as process:
         process.kill()
         process.wait()
     time.sleep(patience_s + subject.settled_s)
     with closing(subject.open(inputs=False)) as card:
         found = card.readback()
-    safe = subject.safe_v
+    safe = subject.safe_output
     if np.all(np.isnan(found)):
         raise NotApplicableError("the card has no read-back")
-    if not np.all(np.abs(found - safe) <= subject.tolerance_v):
+    if not np.all(np.abs(found - safe) <= subject.output_tolerance):
         raise BrokenContractError(
             f"{patience_s * 1e3:g} ms after the last write the outputs stand at {subject.stated(found)}; "
             "the driver states that it vents by itself"
@@ -282,7 +282,7 @@ def vanished(subject: CardSubject) -> str:
     patience_s = subject.config.limits.stale_s + GONE_S
     with closing(subject.open()) as card:
         card.start()
-        card.write(subject.volts(0.3))
+        card.write(subject.outputs(0.3))
         card.read()
         subject.vanish()
         gone = time.monotonic()
@@ -294,7 +294,7 @@ def vanished(subject: CardSubject) -> str:
             except CardError as error:
                 read_error = read_error or str(error)
             try:
-                card.write(subject.volts(0.3))
+                card.write(subject.outputs(0.3))
             except CardError as error:
                 write_error = write_error or str(error)
             time.sleep(subject.period_s)

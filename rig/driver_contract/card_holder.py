@@ -23,11 +23,11 @@ SETTLED_S = 0.02
 """Time for the read-back of a device on a bus."""
 
 
-def main(mode: str, rig_file: str, name: str, volts: str) -> None:
+def main(mode: str, rig_file: str, name: str, outputs: str) -> None:
     """Open the card; `hold`: start it, and write and read it until the process is killed."""
     config = loader.load(rig_file)
     setup = card_setup(config, name)
-    written = np.array([float(v) for v in volts.split(",")])
+    written = np.array([float(v) for v in outputs.split(",")])
     try:
         card = open_card(config.cards[name], setup if mode == "hold" else replace(setup, inputs=()))
         if mode == "hold":

@@ -25,7 +25,7 @@ SETTLED_S = 0.1
 RATE_S = 1.0
 """How long the inputs are sampled."""
 
-Volts = NDArray[np.float64]
+Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -58,17 +58,17 @@ class CardSubject:
         setup = self.setup if inputs else replace(self.setup, inputs=())
         return card_type(self.config.cards[self.name])(setup)
 
-    def volts(self, fraction: float) -> Volts:
+    def outputs(self, fraction: float) -> Values:
         """A voltage for each output, all different, at about this share of the range."""
         steps = enumerate(self.setup.outputs)
-        return np.array([c.low_v + (c.high_v - c.low_v) * min(1.0, fraction + 0.02 * i) for i, c in steps])
+        return np.array([c.low + (c.high - c.low) * min(1.0, fraction + 0.02 * i) for i, c in steps])
 
     @property
-    def tolerance_v(self) -> Volts:
+    def output_tolerance(self) -> Values:
         """Largest deviation of a read-back."""
-        return np.array([(c.high_v - c.low_v) * READBACK_TOLERANCE for c in self.setup.outputs])
+        return np.array([(c.high - c.low) * READBACK_TOLERANCE for c in self.setup.outputs])
 
-    def stated(self, outputs: Volts) -> str:
+    def stated(self, outputs: Values) -> str:
         """Values of the outputs with their unit, for messages."""
         units = {valve.output_unit for valve in self.valves} or {"V"}
         return f"{', '.join(f'{value:.3f}' for value in outputs)} {'/'.join(sorted(units))}"
@@ -79,9 +79,9 @@ class CardSubject:
         return [valve for valve in self.config.valves if valve.card == self.name]
 
     @property
-    def safe_v(self) -> Volts:
+    def safe_output(self) -> Values:
         """The safe voltage of each output."""
-        return np.array([valve.safe_v() for valve in self.valves])
+        return np.array([valve.safe_output() for valve in self.valves])
 
     def make_safe(self) -> None:
         """Write the safe state, if the card can be opened."""
@@ -95,12 +95,12 @@ def needs_outputs(subject: CardSubject) -> None:
         raise NotApplicableError("the rig uses no output of this card")
 
 
-def settled_readback(card: Card, written: Volts, subject: CardSubject) -> Volts:
+def settled_readback(card: Card, written: Values, subject: CardSubject) -> Values:
     """The read-back, once it is what was written, or after `settled_s`."""
     until = time.monotonic() + subject.settled_s
     while True:
         found = card.readback()
-        right = np.all(np.isnan(found) | (np.abs(found - written) <= subject.tolerance_v))
+        right = np.all(np.isnan(found) | (np.abs(found - written) <= subject.output_tolerance))
         if right or time.monotonic() > until:
             return found
         time.sleep(0.002)

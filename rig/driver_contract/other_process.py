@@ -18,7 +18,7 @@ from rig.driver_contract.check import BrokenContractError
 
 START_S = 30.0
 
-Volts = NDArray[np.float64]
+Values = NDArray[np.float64]
 
 
 class CardOfRig(Protocol):
@@ -33,8 +33,8 @@ class CardOfRig(Protocol):
         """Where the rig is."""
 
 
-def _command(mode: str, subject: CardOfRig, volts: Volts) -> list[str]:
-    words = ",".join(f"{v:.6f}" for v in volts)
+def _command(mode: str, subject: CardOfRig, outputs: Values) -> list[str]:
+    words = ",".join(f"{v:.6f}" for v in outputs)
     return [
         sys.executable,
         "-P",
@@ -47,11 +47,11 @@ def _command(mode: str, subject: CardOfRig, volts: Volts) -> list[str]:
     ]
 
 
-def in_second_process(subject: CardOfRig, volts: Volts) -> dict[str, Any]:
+def in_second_process(subject: CardOfRig, outputs: Values) -> dict[str, Any]:
     """What a second process gets that opens the card and writes."""
     try:
         done = subprocess.run(
-            _command("write", subject, volts), capture_output=True, text=True, timeout=START_S, check=False
+            _command("write", subject, outputs), capture_output=True, text=True, timeout=START_S, check=False
         )
     except subprocess.TimeoutExpired:
         raise BrokenContractError(f"a second process that opens the card does not end within {START_S:g} s") from None
@@ -62,9 +62,9 @@ def in_second_process(subject: CardOfRig, volts: Volts) -> dict[str, Any]:
 
 
 @contextmanager
-def holding(subject: CardOfRig, volts: Volts) -> Iterator[subprocess.Popen[str]]:
+def holding(subject: CardOfRig, outputs: Values) -> Iterator[subprocess.Popen[str]]:
     """A process that has started the card and writes it all the time."""
-    process = subprocess.Popen(_command("hold", subject, volts), stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(_command("hold", subject, outputs), stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     try:
         answer = json.loads(process.stdout.readline() or "{}")

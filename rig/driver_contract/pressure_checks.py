@@ -49,7 +49,7 @@ class CardSensors:
         scans = self._card.read()
         pressure_pa = np.tile(self._vented_pa, (len(scans.t_ns), 1))
         for column, (actuator, sensor) in enumerate(self._sensors):
-            pressure_pa[:, actuator] = sensor.pressure_pa(scans.volts[:, column])
+            pressure_pa[:, actuator] = sensor.pressure_pa(scans.signals[:, column])
         return CardPressures(scans.t_ns, pressure_pa)
 
 
@@ -79,7 +79,7 @@ def vented(subject: CardSubject) -> str:
     with closing(subject.open()) as card:
         card.start()
         for _ in polled(card, subject.period_s, subject.sample_s):
-            card.write(subject.volts(TARGET))  # the heartbeat of a device that vents by itself
+            card.write(subject.outputs(TARGET))  # the heartbeat of a device that vents by itself
         return _vent(subject, card, CardSensors(subject.config, subject.name, card))
 
 
@@ -103,7 +103,7 @@ def _pressurised(
     """The pressures (N,) [Pa] after a valve has regulated towards the target, with the others vented."""
     regulator = valve.regulator(subject.config.limits, subject.config.control)
     target_pa = _target_pa(subject)
-    volts = np.array([v.vent_v for v in subject.valves])
+    outputs = np.array([v.vent_output for v in subject.valves])
     state, measured_pa = RegulatorState(integral_pa_s=0.0), sensors.read().pressure_pa
     until = time.monotonic() + PRESSURISED_S
     while time.monotonic() < until:
@@ -112,8 +112,8 @@ def _pressurised(
         if len(measured_pa):
             own_pa = float(measured_pa[-1, valve.actuators[0] - 1])
             state = regulator.command(state.integral_pa_s, subject.period_s, own_pa, target_pa, 0.0)
-            volts[output] = state.valve_v
-            card.write(volts)
+            outputs[output] = state.output
+            card.write(outputs)
         time.sleep(subject.period_s)
     if not len(measured_pa):
         raise BrokenContractError(f"no scan in {PRESSURISED_S:g} s")
@@ -137,7 +137,7 @@ def _judge(
 
 def _vent(subject: CardSubject, card: Card, sensors: CardSensors) -> str:
     """Write the outputs that vent, and wait until the sensors show it; return what they show."""
-    card.write(np.array([valve.vent_v for valve in subject.valves]))
+    card.write(np.array([valve.vent_output for valve in subject.valves]))
     config = subject.config.model_copy(update={"valves": tuple(_measured_valves(subject).values())})
     verification = VentVerification(config, sensors, vent=True, since_ns=time.monotonic_ns())
     outcome = verification.outcome(real_time(lambda: None))

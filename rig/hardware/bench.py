@@ -1,4 +1,4 @@
-"""Several cards as one rig: columns by actuator and valve, volts to pressure."""
+"""Several cards as one rig: columns by actuator and valve, signals to pressure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rig.hardware.safe_state import SafeOutputs
 
 @dataclass(frozen=True)
 class BenchScans:
-    """Scans of all sensors, oldest first: `t_ns` (n,), `volts` and gauge `pressure_pa` (n, N) in actuator order.
+    """Scans of all sensors, oldest first: `t_ns` (n,), `signals` and gauge `pressure_pa` (n, N) in actuator order.
 
     `lost` counts the scans that the cards dropped since the last read, `damaged` the damaged lines between computer and
     cards; `late_ns` is the delay of a simulator.
@@ -29,7 +29,7 @@ class BenchScans:
     """
 
     t_ns: NDArray[np.int64]
-    volts: NDArray[np.float64]
+    signals: NDArray[np.float64]
     pressure_pa: NDArray[np.float64]
     lost: int
     late_ns: int = 0
@@ -48,9 +48,9 @@ class Bench:
         self._sensors = config.sensors_by_actuator
         # A sensor is linear in voltage: two points define it.
         at_0, at_1 = ([float(s.pressure_pa(np.array(v))) for s in self._sensors] for v in (0.0, 1.0))
-        self._pa_at_0_v = np.array(at_0)
-        self._pa_per_v = np.array(at_1) - self._pa_at_0_v
-        self._commanded_v: NDArray[np.float64] | None = None
+        self._pa_at_zero = np.array(at_0)
+        self._pa_per_unit = np.array(at_1) - self._pa_at_zero
+        self._commanded: NDArray[np.float64] | None = None
         self._units = [valve.output_unit for valve in config.valves]
         self._auxiliary = tuple(config.inputs.values())
         self._digital = _digital_cards(config, self._cards)
@@ -66,9 +66,9 @@ class Bench:
         return tuple(self._cards)
 
     @property
-    def safe_voltages(self) -> NDArray[np.float64]:
-        """The safe voltage of each valve (V,) [V]."""
-        return self._safe.safe_v
+    def safe_outputs(self) -> NDArray[np.float64]:
+        """The safe output of each valve (V,), in its unit."""
+        return self._safe.safe_output
 
     def clock(self, card: str) -> tuple[float, float] | None:
         """Period [ns] of a card's own sampling clock and its drift [ppm]; None where the computer's clock is used."""
@@ -90,7 +90,7 @@ class Bench:
         if len(self._inputs) == 1:
             (name,) = self._inputs
             only = self._card_scans(name)
-            return self._scans(only.t_ns, only.volts, only.lost, only.late_ns, only.damaged)
+            return self._scans(only.t_ns, only.signals, only.lost, only.late_ns, only.damaged)
         scans = {name: self._pending[name].with_new(self._card_scans(name)) for name in self._inputs}
         lost, damaged = sum(s.lost for s in scans.values()), sum(s.damaged for s in scans.values())
         late_ns = max(s.late_ns for s in scans.values())
@@ -100,52 +100,52 @@ class Bench:
             oldest = max((int(scans[o].t_ns[0]) if len(scans[o].t_ns) else _NEVER) for o in others)
             newest = min((int(scans[o].t_ns[-1]) if len(scans[o].t_ns) else -1) for o in others)
             t_ns = t_ns[(t_ns <= newest) & (t_ns >= oldest)]
-        volts = np.empty((len(t_ns), len(self._sensors) + len(self._auxiliary)))
+        signals = np.empty((len(t_ns), len(self._sensors) + len(self._auxiliary)))
         for name, s in scans.items():
             rows = np.searchsorted(s.t_ns, t_ns, side="right") - 1
-            volts[:, self._inputs[name]] = s.volts[rows]
+            signals[:, self._inputs[name]] = s.signals[rows]
             # The first card's rows are consumed; the others keep the row that the next call may need.
             until = int(t_ns[-1]) if len(t_ns) else -1
             self._pending[name].keep(s, until, inclusive=name != first)
-        return self._scans(t_ns, volts, lost, late_ns, damaged)
+        return self._scans(t_ns, signals, lost, late_ns, damaged)
 
     def _card_scans(self, name: str) -> Scans:
         """New scans of one card. Raises CardError, also for an error in the driver's code or scans of a wrong shape."""
         try:
             scans = self._cards[name].read()
-            shape, expected = scans.volts.shape, (len(scans.t_ns), len(self._inputs[name]))
+            shape, expected = scans.signals.shape, (len(scans.t_ns), len(self._inputs[name]))
         except CardError:
             raise
         except Exception as error:
             raise CardError(f"card {name}: read of its driver failed: {type(error).__name__}: {error}") from error
         if shape != expected:
-            raise CardError(f"card {name}: read of its driver returned volts of shape {shape} instead of {expected}")
+            raise CardError(f"card {name}: read of its driver returned signals of shape {shape} instead of {expected}")
         return scans
 
     def _scans(
-        self, t_ns: NDArray[np.int64], signals_v: NDArray[np.float64], lost: int, late_ns: int, damaged: int
+        self, t_ns: NDArray[np.int64], inputs: NDArray[np.float64], lost: int, late_ns: int, damaged: int
     ) -> BenchScans:
         """Scans of the signals (n, N + I): sensors, then auxiliary inputs."""
-        volts = signals_v[:, : len(self._sensors)]
-        pressure_pa: NDArray[np.float64] = volts * self._pa_per_v + self._pa_at_0_v
+        signals = inputs[:, : len(self._sensors)]
+        pressure_pa: NDArray[np.float64] = signals * self._pa_per_unit + self._pa_at_zero
         auxiliary = np.empty((len(t_ns), len(self._auxiliary)))
         for i, one in enumerate(self._auxiliary):
-            auxiliary[:, i] = one.value(signals_v[:, len(self._sensors) + i])
+            auxiliary[:, i] = one.value(inputs[:, len(self._sensors) + i])
         high = {name: iter(card.read_digital().tolist()) for name, card in self._digital.items()}
         closed = tuple(next(high[name]) for name in self._stop_cards)
-        return BenchScans(t_ns, volts, pressure_pa, lost, late_ns, auxiliary, closed, damaged)
+        return BenchScans(t_ns, signals, pressure_pa, lost, late_ns, auxiliary, closed, damaged)
 
-    def write(self, valve_v: NDArray[np.float64]) -> None:
-        """Set every valve (V,) [V]."""
-        self._commanded_v = None
+    def write(self, outputs: NDArray[np.float64]) -> None:
+        """Set every valve (V,), each in its unit."""
+        self._commanded = None
         for name, column in self._safe.columns.items():
             try:
-                self._cards[name].write(valve_v[column])
+                self._cards[name].write(outputs[column])
             except CardError:
                 raise
             except Exception as error:
                 raise CardError(f"card {name}: write of its driver failed: {type(error).__name__}: {error}") from error
-        self._commanded_v = valve_v.copy()
+        self._commanded = outputs.copy()
 
     def write_trigger(self, *, high: bool) -> None:
         """As `SafeOutputs.write_trigger`."""
@@ -162,14 +162,14 @@ class Bench:
         Raises:
             CardError: a card cannot be read back.
         """
-        if self._commanded_v is None:
+        if self._commanded is None:
             return ""
         stands = self.readback()
-        off = np.abs(stands - self._commanded_v) > self._safe.tolerance_v
+        off = np.abs(stands - self._commanded) > self._safe.output_tolerance
         for i in np.flatnonzero(off).tolist():
             return (
                 f"valve {i + 1} reads back {stands[i]:.3f} {self._units[i]} instead of the commanded "
-                f"{self._commanded_v[i]:.3f} {self._units[i]}: another program has written to the card (`rig vent`?)"
+                f"{self._commanded[i]:.3f} {self._units[i]}: another program has written to the card (`rig vent`?)"
             )
         return ""
 
@@ -180,11 +180,11 @@ class Bench:
         Raises:
             CardError: a card cannot be read back.
         """
-        if self._commanded_v is None:
+        if self._commanded is None:
             return False
         stands = self.readback()
-        off = np.abs(stands - self._commanded_v) > self._safe.tolerance_v
-        return bool(np.all(np.abs(stands - self._safe.vent_v)[off] <= self._safe.tolerance_v[off]))
+        off = np.abs(stands - self._commanded) > self._safe.output_tolerance
+        return bool(np.all(np.abs(stands - self._safe.vent_output)[off] <= self._safe.output_tolerance[off]))
 
     def unsafe_output(self) -> str:
         """As `SafeOutputs.unsafe_output`."""
@@ -203,7 +203,7 @@ class Bench:
         return self._safe.arm(vent=vent)
 
     def close(self) -> None:
-        """Release every card; the outputs keep their voltages."""
+        """Release every card; the outputs keep their values."""
         release(self._cards.values())
 
 
@@ -251,10 +251,10 @@ class _Pending:
         old = self._scans
         if len(old.t_ns) == 0:
             return new
-        t_ns, volts = np.concatenate([old.t_ns, new.t_ns]), np.concatenate([old.volts, new.volts])
-        return replace(new, t_ns=t_ns, volts=volts)
+        t_ns, signals = np.concatenate([old.t_ns, new.t_ns]), np.concatenate([old.signals, new.signals])
+        return replace(new, t_ns=t_ns, signals=signals)
 
     def keep(self, scans: Scans, until_ns: int, *, inclusive: bool) -> None:
         used = int(np.searchsorted(scans.t_ns, until_ns, side="right"))
         start = max(used - 1, 0) if inclusive else used
-        self._scans = Scans(scans.t_ns[start:], scans.volts[start:])
+        self._scans = Scans(scans.t_ns[start:], scans.signals[start:])

@@ -1,4 +1,4 @@
-"""Making the outputs safe: the voltages of the safe state, the camera trigger low, writing and repeating.
+"""Making the outputs safe: the outputs of the safe state, the camera trigger low, writing and repeating.
 
 Control, the watchdog, the supervisor, the observer, virtual time and `rig vent` all use this module.
 """
@@ -30,9 +30,9 @@ RETRY_S = 0.002
 """Pause between attempts to write the safe state."""
 
 
-def safe_voltages(config: RigConfig, *, vent: bool = False) -> tuple[float, ...]:
-    """The safe voltage of each valve: vented, or held where the rig file says so and `vent` is false."""
-    return tuple(valve.safe_v(vent=vent) for valve in config.valves)
+def safe_outputs(config: RigConfig, *, vent: bool = False) -> tuple[float, ...]:
+    """The safe output of each valve: vented, or held where the rig file says so and `vent` is false."""
+    return tuple(valve.safe_output(vent=vent) for valve in config.valves)
 
 
 def armed_sentence(unverified: int) -> str:
@@ -48,9 +48,9 @@ class SafeOutputs:
     def __init__(self, config: RigConfig, cards: Mapping[str, Card]) -> None:
         """`cards` are open, by their names in the rig, set up by `card_setup`; they may be some of the rig's."""
         self._cards, self._valves = cards, config.valves
-        self.safe_v: NDArray[np.float64] = np.array(safe_voltages(config))
-        self.vent_v: NDArray[np.float64] = np.array(safe_voltages(config, vent=True))
-        self.tolerance_v: NDArray[np.float64] = np.array(
+        self.safe_output: NDArray[np.float64] = np.array(safe_outputs(config))
+        self.vent_output: NDArray[np.float64] = np.array(safe_outputs(config, vent=True))
+        self.output_tolerance: NDArray[np.float64] = np.array(
             [(v.output_range[1] - v.output_range[0]) * READBACK_TOLERANCE for v in config.valves]
         )
         columns = {name: [i for i, v in enumerate(self._valves) if v.card == name] for name in cards}
@@ -61,7 +61,7 @@ class SafeOutputs:
         """Why the last safe state has not set the camera trigger low; empty if it has."""
 
     def make_safe(self, *, vent: bool = False) -> None:
-        """Write the safe voltages to every card, also if another card fails; `vent` also vents held valves.
+        """Write the safe outputs to every card, also if another card fails; `vent` also vents held valves.
 
         A failed write is repeated at once, at most WRITE_ATTEMPTS times. Once the valves are safe, the camera trigger
         is set low; if that fails, `trigger_failure` says why, and the valves are safe nevertheless.
@@ -70,9 +70,9 @@ class SafeOutputs:
             CardError: one or more cards could not be written; it names each.
         """
         failures = []
-        voltages = self.vent_v if vent else self.safe_v
+        outputs = self.vent_output if vent else self.safe_output
         for name, column in self.columns.items():
-            if failure := _retry(partial(self._cards[name].write, voltages[column])):
+            if failure := _retry(partial(self._cards[name].write, outputs[column])):
                 failures.append(f"card {name}: {failure}")
         lost = {name: _retry(partial(card.write_digital, high=False)) for name, card in self._triggers.items()}
         self.trigger_failure = "; ".join(
@@ -87,19 +87,19 @@ class SafeOutputs:
             card.write_digital(high=high)
 
     def arm(self, *, vent: bool = False) -> tuple[str, ...]:
-        """Write the safe voltages as `make_safe` does, read them back and compare.
+        """Write the safe outputs as `make_safe` does, read them back and compare.
 
         Return the names of the cards without read-back, whose outputs are not compared.
 
         Raises:
-            CardError: the read-back of an output differs from the written voltage.
+            CardError: the read-back of an output differs from the written one.
         """
         self.make_safe(vent=vent)
         stands = self.readback()
-        voltages = self.vent_v if vent else self.safe_v
+        outputs = self.vent_output if vent else self.safe_output
         for i in sorted(i for column in self.columns.values() for i in column):
-            valve, safe = self._valves[i], voltages[i]
-            if abs(stands[i] - safe) > self.tolerance_v[i]:
+            valve, safe = self._valves[i], outputs[i]
+            if abs(stands[i] - safe) > self.output_tolerance[i]:
                 unit = valve.output_unit
                 raise CardError(
                     f"valve {i + 1} (card {valve.card}, output {valve.channel}) reads back "
@@ -109,16 +109,16 @@ class SafeOutputs:
         return tuple(name for name, column in self.columns.items() if np.isnan(stands[column]).any())
 
     def readback(self) -> NDArray[np.float64]:
-        """The output voltages (V,), NaN where a card has no read-back."""
-        volts = np.full(len(self._valves), np.nan)
+        """The outputs (V,), NaN where a card has no read-back."""
+        outputs = np.full(len(self._valves), np.nan)
         for name, column in self.columns.items():
             try:
-                volts[column] = self._cards[name].readback()
+                outputs[column] = self._cards[name].readback()
             except CardError:
                 raise
             except Exception as error:  # the code of another package may raise anything
                 raise CardError(f"card {name} cannot be read back: {type(error).__name__}: {error}") from error
-        return volts
+        return outputs
 
     def unsafe_output(self) -> str:
         """Message about a valve that is neither safe nor vented; empty if there is none or the cards have no read-back.
@@ -128,13 +128,13 @@ class SafeOutputs:
         """
         stands = self.readback()
         for i in range(len(stands)):
-            known = (self.safe_v[i], self.vent_v[i])
-            if all(abs(stands[i] - v) > self.tolerance_v[i] for v in known):
+            known = (self.safe_output[i], self.vent_output[i])
+            if all(abs(stands[i] - v) > self.output_tolerance[i] for v in known):
                 return f"valve {i + 1} stands at {stands[i]:.3f} {self._valves[i].output_unit}"
         return ""
 
     def close(self) -> None:
-        """Release every card; the outputs keep their voltages."""
+        """Release every card; the outputs keep their values."""
         release(self._cards.values())
 
 
@@ -244,7 +244,7 @@ class WatchdogOutputs:
         make_safe(self._config, vent=vent)
 
     def close(self) -> None:
-        """Release the cards; the outputs keep their voltages."""
+        """Release the cards; the outputs keep their values."""
         if self._outputs is not None:
             self._outputs.close()
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.lock import described, held_by_unseen, holders
-from rig.hardware.safe_state import SafeOutputs, cards_with_outputs, open_outputs, safe_voltages
+from rig.hardware.safe_state import SafeOutputs, cards_with_outputs, open_outputs, safe_outputs
 from rig.hardware.vent_verification import LONGEST_VENTING_S, verify_venting
 
 REPEATED_S = 0.25
@@ -50,7 +50,7 @@ def vent(config: RigConfig) -> VentResult:
     running = bool(holders(config))
     unsignalled: set[int] = set()
     unverified, failures = _vent(config, unsignalled)
-    if running and safe_voltages(config) != safe_voltages(config, vent=True):
+    if running and safe_outputs(config) != safe_outputs(config, vent=True):
         # After a killed process the watchdog writes the safe state, which holds valves.
         _wait_for_end(config, set(holders(config)))
         unverified, failures = _vent(config, unsignalled)

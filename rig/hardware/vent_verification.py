@@ -89,7 +89,7 @@ class VentVerification:
         venting = {
             a - 1: valve.vented_pa
             for valve in config.valves
-            if vent or valve.safe_v() == valve.vent_v
+            if vent or valve.safe_output() == valve.vent_output
             for a in valve.actuators
         }
         self._venting: NDArray[np.int64] = np.array(sorted(venting), np.int64)

@@ -114,7 +114,7 @@ class NullOutputs:
     def __init__(self, bench: Bench) -> None:
         self.read = bench.read
 
-    def write(self, valve_v: NDArray[np.float64]) -> None:
+    def write(self, outputs: NDArray[np.float64]) -> None:
         """Write nothing."""
 
 
@@ -128,11 +128,11 @@ class GuardedOutputs:
         self.read = bench.read
         self._bench, self._memory = bench, memory
 
-    def write(self, valve_v: NDArray[np.float64]) -> None:
+    def write(self, outputs: NDArray[np.float64]) -> None:
         """Set every valve; raises as `undisturbed`."""
         # Checked immediately before the write: a process that stalled within a cycle must not undo external writes.
         if self.undisturbed():
-            self._bench.write(valve_v)
+            self._bench.write(outputs)
 
     def undisturbed(self) -> bool:
         """True if the outputs have the voltages that this run wrote; False if its own watchdog has written others.

@@ -150,9 +150,9 @@ class Faults:
         if not self.active:
             return scans
         if self.row["silent"][0]:
-            return Scans(scans.t_ns[:0], scans.volts[:0])
+            return Scans(scans.t_ns[:0], scans.signals[:0])
         lost = min(int(self.row["lost_scans"][0]), len(scans.t_ns))
         if lost:
             self.row["lost_scans"][0] -= lost
-            return Scans(scans.t_ns[lost:], scans.volts[lost:], scans.lost + lost)
+            return Scans(scans.t_ns[lost:], scans.signals[lost:], scans.lost + lost)
         return scans

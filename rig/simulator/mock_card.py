@@ -78,10 +78,10 @@ class MockCard:
         """Whether each digital input is high: it is, unless its contact is open."""
         return self._registers.faults.contacts_closed(self._digital_inputs)
 
-    def write(self, volts: NDArray[np.float64]) -> None:
+    def write(self, outputs: NDArray[np.float64]) -> None:
         """Set the outputs with a resolution of 16 bits."""
         self._registers.faults.before_write(self._device)
-        values = [quantised_output_v(v, c.low_v, c.high_v) for v, c in zip(volts.tolist(), self._outputs, strict=True)]
+        values = [quantised_output_v(v, c.low, c.high) for v, c in zip(outputs.tolist(), self._outputs, strict=True)]
         now = time.monotonic_ns()
         for channel, value in zip(self._outputs, values, strict=True):
             self._registers.write(channel.number, value, now)
@@ -94,12 +94,12 @@ class MockCard:
             self._registers.write_digital(number, now, high=high)
 
     def readback(self) -> NDArray[np.float64]:
-        """The output voltages."""
-        volts: NDArray[np.float64] = self._registers.outputs["volts"][[c.number for c in self._outputs]]
-        return volts
+        """The outputs."""
+        outputs: NDArray[np.float64] = self._registers.outputs["value"][[c.number for c in self._outputs]]
+        return outputs
 
     def close(self) -> None:
-        """Release the device; the outputs keep their voltages."""
+        """Release the device; the outputs keep their values."""
         self._registers.close()
         self._unlock()
 

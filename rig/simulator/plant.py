@@ -225,7 +225,7 @@ class PlantCard:
         self._sensors = len(sensors)
         self._auxiliary = [i for i, one in enumerate(config.inputs.values()) if one.card == name]
         self._stops = [stop.channel for stop in config.emergency_stops.values() if stop.card == name]
-        self._volts = np.zeros((FIFO_SCANS, len(sensors) + len(self._auxiliary)))
+        self._signals = np.zeros((FIFO_SCANS, len(sensors) + len(self._auxiliary)))
         self.digital_high = False
         """Whether the digital outputs are high."""
         self._rises = self._rise_ns = 0
@@ -252,17 +252,17 @@ class PlantCard:
             oldest_ns = self._plant.t_ns + (first + 1) * STEP_NS
             self._t_ns[new] = range(oldest_ns, oldest_ns + fit * self.period_ns, self.period_ns)
             rows = slice(first, first + fit * self._every, self._every)
-            self._volts[new, : self._sensors] = scans[rows, self._columns]
+            self._signals[new, : self._sensors] = scans[rows, self._columns]
             if self._auxiliary:
                 steps = np.arange(rows.start, rows.stop, rows.step) + first_step
-                self._volts[new, self._sensors :] = self._plant.inputs.volts(steps, self._auxiliary)
+                self._signals[new, self._sensors :] = self._plant.inputs.volts(steps, self._auxiliary)
             self._filled += fit
         self._lost += count - fit
 
     def read(self) -> Scans:
         """Scans since the last call."""
         self.faults.before_read(self._device, waits=False)
-        scans = Scans(self._t_ns[: self._filled].copy(), self._volts[: self._filled].copy(), self._lost)
+        scans = Scans(self._t_ns[: self._filled].copy(), self._signals[: self._filled].copy(), self._lost)
         self._filled = self._lost = 0
         return self.faults.of_scans(scans)
 
@@ -270,10 +270,10 @@ class PlantCard:
         """Whether the contacts of the emergency stops are closed."""
         return self.faults.contacts_closed(self._stops)
 
-    def write(self, volts: NDArray[np.float64]) -> None:
+    def write(self, outputs: NDArray[np.float64]) -> None:
         """Set the outputs, as near as 16 bits come."""
         self.faults.before_write(self._device)
-        for valve, (low, high), v in zip(self._valves, self._ranges, volts.tolist(), strict=True):
+        for valve, (low, high), v in zip(self._valves, self._ranges, outputs.tolist(), strict=True):
             self._plant.set_output(valve, quantised_output_v(v, low, high))
 
     def write_digital(self, *, high: bool) -> None:

@@ -52,12 +52,14 @@ class SimulatedCard:
         self._columns += [i.channel for i in config.inputs.values() if i.card == name]
         self._channels = [v.channel for v in config.valves if v.card == name]
         valves = [i for i, v in enumerate(config.valves) if v.card == name]
-        self._safe_v = np.array([[config.valves[i].safe_v(vent=vent) for i in valves] for vent in (False, True)])
+        self._safe_outputs = np.array(
+            [[config.valves[i].safe_output(vent=vent) for i in valves] for vent in (False, True)]
+        )
         self.registers = Registers.create(card.device, card.outputs, card.inputs, sections=len(config.sections))
         self.faults = self.registers.faults
         self._card.faults = Faults()  # faults act in the mock card of the run's processes; this one only samples
         self._written = self.registers.outputs["written_ns"]
-        self._volts = self.registers.outputs["volts"]
+        self._outputs = self.registers.outputs["value"]
         self._poses = 0
         self._card.start()
 
@@ -67,12 +69,12 @@ class SimulatedCard:
 
     def driven(self) -> bool:
         """True while the valves are neither safe nor vented."""
-        off = np.abs(self._volts[self._channels] - self._safe_v) > SAFE_TOLERANCE_V
+        off = np.abs(self._outputs[self._channels] - self._safe_outputs) > SAFE_TOLERANCE_V
         return bool(off.all(axis=0).any())
 
     def take_outputs(self) -> None:
         """Pass the registers of the outputs to the valves of the plant."""
-        self._card.write(self._volts[self._channels])
+        self._card.write(self._outputs[self._channels])
 
     def tip_weight_kg(self) -> float:
         """Mass of the weight on the end cap [kg]."""
@@ -82,9 +84,9 @@ class SimulatedCard:
         """Publish the new scans and poses of the plant in the rings."""
         scans = self._card.read()
         if len(scans.t_ns):
-            volts = np.zeros((len(scans.t_ns), self._inputs))
-            volts[:, self._columns] = scans.volts
-            self.registers.push_scans(scans.t_ns, volts)
+            signals = np.zeros((len(scans.t_ns), self._inputs))
+            signals[:, self._columns] = scans.signals
+            self.registers.push_scans(scans.t_ns, signals)
         poses = plant.poses_since(self._poses)
         if len(poses):
             self.registers.push_poses(poses)

@@ -48,8 +48,8 @@ class ValveTable(NamedTuple):
     leak: Floats
     supply_pa: Floats
     critical_ratio: Floats
-    pa_at_zero_v: Floats
-    pa_per_v: Floats
+    pa_at_zero: Floats
+    pa_per_unit: Floats
     lowest_pa: Floats
     highest_pa: Floats
 
@@ -102,7 +102,7 @@ def valves(config: RigConfig, truth: SimulatedValve) -> ValveTable:
     true = [valve.simulated(truth) for valve in config.valves]
     n, points = len(true), max(len(valve.curve_v) for valve in true) + 1
     arrays = ValveTable(
-        regulates=np.array([valve.pa_per_v != 0.0 for valve in true]),
+        regulates=np.array([valve.pa_per_unit != 0.0 for valve in true]),
         closed_v=np.array([valve.closed_v for valve in true]),
         fill_sign=np.array([valve.fill_sign for valve in true]),
         half_hysteresis_v=np.array([valve.half_hysteresis_v for valve in true]),
@@ -113,8 +113,8 @@ def valves(config: RigConfig, truth: SimulatedValve) -> ValveTable:
         leak=np.array([valve.leak for valve in true]),
         supply_pa=np.array([valve.supply_pa for valve in true]),
         critical_ratio=np.array([valve.critical_ratio for valve in true]),
-        pa_at_zero_v=np.array([valve.pa_at_zero_v for valve in true]),
-        pa_per_v=np.array([valve.pa_per_v for valve in true]),
+        pa_at_zero=np.array([valve.pa_at_zero for valve in true]),
+        pa_per_unit=np.array([valve.pa_per_unit for valve in true]),
         lowest_pa=np.array([valve.lowest_pa for valve in true]),
         highest_pa=np.array([valve.highest_pa for valve in true]),
     )
@@ -310,7 +310,7 @@ def advance(
         for a in range(n):
             i = c.valve[a]
             if v.regulates[i]:
-                demanded = v.pa_at_zero_v[i] + v.pa_per_v[i] * air.spool_v[i]
+                demanded = v.pa_at_zero[i] + v.pa_per_unit[i] * air.spool_v[i]
                 target = min(max(demanded, v.lowest_pa[i]), v.highest_pa[i])
                 air.pressure_pa[a] += c.regulator_gain * (target - air.pressure_pa[a])
             else:

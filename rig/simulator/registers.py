@@ -56,13 +56,13 @@ HEADER_DTYPE = np.dtype(
         ("sections", "<u8"),
     ]
 )
-OUTPUT_DTYPE = np.dtype([("volts", "<f8"), ("written_ns", "<i8")])
+OUTPUT_DTYPE = np.dtype([("value", "<f8"), ("written_ns", "<i8")])
 DIGITAL_DTYPE = np.dtype([("high", "<i8"), ("rises", "<i8"), ("rise_ns", "<i8")])
 
 
 def scan_dtype(inputs: int) -> np.dtype[np.void]:
     """One scan of all of a card's inputs."""
-    return np.dtype([("index", "<i8"), ("t_ns", "<i8"), ("volts", "<f8", (inputs,))])
+    return np.dtype([("index", "<i8"), ("t_ns", "<i8"), ("signals", "<f8", (inputs,))])
 
 
 def path_of(device: str) -> Path:
@@ -174,9 +174,9 @@ class Registers:
         """Return True if the plant of a mock device runs, or has run."""
         return path_of(device).exists()
 
-    def write(self, output: int, volts: float, t_ns: int) -> None:
+    def write(self, output: int, value: float, t_ns: int) -> None:
         """Set one output register and the time of the write."""
-        self.outputs["volts"][output] = volts
+        self.outputs["value"][output] = value
         self.outputs["written_ns"][output] = t_ns
 
     def write_digital(self, output: int, t_ns: int, *, high: bool) -> None:
@@ -204,14 +204,14 @@ class Registers:
         """Put a weight on the simulated end cap; the plant reads it from this register."""
         self.header["tip_weight_kg"][0] = weight_kg
 
-    def push_scans(self, t_ns: NDArray[np.int64], volts: NDArray[np.float64]) -> None:
+    def push_scans(self, t_ns: NDArray[np.int64], signals: NDArray[np.float64]) -> None:
         """Append scans (n,), (n, inputs). Only the plant may."""
         first = int(self.header["scans"][0])
         index = np.arange(first, first + len(t_ns))[-SCAN_ROWS:]
         rows = index % SCAN_ROWS
         self._scans["index"][rows] = -1
         self._scans["t_ns"][rows] = t_ns[-SCAN_ROWS:]
-        self._scans["volts"][rows] = volts[-SCAN_ROWS:]
+        self._scans["signals"][rows] = signals[-SCAN_ROWS:]
         self._scans["index"][rows] = index
         self.header["scans"][0] = first + len(t_ns)
 
@@ -241,7 +241,7 @@ class Registers:
         whole = (rows["index"] == index) & (self._scans["index"][index % SCAN_ROWS] == index)
         rows = rows[whole]
         lost = begin - first + int(len(index) - np.count_nonzero(whole))
-        return Scans(rows["t_ns"].copy(), rows["volts"][:, columns], lost), written
+        return Scans(rows["t_ns"].copy(), rows["signals"][:, columns], lost), written
 
     def pose_at(self, t_ns: int) -> TipPose:
         """The tip at a time within the last second.

@@ -1,4 +1,4 @@
-"""What a valve type provides: a section of the rig file, voltages, a regulator and a description for the simulator.
+"""What a valve type provides: a section of the rig file, outputs, a regulator and a description for the simulator.
 
 `rig.valves.registry` registers the types.
 """
@@ -30,7 +30,7 @@ ValidationFaults = Iterator[ValidationFault]
 
 
 class RegulatorState(NamedTuple):
-    """State of one regulator after a step; `valve_v` is the voltage to write.
+    """State of one regulator after a step; `output` is what to write, in the unit of the valve.
 
     `reference_pa` is the set-point after the rate limit, `demand_pa_s` the rate of pressure change that the voltage
     should cause, `integral_pa_s` its part that compensates leakage. `reference_pa` is NaN before the first
@@ -40,7 +40,7 @@ class RegulatorState(NamedTuple):
     reference_pa: float = math.nan
     integral_pa_s: float = 0.0
     demand_pa_s: float = 0.0
-    valve_v: float = math.nan
+    output: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,8 @@ class ValveTruth:
 
     A metered path has the share `curve_fraction` of the sonic `conductance` [m3/(s Pa)] open at the distance `curve_v`
     from `closed_v`, to the supply at `supply_pa` (absolute) in the direction of `fill_sign`, else to the exhaust;
-    `leak` is the conductance of the closed valve. With `pa_per_v` other than 0 the valve holds the absolute pressure
-    `pa_at_zero_v + pa_per_v * voltage` by itself, between `lowest_pa` and `highest_pa`, those of its supplies.
+    `leak` is the conductance of the closed valve. With `pa_per_unit` other than 0 the valve holds the absolute pressure
+    `pa_at_zero + pa_per_unit * output` by itself, between `lowest_pa` and `highest_pa`, those of its supplies.
     The spool follows the voltage within `half_hysteresis_v`.
     """
 
@@ -98,8 +98,8 @@ class ValveTruth:
     leak: float = 0.0
     supply_pa: float = ATMOSPHERE_PA
     critical_ratio: float = 0.3
-    pa_at_zero_v: float = 0.0
-    pa_per_v: float = 0.0
+    pa_at_zero: float = 0.0
+    pa_per_unit: float = 0.0
     lowest_pa: float = ATMOSPHERE_PA
     highest_pa: float = math.inf
 
@@ -126,7 +126,7 @@ class ValveSection(Section, ABC):
 
     @property
     def output_unit(self) -> str:
-        """Unit of what the card's output takes; the voltages of every other method are in it."""
+        """Unit of what the card's output takes; the outputs of every other method are in it."""
         return "V"
 
     @property
@@ -136,8 +136,8 @@ class ValveSection(Section, ABC):
 
     @property
     @abstractmethod
-    def vent_v(self) -> float:
-        """The voltage that vents the chambers."""
+    def vent_output(self) -> float:
+        """The output that vents the chambers."""
 
     @property
     def vented_pa(self) -> float:
@@ -145,8 +145,8 @@ class ValveSection(Section, ABC):
         return 0.0
 
     @property
-    def closed_v(self) -> float | None:
-        """The voltage that stops the flow when control has no sample; None if the valve keeps its voltage then."""
+    def closed_output(self) -> float | None:
+        """The output that stops the flow when control has no sample; None if the valve keeps its output then."""
         return None
 
     @property
@@ -162,10 +162,10 @@ class ValveSection(Section, ABC):
         """
         raise NotImplementedError
 
-    def safe_v(self, *, vent: bool = False) -> float:
-        """The voltage of the safe state: vented, or closed where the rig file holds the pressure and not `vent`."""
+    def safe_output(self, *, vent: bool = False) -> float:
+        """The output of the safe state: vented, or closed where the rig file holds the pressure and not `vent`."""
         held = self.safe_state == "hold" and not vent
-        return self.closed_v if held and self.closed_v is not None else self.vent_v
+        return self.closed_output if held and self.closed_output is not None else self.vent_output
 
     @property
     def fills_at_power_up(self) -> bool:

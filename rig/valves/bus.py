@@ -37,7 +37,7 @@ class BusValve(RegulatingValve):
         return self.range_bar
 
     @property
-    def vent_v(self) -> float:
+    def vent_output(self) -> float:
         """The set-point that vents [bar]."""
         return self.vent_bar
 
@@ -52,7 +52,7 @@ class BusValve(RegulatingValve):
         return PressureRegulator(*self._filter(limits, control), low * PA_PER_BAR, high * PA_PER_BAR, low, high)
 
     def simulated(self, truth: SimulatedValve) -> ValveTruth:
-        return self.held(ValveTruth(pa_at_zero_v=ATMOSPHERE_PA, pa_per_v=PA_PER_BAR))
+        return self.held(ValveTruth(pa_at_zero=ATMOSPHERE_PA, pa_per_unit=PA_PER_BAR))
 
     def faults(self) -> ValidationFaults:
         """A vent level outside the range."""

@@ -49,7 +49,7 @@ class FlowRegulator(Regulator):
     supply_pa: float
     closed_v: float
     fill_sign: float
-    vent_v: float
+    vent_output: float
     low_v: float
     high_v: float
     fractions: tuple[float, ...]
@@ -61,7 +61,7 @@ class FlowRegulator(Regulator):
         """The opening whose flow changes the pressure by the wanted rate."""
         integral = integral_pa_s
         if reference_pa < ZERO_REFERENCE_PA and reference_rate_pa_s <= 0.0:
-            return RegulatorState(reference_pa, integral, integral, self.vent_v)
+            return RegulatorState(reference_pa, integral, integral, self.vent_output)
         error = reference_pa - measured_pa
         demand = reference_rate_pa_s + self.gain_per_s * error + integral
         full_rate = self._full_rate_pa_s(demand, measured_pa)
@@ -116,12 +116,12 @@ class FlowValve(VoltageValve):
         return 1.0 if self.fills == "above" else -1.0
 
     @property
-    def vent_v(self) -> float:
+    def vent_output(self) -> float:
         """The voltage that opens the valve to the exhaust completely."""
         return self.range_V[0] if self.fills == "above" else self.range_V[1]
 
     @property
-    def closed_v(self) -> float:
+    def closed_output(self) -> float:
         """The middle of the dead zone."""
         return self.closed_V
 
@@ -189,7 +189,7 @@ class FlowValve(VoltageValve):
             supply_pa=self.supply_bar * PA_PER_BAR,
             closed_v=self.closed_V,
             fill_sign=self.fill_sign,
-            vent_v=self.vent_v,
+            vent_output=self.vent_output,
             low_v=self.range_V[0],
             high_v=self.range_V[1],
             fractions=(0.0, SOFT_FRACTION, *(f for f, _ in above)),

@@ -23,7 +23,7 @@ class PressureValve(VoltageValve, RegulatingValve):
     span_bar: BarSpan
 
     @property
-    def vent_v(self) -> float:
+    def vent_output(self) -> float:
         """The voltage of 0 bar, or the end of the span that is nearest to it."""
         (low_v, high_v), (low_bar, high_bar) = self.span_V, self.span_bar
         zero = low_v - low_bar * (high_v - low_v) / (high_bar - low_bar)
@@ -38,9 +38,9 @@ class PressureValve(VoltageValve, RegulatingValve):
 
     def simulated(self, truth: SimulatedValve) -> ValveTruth:
         (low_v, high_v), (low_bar, high_bar) = self.span_V, self.span_bar
-        pa_per_v = (high_bar - low_bar) / (high_v - low_v) * PA_PER_BAR
-        pa_at_zero_v = low_bar * PA_PER_BAR - low_v * pa_per_v + ATMOSPHERE_PA
-        return self.held(ValveTruth(pa_at_zero_v=pa_at_zero_v, pa_per_v=pa_per_v))
+        pa_per_unit = (high_bar - low_bar) / (high_v - low_v) * PA_PER_BAR
+        pa_at_zero = low_bar * PA_PER_BAR - low_v * pa_per_unit + ATMOSPHERE_PA
+        return self.held(ValveTruth(pa_at_zero=pa_at_zero, pa_per_unit=pa_per_unit))
 
     def faults(self) -> ValidationFaults:
         """A span outside the range of the output."""

@@ -36,7 +36,7 @@ VALVE_PLUGINS: PluginGroup[type[ValveSection]] = PluginGroup("softrig.valves", _
 
 
 class UninstalledValve(ValveSection):
-    """A valve from an archive whose type is not installed here: it has no voltages and cannot be driven."""
+    """A valve from an archive whose type is not installed here: it has no outputs and cannot be driven."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -45,7 +45,7 @@ class UninstalledValve(ValveSection):
         raise PluginError(f"valve type {self.type} is not installed: this rig can be read and not driven")
 
     @property
-    def vent_v(self) -> float:
+    def vent_output(self) -> float:
         raise PluginError(f"valve type {self.type} is not installed: this rig can be read and not driven")
 
     def regulator(self, limits: Limits, control: Control) -> Regulator:

@@ -19,20 +19,20 @@ from rig.valves.iso6358 import ATMOSPHERE_PA
 
 @dataclass(frozen=True)
 class PressureRegulator(Regulator):
-    """Converts the set-point to a voltage: `low_pa` to `high_pa` (gauge) over `low_v` to `high_v`."""
+    """Maps `low_pa` to `high_pa` (gauge) linearly to `low_output` to `high_output`, in the unit of the valve."""
 
     low_pa: float
     high_pa: float
-    low_v: float
-    high_v: float
+    low_output: float
+    high_output: float
 
     def command(
         self, integral_pa_s: float, dt_s: float, measured_pa: float, reference_pa: float, reference_rate_pa_s: float
     ) -> RegulatorState:
-        """The voltage of the set-point; no feedback."""
+        """The output of the set-point; no feedback."""
         fraction = (reference_pa - self.low_pa) / (self.high_pa - self.low_pa)
-        volts = self.low_v + min(max(fraction, 0.0), 1.0) * (self.high_v - self.low_v)
-        return RegulatorState(reference_pa, 0.0, reference_rate_pa_s, volts)
+        output = self.low_output + min(max(fraction, 0.0), 1.0) * (self.high_output - self.low_output)
+        return RegulatorState(reference_pa, 0.0, reference_rate_pa_s, output)
 
 
 class RegulatingValve(ValveSection):

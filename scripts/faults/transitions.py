@@ -119,7 +119,7 @@ def _judged(name: str, fault: TransitionFault, at_s: float, run: TrialRun, kille
         registers = run.attached()
         if registers is not None:
             if not run.safe(registers):
-                wrong.append(f"THE VALVES ARE NOT SAFE: {registers.outputs['volts']}")
+                wrong.append(f"THE VALVES ARE NOT SAFE: {registers.outputs['value']}")
             registers.close()
     try:
         with cards_locked(rig.config.loader.load(run.rig_file), "trial"):

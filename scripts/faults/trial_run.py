@@ -22,7 +22,7 @@ import numpy as np
 
 import rig.config.loader
 from rig.hardware.cards.base import CardError
-from rig.hardware.safe_state import safe_voltages
+from rig.hardware.safe_state import safe_outputs
 from rig.simulator.faults import Faults
 from rig.simulator.registers import Registers, path_of
 from scripts.rig_process import children, strict
@@ -98,7 +98,7 @@ class TrialRun:
         """What ends a fault once the run has ended."""
         self.rig_file.write_text(_limited(edit(rig_text(self.device, bench)), limits or {}))
         self.protocol.write_text(protocol)
-        self._safe_v = np.array(safe_voltages(rig.config.loader.load(self.rig_file)))
+        self._safe_v = np.array(safe_outputs(rig.config.loader.load(self.rig_file)))
         self._chunks: list[bytes] = []
         self._listening = threading.Event()
         self._listening.set()
@@ -161,7 +161,7 @@ class TrialRun:
         while time.monotonic() < deadline and self.process.poll() is None:
             registers = self.attached()
             if registers is not None:
-                if np.any(registers.outputs["volts"] > MOVING_V):
+                if np.any(registers.outputs["value"] > MOVING_V):
                     self.faults = registers.faults
                     self.members = {SUPERVISOR: self.process.pid} | run_processes(self.process.pid)
                     return registers
@@ -189,7 +189,7 @@ class TrialRun:
 
     def safe(self, registers: Registers) -> bool:
         """True while every output stands at its safe voltage."""
-        volts = registers.outputs["volts"][: len(self._safe_v)]
+        volts = registers.outputs["value"][: len(self._safe_v)]
         return bool(np.all(np.abs(volts - self._safe_v) < SEEN_SAFE_V))
 
     def watch(self, registers: Registers) -> int | None:

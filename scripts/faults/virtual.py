@@ -46,7 +46,7 @@ class FaultyPlant(Plant):
 
     def __init__(self, config: RigConfig, seed: int, t0_ns: int) -> None:
         super().__init__(config, seed, t0_ns)
-        self._safe_v = Cards(config, {}).safe_voltages
+        self._safe_v = Cards(config, {}).safe_outputs
         self._due = True
         self.safe_ns: int | None = None
         type(self).made = self

@@ -89,7 +89,7 @@ class BoardRun:
         self.rig_file = emulated_rig(folder)
         protocol = folder / "ramp.yaml"
         protocol.write_text(RAMP)
-        self.safe_v = [valve.safe_v(vent=False) for valve in load(self.rig_file).valves]
+        self.safe_output = [valve.safe_output(vent=False) for valve in load(self.rig_file).valves]
         self._monitor, self._out = monitor, folder / "runs"
         monitor.set("reset", value=True)  # another test may have left the outputs at any voltage
         wait_until(lambda: monitor.get(FIRST_SENSOR) < VENTED_V, SHORT_S, "the chamber is vented")
@@ -112,7 +112,7 @@ class BoardRun:
 
     def safe(self) -> bool:
         """True where each D/A output has its safe voltage."""
-        return bool(np.allclose(self._monitor.outputs_v, self.safe_v, atol=OUT_V))
+        return bool(np.allclose(self._monitor.outputs_v, self.safe_output, atol=OUT_V))
 
     def safe_after_ms(self, patience_s: float = SHORT_S) -> float:
         """Time from the digital mark to the last change of a D/A output, once these are safe."""

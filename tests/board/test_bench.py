@@ -43,7 +43,7 @@ class Chamber:
 
     @property
     def sensor_v(self) -> float:
-        return float(self.card.read().volts[0, 0])
+        return float(self.card.read().signals[0, 0])
 
     def fill(self) -> float:
         """Put it under pressure and close its valve; the sensor's voltage before [V]."""
@@ -95,5 +95,5 @@ def test_a_run_regulates_the_simulated_chambers_through_the_driver(bench: Monito
     held = (run.pressure.protocol_s > 12) & (run.pressure.protocol_s < 15)
     assert held.any()
     np.testing.assert_allclose(run.pressure.measured_bar[held, 0], 0.3, atol=0.03)
-    vent_v = [valve.safe_v(vent=False) for valve in load(rig_file).valves]
-    np.testing.assert_allclose(bench.outputs_v, vent_v, atol=OUT_V)
+    vent_output = [valve.safe_output(vent=False) for valve in load(rig_file).valves]
+    np.testing.assert_allclose(bench.outputs_v, vent_output, atol=OUT_V)

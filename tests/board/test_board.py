@@ -37,7 +37,7 @@ def scans_until(card: object, enough: int, patience_s: float = 30.0) -> Scans:
         time.sleep(0.01)
         parts.append(card.read())  # type: ignore[attr-defined]
     return Scans(
-        np.concatenate([p.t_ns for p in parts]), np.concatenate([p.volts for p in parts]), sum(p.lost for p in parts)
+        np.concatenate([p.t_ns for p in parts]), np.concatenate([p.signals for p in parts]), sum(p.lost for p in parts)
     )
 
 
@@ -108,7 +108,7 @@ def test_each_input_reads_the_voltage_at_its_plug(
     card = open_board(tuple(applied), acquisition=acquisition)
     card.start()
     scans = scans_until(card, 20 if acquisition == "command" else 1)
-    np.testing.assert_allclose(scans.volts, np.tile(list(applied.values()), (len(scans.volts), 1)), atol=IN_V)
+    np.testing.assert_allclose(scans.signals, np.tile(list(applied.values()), (len(scans.signals), 1)), atol=IN_V)
 
 
 @pytest.mark.usefixtures("own_clock")
@@ -119,7 +119,7 @@ def test_inputs_apart_and_in_any_order_come_in_the_order_of_the_rig(board: Monit
     card = open_board((last, first))
     card.start()
     scans = scans_until(card, 20)
-    np.testing.assert_allclose(scans.volts, np.tile([float(last), float(first)], (len(scans.volts), 1)), atol=IN_V)
+    np.testing.assert_allclose(scans.signals, np.tile([float(last), float(first)], (len(scans.signals), 1)), atol=IN_V)
 
 
 @pytest.mark.usefixtures("own_clock")
@@ -150,7 +150,7 @@ def test_an_open_input_shows_its_neighbour(board: Monitor, open_board: OpenBoard
     card = open_board(CHANNELS)
     card.start()
     scans = scans_until(card, 20)
-    np.testing.assert_allclose(scans.volts[:, 1], 7.2, atol=IN_V)
+    np.testing.assert_allclose(scans.signals[:, 1], 7.2, atol=IN_V)
 
 
 @pytest.mark.usefixtures("own_clock")
@@ -240,7 +240,7 @@ def test_an_interrupt_storm_leaves_instructions_and_a_reload_ends_it(board: Moni
     while "nobody cared" not in subprocess.run(["dmesg"], capture_output=True, text=True, check=True).stdout:
         assert time.monotonic() < until, "the kernel keeps serving the storm"
         time.sleep(0.2)
-    np.testing.assert_allclose(card.read().volts, [[2.0]], atol=IN_V)
+    np.testing.assert_allclose(card.read().signals, [[2.0]], atol=IN_V)
     card.close()
     board.set("irq-stuck", value=False)
     reload_driver()

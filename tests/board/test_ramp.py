@@ -43,5 +43,5 @@ def test_ramp_a_regulates_the_simulated_chambers_at_the_rate_of_the_rig(bench: M
     assert run.status == Status.FINISHED
     assert run.header.control_hz == RATE_HZ
     np.testing.assert_allclose(settled_bar(run), LEVELS_BAR, atol=REGULATED_BAR)
-    vent_v = [valve.safe_v(vent=False) for valve in load(rig_file).valves]
-    np.testing.assert_allclose(bench.outputs_v, vent_v, atol=OUT_V)
+    vent_output = [valve.safe_output(vent=False) for valve in load(rig_file).valves]
+    np.testing.assert_allclose(bench.outputs_v, vent_output, atol=OUT_V)

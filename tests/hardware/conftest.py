@@ -89,7 +89,7 @@ def compiled() -> None:
 def inputs(open_card: OpenCard) -> Inputs:
     card = open_card(bipolar(*VALVES), (), acquisition="instruction")
     card.start()
-    return lambda: card.read().volts[-1]
+    return lambda: card.read().signals[-1]
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ def gather(card: ComediCard, seconds: float) -> Scans:
         parts.append(card.read())
     return Scans(
         np.concatenate([p.t_ns for p in parts]),
-        np.concatenate([p.volts for p in parts]),
+        np.concatenate([p.signals for p in parts]),
         sum(p.lost for p in parts),
     )
 
@@ -39,7 +39,7 @@ def test_an_output_looped_to_an_input_reads_what_was_written(open_card: OpenCard
         card.write(np.array(told))
         scans = card.read()
         assert scans.t_ns.shape == (1,)
-        np.testing.assert_allclose(scans.volts, [told], atol=COUNT_V)
+        np.testing.assert_allclose(scans.signals, [told], atol=COUNT_V)
         np.testing.assert_allclose(card.readback(), told, atol=COUNT_V)
 
 
@@ -48,7 +48,7 @@ def test_a_unipolar_request_is_held_by_the_bipolar_range_and_clipped_to_the_requ
     card.start()
     for told, stands in ((12.0, 10.0), (-3.0, 0.0)):
         card.write(np.array([told]))
-        np.testing.assert_allclose(card.read().volts, [[stands]], atol=COUNT_V)
+        np.testing.assert_allclose(card.read().signals, [[stands]], atol=COUNT_V)
 
 
 def test_the_narrowest_range_that_holds_the_channel_is_chosen(open_card: OpenCard) -> None:
@@ -56,7 +56,7 @@ def test_the_narrowest_range_that_holds_the_channel_is_chosen(open_card: OpenCar
     card = open_card((Channel(2, -5.0, 5.0),), bipolar(2), acquisition="instruction")
     card.start()
     card.write(np.array([6.0]))
-    np.testing.assert_allclose(card.read().volts, [[3.0]], atol=COUNT_V)
+    np.testing.assert_allclose(card.read().signals, [[3.0]], atol=COUNT_V)
 
 
 def test_a_nan_is_refused_and_nothing_is_written(open_card: OpenCard) -> None:
@@ -80,7 +80,7 @@ def test_a_command_samples_at_the_rate_by_the_cards_clock(open_card: OpenCard) -
     assert len(scans.t_ns) == pytest.approx((time.monotonic_ns() - began) / card.period_ns, rel=0.2)
     assert scans.t_ns[-1] < time.monotonic_ns()
 
-    sawtooth, square, flat = scans.volts.T
+    sawtooth, square, flat = scans.signals.T
     assert np.ptp(flat) == 0
     np.testing.assert_allclose(np.unique(np.round(square, 2)), [-1.0, 1.0])
     assert sawtooth.min() == pytest.approx(-1.0, abs=0.05)
@@ -92,7 +92,7 @@ def test_a_command_samples_at_the_rate_by_the_cards_clock(open_card: OpenCard) -
 def test_channels_come_in_the_order_of_the_rig(open_card: OpenCard) -> None:
     card = open_card(bipolar(2, 0))
     card.start()
-    flat, sawtooth = gather(card, 0.5).volts.T
+    flat, sawtooth = gather(card, 0.5).signals.T
     assert np.ptp(flat) == 0
     assert np.ptp(sawtooth) > 1.5
 

@@ -37,7 +37,7 @@ def test_a_bench_on_the_card_arms_reads_and_is_made_safe(open_card: OpenCard, va
     bench = open_bench(load(LOOPED))
     try:
         bench.arm()
-        np.testing.assert_allclose(bench.readback(), bench.safe_voltages, atol=COUNT_V)
+        np.testing.assert_allclose(bench.readback(), bench.safe_outputs, atol=COUNT_V)
         bench.start()
         bench.write(np.array([1.0, 2.0, 3.0]))
         np.testing.assert_allclose(bench.read().pressure_pa, [[1e4, 2e4, 3e4]], atol=10)

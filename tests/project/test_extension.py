@@ -59,8 +59,8 @@ def test_the_example_card_and_camera_are_opened_by_their_names(
     bench = open_bench(config)
     bench.arm()
     bench.start()
-    assert bench.read().volts.tolist() == [[1.0] * config.actuators]
-    assert bench.readback().tolist() == bench.safe_voltages.tolist()
+    assert bench.read().signals.tolist() == [[1.0] * config.actuators]
+    assert bench.readback().tolist() == bench.safe_outputs.tolist()
     bench.close()
     (name,) = config.cameras
     camera = open_camera(config, name)
@@ -117,11 +117,11 @@ def test_the_examples_of_the_page_are_complete_extensions(known: dict[str, Any])
     known["Pulse"](actuators=(1, 2), level_bar=0.3, duration_s=1.0).play(TrajectoryBuilder())
     assert played == [("pulse", [30_000.0, 30_000.0]), ("pulse", [0.0, 0.0])]
     valve = known["InvertedValve"](type="inverted", actuators=(1,), card="daq", channel=0, span_bar=(0.0, 2.0))
-    assert valve.safe_v() == 10.0
+    assert valve.safe_output() == 10.0
     truth = valve.simulated(mock_rig().simulator.valve)
-    assert truth.pa_at_zero_v + truth.pa_per_v * valve.safe_v() == pytest.approx(ATMOSPHERE_PA)
+    assert truth.pa_at_zero + truth.pa_per_unit * valve.safe_output() == pytest.approx(ATMOSPHERE_PA)
     full = valve.regulator(mock_rig().limits, mock_rig().control).command(0.0, 0.005, 0.0, 2e5, 0.0)
-    assert truth.pa_at_zero_v + truth.pa_per_v * full.valve_v == pytest.approx(ATMOSPHERE_PA + 2e5)
+    assert truth.pa_at_zero + truth.pa_per_unit * full.output == pytest.approx(ATMOSPHERE_PA + 2e5)
     assert [column.name for column in known["Tip"].columns()] == ["temperature_c"]
     assert known["Tip"].temperature_c.stored(np.array([(296.0,)], [("temperature_k", "<f8")])) == pytest.approx(22.85)
     two_cameras, one_camera = (

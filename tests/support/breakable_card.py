@@ -68,58 +68,58 @@ class Breakable(Pneubox):  # type: ignore[misc]
             time.sleep(BEHIND_S if self._reads % 15 == 0 else 0.0)
         scans: Scans = super().read()
         if self._fault == "millivolts":
-            return replace(scans, volts=scans.volts * 1000)
+            return replace(scans, signals=scans.signals * 1000)
         if self._fault == "late scans":
             self._late.append(scans)
             due = len(self._late[0].t_ns) and time.monotonic_ns() - self._late[0].t_ns[0] > LATE_NS
             return self._late.pop(0) if due else Scans.none(len(self._inputs))
         if self._fault == "swaps inputs":
-            return replace(scans, volts=scans.volts[:, ::-1])
+            return replace(scans, signals=scans.signals[:, ::-1])
         if self._fault.startswith("a sensor is stuck"):
-            scans.volts[:, 1] = 0.0 if self._fault.endswith("zero") else 0.6
+            scans.signals[:, 1] = 0.0 if self._fault.endswith("zero") else 0.6
         if self._fault == "delivers twice":
-            return Scans(np.repeat(scans.t_ns, 2), np.repeat(scans.volts, 2, axis=0))
+            return Scans(np.repeat(scans.t_ns, 2), np.repeat(scans.signals, 2, axis=0))
         if self._fault == "wall clock":
             return replace(scans, t_ns=np.array([time.time_ns()]))
         if self._fault == "repeated time":
             return replace(scans, t_ns=scans.t_ns // 10**9 * 10**9)
         if self._fault == "one column":
-            return replace(scans, volts=scans.volts[:, :1])
+            return replace(scans, signals=scans.signals[:, :1])
         if self._fault == "no scans":
-            return Scans(scans.t_ns[:0], scans.volts[:0])
+            return Scans(scans.t_ns[:0], scans.signals[:0])
         if self._fault == "not a number":
-            return replace(scans, volts=scans.volts * np.nan)
+            return replace(scans, signals=scans.signals * np.nan)
         return scans
 
-    def write(self, volts: Any) -> None:
+    def write(self, outputs: Any) -> None:
         """Set the outputs, or not."""
         if self._fault == "slow write":
             time.sleep(BEHIND_S)
-        if self._fault == "takes NaN" and np.any(np.isnan(volts)):
+        if self._fault == "takes NaN" and np.any(np.isnan(outputs)):
             return
         if self._fault == "writes nothing and reads back the last write":
-            self._echo = np.array(volts)
+            self._echo = np.array(outputs)
             return
         if self._fault.endswith("for a device in bar"):
-            self._echo = np.array(volts)
-            super().write(np.array(volts) / BAR_PER_V)
+            self._echo = np.array(outputs)
+            super().write(np.array(outputs) / BAR_PER_V)
             return
         if self._fault in {"swaps outputs", "writes and reads back in the wrong order"}:
-            volts = volts[::-1]
+            outputs = outputs[::-1]
         if self._fault == "offset":
-            volts = np.add(volts, 0.2)
+            outputs = np.add(outputs, 0.2)
         if self._fault == "drops the last output":
-            volts = np.append(volts[:-1], 0.0)
+            outputs = np.append(outputs[:-1], 0.0)
         if self._fault == "does not clip":
-            super().write(volts)
-            self._volts[self._outputs] = volts
+            super().write(outputs)
+            self._volts[self._outputs] = outputs
             return
         if self._fault == "second write is lost" and self._owner is None:
             return
         if self._fault == "blind to a pulled cable" and not file_of(self._setup.device).exists():
             return
-        super().write(volts)
-        self._echo = np.array(volts)
+        super().write(outputs)
+        self._echo = np.array(outputs)
 
     def readback(self) -> Any:
         """The outputs, or what the driver takes for them."""

@@ -12,7 +12,7 @@ from rig.simulator.registers import Registers
 def mock_registers(device: str, volts: float = 0.0) -> Iterator[Registers]:
     """The registers of a mock card with two outputs at some volts and eight inputs; removed at the end."""
     registers = Registers.create(device, 2, 8)
-    registers.outputs["volts"] = volts
+    registers.outputs["value"] = volts
     path = registers.path
     try:
         yield registers

@@ -66,7 +66,7 @@ class Played:
         return self.column(2)
 
     @property
-    def valve_v(self) -> Floats:
+    def outputs(self) -> Floats:
         return self.column(3)
 
 
@@ -94,14 +94,14 @@ def play(
         now = BEGIN_NS + cycle * CYCLE_NS
         plant.advance(now)
         scans = bench.read()
-        volts = disturb(t_s, plant, scans.volts) if disturb else scans.volts
+        volts = disturb(t_s, plant, scans.signals) if disturb else scans.signals
         pressure = np.column_stack([s.pressure_pa(volts[:, i]) for i, s in enumerate(sensors)]).mean(axis=0)
         target, rate = setpoint(t_s)
         sample = control.Sample(now, int(scans.t_ns[-1]), volts[-1], pressure)
         state, command = control.step(settings, state, sample, target, rate)
-        bench.write(command.valve_v)
+        bench.write(command.outputs)
         played.t_s.append(t_s)
-        played.rows.append((target, plant.pressure_pa, pressure, command.valve_v))
+        played.rows.append((target, plant.pressure_pa, pressure, command.outputs))
         if command.trip is not None:
             played.trip = command.trip
             break

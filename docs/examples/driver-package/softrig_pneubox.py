@@ -73,9 +73,9 @@ class Pneubox:
         times = np.array([self._step()] if self._started else [], np.int64)
         return Scans(times, np.tile(self._bar[self._inputs] * SENSOR_V_PER_BAR, (len(times), 1)))
 
-    def write(self, volts: NDArray[np.float64]) -> None:
+    def write(self, outputs: NDArray[np.float64]) -> None:
         """Set the outputs, each within its range; a number that is not finite is refused."""
-        inside = self._setup.clipped(volts)
+        inside = self._setup.clipped(outputs)
         self._times[1] = self._step()
         self._volts[self._outputs] = inside
 

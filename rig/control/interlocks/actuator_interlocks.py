@@ -100,7 +100,7 @@ class UnresponsiveSensor(ActuatorInterlock):
     def of(cls, config: RigConfig, sensor: Sensor) -> Self:
         """The limits of the rig file, by the valve's type."""
         valve = next(valve for valve in config.valves if sensor.actuator in valve.actuators)
-        response_s = 0.0 if valve.closed_v is not None else config.limits.frozen_s
+        response_s = 0.0 if valve.closed_output is not None else config.limits.frozen_s
         return cls(sensor.actuator, config.limits.tracking_bar * PA_PER_BAR, response_s)
 
     def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:

@@ -33,7 +33,7 @@ class StreamSilence(NamedTuple):
 class Sample(NamedTuple):
     """Input of one control cycle.
 
-    `t_ns` is the time of the cycle, `scan_t_ns` that of the newest scan (0 before the first); `volts` (N,) and
+    `t_ns` is the time of the cycle, `scan_t_ns` that of the newest scan (0 before the first); `signals` (N,) and
     `pressure_pa` (N,) come from the scans since the last cycle, or repeat the last values if there were none.
     `stops_closed` (E,): whether the contact of each emergency stop is closed now.
     `stalled_ns`: duration of a stall of this program just now, else 0. `time_stopped`: the bench is a simulation whose
@@ -42,7 +42,7 @@ class Sample(NamedTuple):
 
     t_ns: int
     scan_t_ns: int
-    volts: NDArray[np.float64]
+    signals: NDArray[np.float64]
     pressure_pa: NDArray[np.float64]
     stalled_ns: int = 0
     time_stopped: bool = False

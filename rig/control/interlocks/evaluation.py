@@ -49,7 +49,8 @@ def settings(config: RigConfig) -> InterlockSettings:
     return InterlockSettings(
         sample=tuple(kind.of(config) for kind in SAMPLE_INTERLOCKS),
         sensors=tuple(
-            SensorSettings(sensor_state.lsb_v(s), s.accuracy_bar * PA_PER_BAR, tracking_pa, lowest_pa) for s in sensors
+            SensorSettings(sensor_state.resolution(s), s.accuracy_bar * PA_PER_BAR, tracking_pa, lowest_pa)
+            for s in sensors
         ),
         actuators=tuple(tuple(kind.of(config, s) for kind in ACTUATOR_INTERLOCKS) for s in sensors),
     )
@@ -78,13 +79,13 @@ def evaluate(
     counted_s = dt_s if counted_s is None else counted_s
     first: Trip | None = None
     moved = []
-    readings = zip(states, sample.volts.tolist(), sample.pressure_pa.tolist(), demands, strict=True)
-    for i, (state, volts, pressure_pa, demand) in enumerate(readings):
+    readings = zip(states, sample.signals.tolist(), sample.pressure_pa.tolist(), demands, strict=True)
+    for i, (state, signal, pressure_pa, demand) in enumerate(readings):
         after = sensor_state.updated(
             s.sensors[i],
-            sensor_state.started(state, volts, pressure_pa, demand),
+            sensor_state.started(state, signal, pressure_pa, demand),
             dt_s,
-            volts,
+            signal,
             pressure_pa,
             demand,
             counted_s,

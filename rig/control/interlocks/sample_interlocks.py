@@ -84,10 +84,10 @@ class SilentStream(SampleInterlock):
 class BrokenSensors(SampleInterlock):
     """A value is not a pressure: outside the span of its sensor, or at the end of the input's range.
 
-    `spans_v` has the lowest and the highest value of each sensor, and the value of a saturated input, in its unit.
+    `spans` has the lowest and the highest value of each sensor, and the value of a saturated input, in its unit.
     """
 
-    spans_v: tuple[tuple[float, float, float], ...]
+    spans: tuple[tuple[float, float, float], ...]
     units: tuple[str, ...]
 
     @classmethod
@@ -96,21 +96,21 @@ class BrokenSensors(SampleInterlock):
         spans = []
         for sensor in config.sensors_by_actuator:
             low, high = sorted(sensor.signal_span)
-            margin, ceiling = sensor.signal_margin, sensor.signal_range[1] - sensor_state.lsb_v(sensor)
+            margin, ceiling = sensor.signal_margin, sensor.signal_range[1] - sensor_state.resolution(sensor)
             spans.append((low - margin, high + margin, ceiling))
         return cls(tuple(spans), tuple(sensor.unit for sensor in config.sensors_by_actuator))
 
     def trip(self, sample: Sample, *, new: bool) -> Trip | None:
         """Compare each voltage of a new scan."""
-        for i, ((low, high, ceiling), volts) in enumerate(
-            zip(self.spans_v, sample.volts.tolist() if new else (), strict=new)
+        for i, ((low, high, ceiling), signal) in enumerate(
+            zip(self.spans, sample.signals.tolist() if new else (), strict=new)
         ):
-            if low <= volts <= high and volts < ceiling:
+            if low <= signal <= high and signal < ceiling:
                 continue
-            limit = low if volts < low else min(high, ceiling)
+            limit = low if signal < low else min(high, ceiling)
             message = (
-                f"sensor {i + 1} reads {volts:.3f} {self.units[i]}, outside its span of {low:.2f} to "
+                f"sensor {i + 1} reads {signal:.3f} {self.units[i]}, outside its span of {low:.2f} to "
                 f"{min(high, ceiling):.2f} {self.units[i]}: sensor or wire broken"
             )
-            return Trip(sample.t_ns, f"sensor {i + 1}", message, volts, limit, self.units[i])
+            return Trip(sample.t_ns, f"sensor {i + 1}", message, signal, limit, self.units[i])
         return None

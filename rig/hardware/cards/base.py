@@ -1,6 +1,7 @@
 """The interface of a data-acquisition card.
 
-Cards use volts; the conversion to pressure belongs to the rig (`rig.config.schema`).
+What a card reads and writes is in the unit of its sensors and valves: volts, or bar for a device on a bus. The
+conversion to pressure belongs to the rig (`rig.config.schema`).
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ class Channel:
     """One channel: its number on the card and the range it is used with, in the unit of the sensor or valve."""
 
     number: int
-    low_v: float
-    high_v: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)
@@ -70,20 +71,20 @@ class CardSetup:
         """
         if not np.all(np.isfinite(values)):
             raise CardError(f"card {self.device} cannot set its outputs to {values.tolist()}; nothing was written")
-        low, high = [one.low_v for one in self.outputs], [one.high_v for one in self.outputs]
+        low, high = [one.low for one in self.outputs], [one.high for one in self.outputs]
         return np.asarray(np.clip(values, low, high))
 
 
 @dataclass(frozen=True)
 class Scans:
-    """Input scans taken since the last read: `t_ns` (n,) and `volts` (n, inputs), oldest first; `lost` by overrun.
+    """Input scans taken since the last read: `t_ns` (n,) and `signals` (n, inputs), oldest first; `lost` by overrun.
 
     `damaged`: lines between computer and card that were damaged, and therefore dropped; 0 without such a line.
     `late_ns`: by how much the process that simulates the card is behind CLOCK_MONOTONIC; 0 for hardware.
     """
 
     t_ns: NDArray[np.int64]
-    volts: NDArray[np.float64]
+    signals: NDArray[np.float64]
     lost: int = 0
     late_ns: int = 0
     damaged: int = 0
@@ -132,11 +133,11 @@ class Card(Protocol):
     def read(self) -> Scans:
         """Return the scans taken since the last call, possibly none."""
 
-    def write(self, volts: NDArray[np.float64]) -> None:
+    def write(self, outputs: NDArray[np.float64]) -> None:
         """Set the outputs, in the order of `CardSetup.outputs`."""
 
     def readback(self) -> NDArray[np.float64]:
-        """Return the output voltages, NaN where the card has no read-back."""
+        """Return the outputs, NaN where the card has no read-back."""
 
     def close(self) -> None:
-        """Stop sampling and release the device. The outputs keep their voltages."""
+        """Stop sampling and release the device. The outputs keep their values."""

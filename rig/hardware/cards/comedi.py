@@ -96,13 +96,13 @@ class ComediCard:
         """Index of the narrowest range that contains the range of the channel."""
         ranges = subdevice.ranges(channel.number)
         holding = [
-            (high - low, i) for i, (low, high) in enumerate(ranges) if low <= channel.low_v and high >= channel.high_v
+            (high - low, i) for i, (low, high) in enumerate(ranges) if low <= channel.low and high >= channel.high
         ]
         if not holding:
             has = ", ".join(f"{low:g} to {high:g} V" for low, high in ranges)
             raise CardError(
                 f"{self.description}: {subdevice.word} {channel.number} has no range that holds "
-                f"{channel.low_v:g} to {channel.high_v:g} V; it has {has}"
+                f"{channel.low:g} to {channel.high:g} V; it has {has}"
             )
         return min(holding)[1]
 
@@ -166,10 +166,10 @@ class ComediCard:
         assert self._device.digital_outputs is not None
         self._device.digital_outputs.write(self._setup.digital_outputs, high=high)
 
-    def write(self, volts: NDArray[np.float64]) -> None:
+    def write(self, outputs: NDArray[np.float64]) -> None:
         """Set the outputs, each clipped to its range, also if another output fails."""
         failures = []
-        for i, (line, inside) in enumerate(zip(self._outputs, self._setup.clipped(volts), strict=True)):
+        for i, (line, inside) in enumerate(zip(self._outputs, self._setup.clipped(outputs), strict=True)):
             raw = int(np.clip(np.rint(line.from_volts(inside)), 0, line.max_raw))
             try:
                 line.write(raw)

@@ -55,7 +55,7 @@ class NidaqmxCard:
                 self._outputs = self._task()
                 for one in setup.outputs:
                     self._outputs.ao_channels.add_ao_voltage_chan(
-                        f"{setup.device}/ao{one.number}", min_val=one.low_v, max_val=one.high_v
+                        f"{setup.device}/ao{one.number}", min_val=one.low, max_val=one.high
                     )
                 self._digital = self._task()
                 for number in setup.digital_inputs:
@@ -77,8 +77,8 @@ class NidaqmxCard:
                 self._inputs.ai_channels.add_ai_voltage_chan(
                     f"{self._setup.device}/ai{one.number}",
                     terminal_config=wiring.DIFF if self._setup.differential else wiring.RSE,
-                    min_val=one.low_v,
-                    max_val=one.high_v,
+                    min_val=one.low,
+                    max_val=one.high,
                 )
             self._inputs.timing.cfg_samp_clk_timing(
                 rate_hz,
@@ -117,9 +117,9 @@ class NidaqmxCard:
         with self._as_card_error("the digital inputs cannot be read"):
             return np.atleast_1d(np.array(self._digital.read(), bool))
 
-    def write(self, volts: NDArray[np.float64]) -> None:
+    def write(self, outputs: NDArray[np.float64]) -> None:
         """Set the outputs, each clipped to its range; again for a moment while another process is writing."""
-        inside = self._setup.clipped(volts).tolist()
+        inside = self._setup.clipped(outputs).tolist()
         until = time.monotonic() + WRITE_AGAIN_S
         with self._as_card_error("the outputs cannot be written"):
             while True:

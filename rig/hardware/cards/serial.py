@@ -141,11 +141,11 @@ class SerialCard:
         if max(used, default=0) >= controller.channels:
             raise CardError(f"{self.description} has channels 0 to {controller.channels - 1}, not {max(used)}")
         for channel in self._setup.outputs:
-            if channel.low_v * PA_PER_BAR < controller.lowest_pa or channel.high_v * PA_PER_BAR > controller.highest_pa:
+            if channel.low * PA_PER_BAR < controller.lowest_pa or channel.high * PA_PER_BAR > controller.highest_pa:
                 low, high = controller.lowest_pa / PA_PER_BAR, controller.highest_pa / PA_PER_BAR
                 raise CardError(
-                    f"{self.description} takes {low:g} to {high:g} bar; the rig asks for {channel.low_v:g} to "
-                    f"{channel.high_v:g} bar at output {channel.number}"
+                    f"{self.description} takes {low:g} to {high:g} bar; the rig asks for {channel.low:g} to "
+                    f"{channel.high:g} bar at output {channel.number}"
                 )
 
     def _begin_stream(self) -> None:
@@ -203,10 +203,10 @@ class SerialCard:
         """Lines that have arrived damaged, here and at the controller."""
         return self._reader.rejected + self._refused
 
-    def write(self, volts: NDArray[np.float64]) -> None:
+    def write(self, outputs: NDArray[np.float64]) -> None:
         """Set the pressures [bar], each clipped to its range; also the heartbeat. Other channels are vented."""
         setpoint_pa = [self._controller.vent_pa] * self._controller.channels
-        for channel, bar in zip(self._setup.outputs, self._setup.clipped(volts).tolist(), strict=True):
+        for channel, bar in zip(self._setup.outputs, self._setup.clipped(outputs).tolist(), strict=True):
             setpoint_pa[channel.number] = round(bar * PA_PER_BAR)
         self._setpoint_pa = tuple(setpoint_pa)
         self._send()

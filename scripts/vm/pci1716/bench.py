@@ -56,7 +56,7 @@ class Bench:
         self._camera.advance()
         scans = self._card.read()
         if len(scans.t_ns):
-            self._answer["inputs_v"][0, self._sensors] = scans.volts[-1]
+            self._answer["inputs_v"][0, self._sensors] = scans.signals[-1]
         self._card.write(board["outputs_v"][self._valves])
         return self._answer.tobytes()
 

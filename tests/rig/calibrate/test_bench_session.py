@@ -111,17 +111,17 @@ def test_valves_vented_by_another_program_stay_vented_where_the_session_would_ho
 
     def drive() -> None:
         with real(config, file, "a test") as (valves, clock):
-            stood.append(empty.outputs["volts"].tolist())
+            stood.append(empty.outputs["value"].tolist())
             valves.write(told)
             clock.next()
             valves.write(told)
-            stood.append(empty.outputs["volts"].tolist())
-            empty.outputs["volts"] = 0.0
+            stood.append(empty.outputs["value"].tolist())
+            empty.outputs["value"] = 0.0
             valves.write(told)
 
     with pytest.raises(CardError, match="another program has written to the card"):
         drive()
     assert stood == [pytest.approx([5.0, 5.0], abs=1e-3), pytest.approx(told.tolist(), abs=1e-3)]
-    assert empty.outputs["volts"].tolist() == [0.0, 0.0]
+    assert empty.outputs["value"].tolist() == [0.0, 0.0]
     for card in config.cards.values():
         lock_file(card).unlink(missing_ok=True)

@@ -58,7 +58,7 @@ def _outputs(loaded: schema.RigConfig, above_v: float) -> bool:
     except CardError:
         return False
     try:
-        return bool((registers.outputs["volts"] > above_v).any())
+        return bool((registers.outputs["value"] > above_v).any())
     finally:
         registers.close()
 

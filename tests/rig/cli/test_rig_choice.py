@@ -162,7 +162,7 @@ def two_cards() -> Iterator[list[tuple[RigConfig, Registers]]]:
         text = loader.text("mock").replace("name: mock\n", f"name: bench{number}\n")
         device = f"chosen-{os.getpid()}-{number}"
         registers = Registers.create(device, 2, 8)
-        registers.outputs["volts"] = 7.0
+        registers.outputs["value"] = 7.0
         made.append((loader.parse(text.replace("device: mock0", f"device: {device}"), "rig.yaml"), registers))
     yield made
     for _, registers in made:
@@ -181,8 +181,8 @@ def test_vent_without_a_rig_vents_only_the_running_ones(
     said = capsys.readouterr().out
     assert "every chamber of rig bench1 is open to the exhaust" in said
     assert "protocol ramp-a" in said
-    assert first.outputs["volts"].tolist() == [0.0, 0.0]
-    assert second.outputs["volts"].tolist() == [7.0, 7.0]
+    assert first.outputs["value"].tolist() == [0.0, 0.0]
+    assert second.outputs["value"].tolist() == [7.0, 7.0]
 
 
 def test_vent_does_not_claim_what_a_card_without_read_back_cannot_show(
@@ -216,7 +216,7 @@ def test_a_running_rig_that_cannot_be_vented_does_not_stop_the_venting_of_others
     with cards_locked(one, "one"), cards_locked(other, "other"):
         # Both are of this process, and the later record names the rig that is found.
         assert status_of("vent") == 0
-    assert registers.outputs["volts"].tolist() == [0.0, 0.0]
+    assert registers.outputs["value"].tolist() == [0.0, 0.0]
     with cards_locked(one, "one"):
         assert status_of("vent") == 1
     assert "rig bench1: the card is gone" in capsys.readouterr().err

@@ -40,8 +40,8 @@ class Box:
         pass
     def read(self):
         return Scans(np.array([time.monotonic_ns()]), np.full((1, len(self.setup.inputs)), self.setup.section.gain))
-    def write(self, volts):
-        self.stands = volts.copy()
+    def write(self, outputs):
+        self.stands = outputs.copy()
     def readback(self):
         return self.stands
     def close(self):
@@ -108,8 +108,8 @@ def test_a_card_of_a_package_is_opened_with_its_own_keys(site: Path) -> None:
     bench = open_bench(config)
     bench.arm()
     bench.start()
-    assert bench.read().volts.tolist() == [[2.0, 2.0, 2.0]]
-    assert bench.readback().tolist() == bench.safe_voltages.tolist()
+    assert bench.read().signals.tolist() == [[2.0, 2.0, 2.0]]
+    assert bench.readback().tolist() == bench.safe_outputs.tolist()
     bench.close()
 
 
@@ -256,5 +256,5 @@ def test_built_in_drivers_need_no_metadata_of_installed_packages() -> None:
 def test_a_valve_of_a_package_regulates(site: Path) -> None:
     config = loader.parse(with_slow_valve(rig_text()), "my.yaml")
     state = config.valves[1].regulator(config.limits, config.control).command(0.0, 0.005, 0.0, 1e5, 0.0)
-    assert state.valve_v == pytest.approx(5.0)
-    assert np.isfinite(config.valves[1].safe_v())
+    assert state.output == pytest.approx(5.0)
+    assert np.isfinite(config.valves[1].safe_output())

@@ -86,7 +86,7 @@ def test_an_electro_pneumatic_regulator_is_passed_its_set_point() -> None:
     valve = {"type": "pressure", "actuators": [1], "card": "daq", "channel": 0, "span_bar": [0.0, 2.0]}
     played = play(mock_rig(valves__0=valve), staircase([0.0, 0.3, 0.5], 1.0, [0]), 3.0)
     assert played.trip is None
-    assert played.valve_v[-1, 0] == pytest.approx(2.5)
+    assert played.outputs[-1, 0] == pytest.approx(2.5)
     assert abs(played.true_pa[-1, 0] - 0.5e5) < 100
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control import step as control
-from rig.hardware.safe_state import safe_voltages
+from rig.hardware.safe_state import safe_outputs
 from tests.support.plant_bench import mock_rig
 
 CYCLE_NS = 5_000_000
@@ -76,8 +76,8 @@ def test_an_open_stop_trips_first_and_vents_valves_that_hold() -> None:
     assert trip.vent
     assert trip.t_ns == 3 * CYCLE_NS, "a trip latches"
     assert "emergency stop 'button': its contact is open (pressed, or a wire is broken)" in trip.message
-    np.testing.assert_array_equal(command.valve_v, safe_voltages(config, vent=True))
-    assert command.valve_v[0] != safe_voltages(config)[0]
+    np.testing.assert_array_equal(command.outputs, safe_outputs(config, vent=True))
+    assert command.outputs[0] != safe_outputs(config)[0]
 
 
 def test_over_pressure_trips_with_value_limit_and_unit() -> None:
@@ -132,7 +132,7 @@ def test_without_scans_the_valves_wait_then_close_and_then_the_run_stops() -> No
     for cycle in range(1, round(RIG.limits.stale_s / 0.005) + 1):
         command = loop.cycle((0, 0, 0), (0.35, 0, 0), scan=False)
         assert command.trip is None
-        np.testing.assert_array_equal(command.valve_v, before.valve_v if cycle <= 3 else [5.0, 5.0])
+        np.testing.assert_array_equal(command.outputs, before.outputs if cycle <= 3 else [5.0, 5.0])
     command = loop.cycle((0, 0, 0), (0.35, 0, 0), scan=False)
     assert command.trip is not None
     assert command.trip.message == "no pressure sample for 105 ms (limit 100 ms)"
@@ -146,7 +146,7 @@ def test_after_a_stall_there_is_time_to_read_the_scans_taken_meanwhile() -> None
     for _ in range(round(RIG.limits.stale_s / 0.005)):
         command = loop.cycle((0, 0, 0), (0.3, 0, 0), scan=False, stalled_ns=still_ns)
         assert command.trip is None
-        np.testing.assert_array_equal(command.valve_v, [5.0, 5.0])
+        np.testing.assert_array_equal(command.outputs, [5.0, 5.0])
     assert loop.cycle((0, 0, 0), (0.3, 0, 0), scan=False, stalled_ns=still_ns).trip is not None
 
 
@@ -163,7 +163,7 @@ def test_a_short_gap_in_the_scans_is_survived() -> None:
     for _ in range(8):
         loop.cycle((0, 0, 0), (0.3, 0, 0), scan=False)
     command = loop.hold(0.3, 10)
-    assert not np.array_equal(command.valve_v, [5.0, 5.0])
+    assert not np.array_equal(command.outputs, [5.0, 5.0])
 
 
 def test_without_any_scan_there_is_no_run() -> None:
@@ -245,7 +245,7 @@ def test_a_trip_latches_with_the_safe_voltages() -> None:
     for _ in range(10):
         command = loop.cycle((0.3, 0, 0), (0.3, 0, 0))
         assert command.trip is first
-        np.testing.assert_array_equal(command.valve_v, safe_voltages(RIG))
+        np.testing.assert_array_equal(command.outputs, safe_outputs(RIG))
 
 
 def test_a_valve_of_two_chambers_controls_their_mean() -> None:
@@ -265,7 +265,7 @@ def test_a_valve_of_two_chambers_controls_their_mean() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "safe_v"),
+    ("changes", "safe_output"),
     [
         ({}, (0.0, 0.0)),
         ({"valves__0__fills": "below"}, (10.0, 0.0)),
@@ -286,8 +286,8 @@ def test_a_valve_of_two_chambers_controls_their_mean() -> None:
     ],
     ids=["vent", "vent a valve that fills below", "hold", "no pressure from a regulator"],
 )
-def test_safe_voltages_follow_the_valve(changes: dict[str, object], safe_v: tuple[float, ...]) -> None:
-    assert safe_voltages(mock_rig(**changes)) == pytest.approx(safe_v)
+def test_safe_voltages_follow_the_valve(changes: dict[str, object], safe_output: tuple[float, ...]) -> None:
+    assert safe_outputs(mock_rig(**changes)) == pytest.approx(safe_output)
 
 
 @given(
@@ -306,4 +306,4 @@ def test_whatever_the_readings_every_command_lies_in_the_valves_range(
         t_ns += 5_000_000 + late_ms * 1_000_000
         sample = control.Sample(t_ns, t_ns, np.array([bar, bar, volts]), np.array([bar, bar, volts]) * 1e5)
         state, command = control.step(SETTINGS, state, sample, np.full(3, setpoint * 1e5), np.full(3, rate * 1e5))
-        assert np.all((command.valve_v >= 0.0) & (command.valve_v <= 10.0))
+        assert np.all((command.outputs >= 0.0) & (command.outputs <= 10.0))

@@ -38,11 +38,11 @@ class FakeCard:
         scans, self.next = self.next, Scans(np.empty(0, np.int64), np.empty((0, len(self.setup.inputs))))
         return scans
 
-    def write(self, volts: NDArray[np.float64]) -> None:
+    def write(self, outputs: NDArray[np.float64]) -> None:
         if self.broken:
             raise CardError("no answer")
         if not self.deaf:
-            self.outputs = volts.copy()
+            self.outputs = outputs.copy()
 
     def readback(self) -> NDArray[np.float64]:
         return self.outputs
@@ -85,7 +85,7 @@ def test_columns_come_in_the_order_of_the_actuators_and_in_pascal(bench: Bench, 
     cards["other"].feed([0, 10], [[0.2], [0.2]])
     cards["daq"].feed([5], [[0.1, 0.3]])
     scans = bench.read()
-    np.testing.assert_allclose(scans.volts, [[0.1, 0.2, 0.3]])
+    np.testing.assert_allclose(scans.signals, [[0.1, 0.2, 0.3]])
     np.testing.assert_allclose(scans.pressure_pa, [[0.1e5, 0.2e5, 0.3e5]])
 
 
@@ -96,11 +96,11 @@ def test_cards_with_clocks_of_their_own_are_paired_without_losing_a_scan(
     cards["other"].feed([8, 18, 29], [[8], [18], [29]])
     first = bench.read()
     assert first.t_ns.tolist() == [10, 20]
-    assert first.volts[:, 1].tolist() == [8, 18]
+    assert first.signals[:, 1].tolist() == [8, 18]
     cards["other"].feed([41], [[41]], lost=3)
     second = bench.read()
     assert second.t_ns.tolist() == [30, 40]
-    assert second.volts.tolist() == [[3, 29, 3], [4, 29, 4]]
+    assert second.signals.tolist() == [[3, 29, 3], [4, 29, 4]]
     assert second.lost == 3
 
 
@@ -221,7 +221,7 @@ def test_an_unexpected_error_of_a_driver_names_card_and_method(
 
 def test_scans_of_a_wrong_shape_are_an_error_of_the_card(bench: Bench, cards: dict[str, FakeCard]) -> None:
     cards["other"].next = Scans(np.array([1], np.int64), np.zeros((1, 2)))
-    with pytest.raises(CardError, match=r"card other: .* volts of shape \(1, 2\) instead of \(1, 1\)"):
+    with pytest.raises(CardError, match=r"card other: .* signals of shape \(1, 2\) instead of \(1, 1\)"):
         bench.read()
 
 

@@ -35,7 +35,7 @@ class FakeCard:
     def read(self) -> Scans:
         return Scans(np.empty(0, np.int64), np.empty((0, 3)))
 
-    def write(self, volts: NDArray[np.float64]) -> None:
+    def write(self, outputs: NDArray[np.float64]) -> None:
         """Drive nothing."""
 
     def readback(self) -> NDArray[np.float64]:

@@ -188,7 +188,7 @@ def test_the_gaps_between_channels_are_sampled_too_and_left_out(make: MakeCard) 
     assert [line.number for line in device.inputs.scan] == [2, 3, 4, 5]
     assert card.period_ns == 1_000_000
     device.put((2.0, 0.3, 0.4, 5.0), (2.1, 0.3, 0.4, 5.1))
-    np.testing.assert_allclose(card.read().volts, [[5.0, 2.0], [5.1, 2.1]], atol=2e-4)
+    np.testing.assert_allclose(card.read().signals, [[5.0, 2.0], [5.1, 2.1]], atol=2e-4)
 
 
 def test_digital_inputs_are_read_in_the_order_of_the_rig(make: MakeCard) -> None:
@@ -236,7 +236,7 @@ def test_an_incomplete_scan_waits_for_its_rest(make: MakeCard) -> None:
     os.write(device.feed, b"\0\x80\0")
     assert len(card.read().t_ns) == 0
     os.write(device.feed, b"\x40")
-    np.testing.assert_allclose(card.read().volts, [[5.0, 2.5]], atol=2e-4)
+    np.testing.assert_allclose(card.read().signals, [[5.0, 2.5]], atol=2e-4)
 
 
 def test_scans_are_a_period_apart_and_none_is_taken_before_the_start(make: MakeCard) -> None:
@@ -252,13 +252,13 @@ def test_after_an_overrun_sampling_continues_and_earlier_scans_are_kept(make: Ma
     card.start()
     device.put((1.0,), (2.0,))
     device.break_off()
-    np.testing.assert_allclose(card.read().volts, [[1.0], [2.0]], atol=2e-4)
+    np.testing.assert_allclose(card.read().signals, [[1.0], [2.0]], atol=2e-4)
     assert len(card.read().t_ns) == 0
     assert device.inputs.started == 2
     device.mend()
     device.put((3.0,))
     again = card.read()
-    np.testing.assert_allclose(again.volts, [[3.0]], atol=2e-4)
+    np.testing.assert_allclose(again.signals, [[3.0]], atol=2e-4)
     assert again.lost == 0
 
 
@@ -274,7 +274,7 @@ def test_the_command_of_the_card_is_used_only_where_the_rig_allows_it(make: Make
     card, device = make(unipolar(3), acquisition="instruction")
     card.start()
     device.inputs.lines[3].raw = 65535
-    np.testing.assert_allclose(card.read().volts, [[10.0]])
+    np.testing.assert_allclose(card.read().signals, [[10.0]])
     assert device.inputs.started == 0
     assert card.period_ns is None
 
@@ -298,7 +298,7 @@ def test_where_the_driver_refuses_every_command_auto_reads_by_instruction(
     refuse_commands(device, monkeypatch)
     card.start()
     device.inputs.lines[3].raw = 65535
-    np.testing.assert_allclose(card.read().volts, [[10.0]])
+    np.testing.assert_allclose(card.read().signals, [[10.0]])
     assert device.inputs.started == 0
     assert card.period_ns is None
 

@@ -36,8 +36,8 @@ class Card:
         level, self._was_read = 2.0 if self._was_read else 1.0, True
         return Scans(np.array([1, 2]), np.full((2, 3), level))
 
-    def write(self, volts: NDArray[np.float64]) -> None:
-        self.stands = volts.copy()
+    def write(self, outputs: NDArray[np.float64]) -> None:
+        self.stands = outputs.copy()
 
     def readback(self) -> NDArray[np.float64]:
         return self.stands

@@ -142,10 +142,10 @@ def test_control_that_stalled_within_a_cycle_does_not_overwrite_a_venting(
     bench = open_bench(config)
     own = control.GuardedOutputs(bench, memory)
     own.write(np.array([6.0, 7.0]))
-    registers.outputs["volts"] = stands_v
+    registers.outputs["value"] = stands_v
     with pytest.raises(CardError, match="another program has written to the card"):
         own.write(np.array([6.0, 7.0]))
-    assert registers.outputs["volts"].tolist() == [stands_v] * 2
+    assert registers.outputs["value"].tolist() == [stands_v] * 2
     assert memory.vents is vented
     bench.close()
     os.close(memory.fd)
@@ -161,9 +161,9 @@ def test_writes_of_the_own_watchdog_are_neither_overwritten_nor_taken_for_foreig
     own.write(np.array([6.0, 7.0]))
     for name, value in flags.items():
         setattr(memory, name, value)
-    registers.outputs["volts"] = 0.0
+    registers.outputs["value"] = 0.0
     own.write(np.array([6.0, 7.0]))
-    assert registers.outputs["volts"].tolist() == [0.0, 0.0]
+    assert registers.outputs["value"].tolist() == [0.0, 0.0]
     assert not own.undisturbed()
     bench.close()
     os.close(memory.fd)
@@ -226,6 +226,6 @@ def test_holding_valves_stay_vented_though_the_run_ends_late(registers: Register
     with run_that(LATE, file) as run:
         vent(config)
         assert run.wait(20) == 0
-    assert registers.outputs["volts"].tolist() == [0.0, 0.0]
+    assert registers.outputs["value"].tolist() == [0.0, 0.0]
     for card in config.cards.values():
         lock_file(card).unlink(missing_ok=True)

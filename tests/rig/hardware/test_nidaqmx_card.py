@@ -82,7 +82,7 @@ def test_scans_are_in_the_order_of_the_rig_at_the_rate_of_the_card(device: str) 
     card.read()
     time.sleep(0.05)
     scans = card.read()
-    np.testing.assert_allclose(scans.volts, np.broadcast_to([7.0, 2.0], scans.volts.shape))
+    np.testing.assert_allclose(scans.signals, np.broadcast_to([7.0, 2.0], scans.signals.shape))
     assert len(scans.t_ns) >= 40
     np.testing.assert_allclose(np.diff(scans.t_ns[:-1]), 1e6, rtol=2e-3)
     card.close()
@@ -107,7 +107,7 @@ def test_one_process_samples_and_a_second_one_writes(device: str) -> None:
     second.write(np.array([4.0, 5.0]))
     first.read()
     time.sleep(0.01)
-    assert first.read().volts[-1].tolist() == [5.0, 4.0]
+    assert first.read().signals[-1].tolist() == [5.0, 4.0]
     with pytest.raises(CardError, match=r"sampling cannot be started .*reserved"):
         ni.NidaqmxCard(setup(device)).start()
 

@@ -66,7 +66,7 @@ def holder(device: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
 
 def volts(device: str) -> list[float]:
     registers = Registers.attach(device)
-    stand: list[float] = registers.outputs["volts"].tolist()
+    stand: list[float] = registers.outputs["value"].tolist()
     registers.close()
     return stand
 

@@ -65,7 +65,7 @@ def driven(card: SerialCard, bar: list[float], *, reads: int) -> np.ndarray:
     for _ in range(reads):
         card.write(np.array(bar))
         time.sleep(0.004)
-        found.append(card.read().volts)
+        found.append(card.read().signals)
     return np.concatenate(found)
 
 

@@ -69,10 +69,10 @@ class BrokenLine:
         self.order: list[str] = []
         self.volts: NDArray[np.float64] = np.full(2, 7.0)
 
-    def write(self, volts: NDArray[np.float64]) -> None:
+    def write(self, outputs: NDArray[np.float64]) -> None:
         """Set the valves."""
         self.order.append("valves")
-        self.volts = volts.copy()
+        self.volts = outputs.copy()
 
     def write_digital(self, *, high: bool) -> None:
         """Fail."""
@@ -84,7 +84,7 @@ def test_a_trigger_that_cannot_be_set_low_leaves_the_valves_safe_and_is_reported
     card = BrokenLine()
     outputs = SafeOutputs(triggered_rig(), {"daq": card})  # type: ignore[dict-item]
     outputs.make_safe()
-    np.testing.assert_allclose(card.volts, outputs.safe_v)
+    np.testing.assert_allclose(card.volts, outputs.safe_output)
     assert card.order[:2] == ["valves", "trigger"]
     assert outputs.trigger_failure == "the camera trigger of card daq could not be set low: gone"
 
@@ -97,10 +97,10 @@ def test_rig_vent_reports_a_trigger_that_it_cannot_set_low(
 
     monkeypatch.setattr(MockCard, "write_digital", fail)
     config = on_card(registers)
-    registers.outputs["volts"][:2] = 7.0
+    registers.outputs["value"][:2] = 7.0
     with pytest.raises(CardError, match="the camera trigger of card daq could not be set low: gone"):
         vent(config)
-    np.testing.assert_allclose(registers.outputs["volts"][:2], safe_state.safe_voltages(config, vent=True), atol=1e-3)
+    np.testing.assert_allclose(registers.outputs["value"][:2], safe_state.safe_outputs(config, vent=True), atol=1e-3)
 
 
 def test_a_card_without_digital_outputs_cannot_trigger() -> None:

@@ -85,7 +85,7 @@ def job(config: RigConfig, memory: SharedState, supervisor: int) -> ChildJob:
 
 
 def volts(registers: Registers) -> list[float]:
-    stand: list[float] = registers.outputs["volts"].tolist()
+    stand: list[float] = registers.outputs["value"].tolist()
     return stand
 
 

@@ -106,13 +106,13 @@ def test_no_set_point_whatever_can_raise_a_chamber_above_the_limit(bar: float, b
     for t_ns in range(10_000_000, 3_000_000_000, 5_000_000):
         plant.advance(t_ns)
         scans = bench.read()
-        sample = control.Sample(t_ns, int(scans.t_ns[-1]), scans.volts[-1], scans.pressure_pa.mean(axis=0))
+        sample = control.Sample(t_ns, int(scans.t_ns[-1]), scans.signals[-1], scans.pressure_pa.mean(axis=0))
         state, command = control.step(prepared, state, sample, setpoint, rate)
-        bench.write(command.valve_v)
+        bench.write(command.outputs)
         highest = max(highest, float(plant.pressure_pa.max()))
         if command.trip is not None:
             trip = command.trip
-            assert np.array_equal(command.valve_v, bench.safe_voltages)
+            assert np.array_equal(command.outputs, bench.safe_outputs)
     limit_pa = (config.limits.pressure_bar + config.limits.pressure_margin_bar) * 1e5
     assert trip is not None
     # Beyond it the air goes on for the sensor's lag, one cycle and the spool: 20 ms at the fastest rate allowed.

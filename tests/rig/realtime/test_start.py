@@ -46,7 +46,7 @@ class SlowBench:
         t_ns = time.monotonic_ns() - np.arange(n, dtype=np.int64)[::-1] * 1_000_000
         return BenchScans(t_ns, np.full((n, self._actuators), 0.1), np.full((n, self._actuators), 1e4), 0)
 
-    def write(self, valve_v: np.ndarray) -> None:  # type: ignore[type-arg]
+    def write(self, outputs: np.ndarray) -> None:  # type: ignore[type-arg]
         raise AssertionError("a warm-up moves no valve")
 
 

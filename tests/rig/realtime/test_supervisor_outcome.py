@@ -93,7 +93,7 @@ def test_an_error_in_control_is_reported_by_name_and_the_valves_are_safe(
     memory.publish_stage("watchdog", Stage.READY)
 
     def fails(*_: object) -> None:
-        registers.outputs["volts"] = 7.0
+        registers.outputs["value"] = 7.0
         raise ZeroDivisionError("of a warm-up")
 
     monkeypatch.setattr(control_process, "receive_job", lambda: (ChildJob(own_plan, memory.fd, os.getppid()), memory))
@@ -106,7 +106,7 @@ def test_an_error_in_control_is_reported_by_name_and_the_valves_are_safe(
             control_process.main()
     finally:
         signal.signal(signal.SIGTERM, before)
-    assert registers.outputs["volts"].tolist() == [0.0, 0.0]
+    assert registers.outputs["value"].tolist() == [0.0, 0.0]
     assert memory.safe_ns
     assert memory.stage("control") is Stage.FAILED
     assert memory.message("control") == "the control process failed: ZeroDivisionError: of a warm-up"
@@ -119,8 +119,8 @@ def test_outputs_that_do_not_read_back_safe_at_the_end_are_not_called_safe(
     own_parent.memory.safe_ns = 1
     assert own_parent.shutdown.verify(own_parent.timing) == ""
     assert "valve 1 stands at 7.000 V" in own_parent.shutdown.written_message
-    assert registers.outputs["volts"].tolist() == [0.0, 0.0]
-    registers.outputs["volts"] = 7.0
+    assert registers.outputs["value"].tolist() == [0.0, 0.0]
+    registers.outputs["value"] = 7.0
     registers.faults.inject(failing_writes=10**9)
     said = own_parent.shutdown.verify(own_parent.timing)
     assert "shut the air off by hand" in said

@@ -112,7 +112,7 @@ def test_scans_of_a_late_simulator_do_not_stop_a_run(
             shape = (len(t_ns), config.actuators)
             return BenchScans(t_ns, np.zeros(shape), np.zeros(shape), 0, late_ns=1000 * MS)
 
-        def write(self, valve_v: np.ndarray) -> None:  # type: ignore[type-arg]
+        def write(self, outputs: np.ndarray) -> None:  # type: ignore[type-arg]
             pass
 
     (tmp_path / "short.yaml").write_text(BRIEF)

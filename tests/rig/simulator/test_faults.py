@@ -30,7 +30,7 @@ class Rig:
     def volts(self, ms: int) -> np.ndarray:  # type: ignore[type-arg]
         """What the card reads of the next milliseconds."""
         self.plant.advance(self.plant.t_ns + ms * MS)
-        return self.card.read().volts
+        return self.card.read().signals
 
 
 @pytest.fixture

@@ -99,7 +99,7 @@ def test_a_running_plant_gives_every_scan_once_at_its_clocks_pace(mock: Mock) ->
         time.sleep(0.007)
         parts.append(card.read())
     t_ns = np.concatenate([p.t_ns for p in parts])
-    volts = np.concatenate([p.volts for p in parts])
+    volts = np.concatenate([p.signals for p in parts])
     assert sum(p.lost for p in parts) == 0
     assert set(np.diff(t_ns)) == {1_000_000}
     assert t_ns[-1] <= time.monotonic_ns()
@@ -149,7 +149,7 @@ def test_outputs_are_registers_that_take_writes_while_the_plant_is_dead(mock: Mo
     plant.wait()
     before = time.monotonic_ns()
     card.write(np.array([0.0, 5.0]))
-    np.testing.assert_allclose(watcher.outputs["volts"], [0.0, 5.0], atol=1e-4)
+    np.testing.assert_allclose(watcher.outputs["value"], [0.0, 5.0], atol=1e-4)
     assert np.all(watcher.outputs["written_ns"] >= before)
     card.close()
     np.testing.assert_allclose(mock.card().readback(), [0.0, 5.0], atol=1e-4)
@@ -285,7 +285,7 @@ class TestRing:
         self.push(ring, 0, 10)
         scans, position = ring.scans_since(4, [1])
         assert scans.t_ns.tolist() == [4, 5, 6, 7, 8, 9]
-        assert scans.volts.ravel().tolist() == [8.0, 10.0, 12.0, 14.0, 16.0, 18.0]
+        assert scans.signals.ravel().tolist() == [8.0, 10.0, 12.0, 14.0, 16.0, 18.0]
         assert (scans.lost, position) == (0, 10)
 
     def test_a_late_reader_learns_how_many_rows_it_lost(self, ring: Registers) -> None:
@@ -322,7 +322,7 @@ class TestRing:
         while writer.poll() is None:
             scans, position = ring.scans_since(position, [0, 1])
             seen += len(scans.t_ns)
-            np.testing.assert_array_equal(scans.volts[:, 0], scans.t_ns)
-            np.testing.assert_array_equal(scans.volts[:, 1], 2 * scans.t_ns)
+            np.testing.assert_array_equal(scans.signals[:, 0], scans.t_ns)
+            np.testing.assert_array_equal(scans.signals[:, 1], 2 * scans.t_ns)
         assert writer.returncode == 0
         assert seen > 1000

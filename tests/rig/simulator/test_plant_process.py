@@ -51,7 +51,7 @@ def test_a_plant_that_runs_too_seldom_simulates_the_allowed_wait_before_the_pres
     card = SimulatedCard(config, next(iter(config.cards)), plant)
     for _ in range(20):
         clock.now_ns += every_ms * MS
-        card.registers.outputs["volts"][:] = 8.0
+        card.registers.outputs["value"][:] = 8.0
         card.registers.outputs["written_ns"][:] = clock.now_ns - 1 * MS
         advance_while_driven(plant, [card], WAITS_NS)
         assert plant.t_ns == clock.now_ns

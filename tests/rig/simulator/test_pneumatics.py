@@ -169,7 +169,7 @@ def test_noise_is_white_normal_and_of_the_stated_size() -> None:
     card = plant.card("daq")
     card.start()
     plant.advance(4_050_000_000)
-    volts = card.read().volts
+    volts = card.read().signals
     noise = volts - 0.5
     assert noise.std(axis=0) == pytest.approx([1e-3] * 3, rel=0.05)
     assert abs(noise.mean(axis=0)).max() < 5e-5
@@ -185,7 +185,7 @@ def test_the_sensor_lags_by_its_time_constant() -> None:
     card.start()
     plant._air.pressure_pa[0] = 0.5e5 + ATM
     plant.advance(80_000_000)
-    volts = card.read().volts[:, 0]
+    volts = card.read().signals[:, 0]
     t = np.arange(1, 31) * 1e-3
     np.testing.assert_allclose(volts, 0.5 * (1 - np.exp(-t / 3e-3)), atol=2e-4)
 
@@ -196,7 +196,7 @@ def test_readings_are_counts_of_sixteen_bits_within_the_sensors_span() -> None:
     card = plant.card("daq")
     card.start()
     plant.advance(1_000_000_000)
-    volts = card.read().volts
+    volts = card.read().signals
     codes = volts / 10.0 * 65535
     np.testing.assert_allclose(codes, np.round(codes), atol=1e-6)
     assert volts[0, 0] == pytest.approx(1.0, abs=0.2)
@@ -209,7 +209,7 @@ def test_another_seed_is_another_noise_and_another_offset() -> None:
         plant = plant_of(mock_rig(), (6.0, 5.0), seed)
         plant.card("daq").start()
         plant.advance(200_000_000)
-        volts.append(plant.card("daq").read().volts)
+        volts.append(plant.card("daq").read().signals)
     np.testing.assert_array_equal(volts[0], volts[2])
     assert not np.array_equal(volts[0], volts[1])
 
@@ -228,7 +228,7 @@ def test_how_time_is_cut_into_calls_does_not_change_a_bit(cuts: list[int], movin
                 if at < stop < at + 60_000_000:
                     plant.advance(stop)
         plant.advance(200_000_000)
-        return card.read().volts, plant.pressure_pa, plant.pose_at(plant.t_ns).position_m
+        return card.read().signals, plant.pressure_pa, plant.pose_at(plant.t_ns).position_m
 
     whole, cut = run([]), run(np.cumsum(cuts).tolist())
     for a, b in zip(whole, cut, strict=True):

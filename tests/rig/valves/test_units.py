@@ -12,7 +12,7 @@ from rig.config import loader
 from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
 from rig.hardware.cards.setup import card_setup
-from rig.hardware.safe_state import safe_voltages
+from rig.hardware.safe_state import safe_outputs
 from rig.simulator.plant import Plant
 from tests.support.bus_rig import bus_rig, bus_text
 from tests.support.plant_bench import play, staircase
@@ -22,18 +22,18 @@ def test_a_rig_on_a_bus_regulates_in_bar() -> None:
     played = play(bus_rig(), staircase([0.0, 0.3, 0.6], 1.0, [0, 1, 2]), 3.0)
     assert played.trip is None
     assert played.measured_pa[-1] == pytest.approx([0.6e5] * 3, abs=600)
-    assert played.valve_v[-1] == pytest.approx([0.6, 0.6], abs=1e-3)
+    assert played.outputs[-1] == pytest.approx([0.6, 0.6], abs=1e-3)
 
 
 def test_the_card_is_set_up_in_bar() -> None:
     setup = card_setup(bus_rig(), "daq")
-    assert [(c.low_v, c.high_v) for c in setup.outputs] == [(-0.8, 1.5)] * 2
-    assert all(c.low_v < -1 and c.high_v > 2 for c in setup.inputs)
+    assert [(c.low, c.high) for c in setup.outputs] == [(-0.8, 1.5)] * 2
+    assert all(c.low < -1 and c.high > 2 for c in setup.inputs)
 
 
 def test_the_vent_level_is_not_the_bottom_of_the_range() -> None:
-    assert safe_voltages(bus_rig()) == (0.0, 0.0)
-    assert safe_voltages(bus_rig(", vent_bar: 0.05")) == (0.05, 0.05)
+    assert safe_outputs(bus_rig()) == (0.0, 0.0)
+    assert safe_outputs(bus_rig(", vent_bar: 0.05")) == (0.05, 0.05)
 
 
 def test_a_broken_sensor_is_reported_in_its_unit() -> None:

@@ -74,7 +74,7 @@ def two_card_run(folder: Path, protocol: str, *, one_opener: bool = False) -> It
 def stand_v(device: str) -> list[float]:
     """Voltages of the used output of a card and of its spare one."""
     registers = Registers.attach(device)
-    volts: list[float] = registers.outputs["volts"].tolist()
+    volts: list[float] = registers.outputs["value"].tolist()
     registers.close()
     return volts
 
