@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -43,21 +43,24 @@ class CardConfig(Section):
         """True when the valves and sensors behind the card are simulated: a run on it is marked."""
         return self.simulated
 
-    def setup_options(self) -> dict[str, Any]:
-        """What this driver's section adds to `CardSetup`."""
-        return {}
+
+class WiredCardConfig(CardConfig):
+    """A card with a choice of how its inputs are wired."""
+
+    reference: Literal["ground", "differential"] = Field(default="ground", description="how the inputs are wired")
+
+    @property
+    def differential(self) -> bool:
+        """True if each input is a pair."""
+        return self.reference == "differential"
 
 
-class SampledCardConfig(CardConfig):
+class SampledCardConfig(WiredCardConfig):
     """A card whose inputs are sampled by its own clock or by instruction."""
 
     acquisition: Literal["auto", "command", "instruction"] = Field(
         default="auto", description="inputs by the card's own clock, one scan per control period, or the card's best"
     )
-    reference: Literal["ground", "differential"] = Field(default="ground", description="how the inputs are wired")
-
-    def setup_options(self) -> dict[str, Any]:
-        return {"acquisition": self.acquisition, "differential": self.reference == "differential"}
 
 
 class ComediCardConfig(SampledCardConfig):
@@ -81,10 +84,6 @@ class MockCardConfig(SampledCardConfig):
     signal_units: ClassVar[tuple[str, ...] | None] = None
     one_opener: bool = Field(default=False, description="let one process in at a time, as some drivers do")
 
-    def setup_options(self) -> dict[str, Any]:
-        """As of a card, and whether it lets one process in."""
-        return {**super().setup_options(), "one_opener": self.one_opener}
-
 
 SERIAL_BYTES = 70
 """Bytes of one sample and one acknowledgement, on the line from a serial controller."""
@@ -106,14 +105,10 @@ class SerialCardConfig(CardConfig):
         return self
 
 
-class NidaqmxCardConfig(CardConfig):
+class NidaqmxCardConfig(WiredCardConfig):
     """A card with an NI-DAQmx driver."""
 
     driver: Literal["nidaqmx"]
-    reference: Literal["ground", "differential"] = Field(default="ground", description="how the inputs are wired")
-
-    def setup_options(self) -> dict[str, Any]:
-        return {"differential": self.reference == "differential"}
 
 
 class UninstalledCardConfig(CardConfig):

@@ -216,8 +216,7 @@ def open_bench(config: RigConfig, *, by_instruction: bool = False) -> Bench:
     cards: dict[str, Card] = {}
     try:
         for name, card in config.cards.items():
-            setup = card_setup(config, name)
-            cards[name] = open_card(card, replace(setup, acquisition="instruction") if by_instruction else setup)
+            cards[name] = open_card(card, card_setup(config, name, by_instruction=by_instruction))
     except BaseException:
         release(cards.values())
         raise

@@ -34,7 +34,7 @@ class MockCard:
             CardError: it does not exist or lacks a channel.
         """
         self._device = setup.device
-        self._exclusive_lock = _lock_exclusively(setup.device) if setup.one_opener else -1
+        self._exclusive_lock = _lock_exclusively(setup.device) if setup.section.one_opener else -1
         try:
             self._registers = Registers.attach(setup.device)
         except CardError:

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from rig.hardware.cards.base import CardSetup, Channel
+from rig.hardware.cards.base import Channel
 from rig.hardware.cards.comedi import ComediCard
 from rig.hardware.cards.comedi_survey import survey
 from tests.board.monitor import Monitor
 from tests.hardware import forked_run
+from tests.support.card_setups import comedi_setup
 
 CARD = "/dev/comedi0"
 OpenBoard = Callable[..., ComediCard]
@@ -68,7 +69,7 @@ def open_board() -> Iterator[OpenBoard]:
     def open_(inputs: tuple[int, ...] = (), sampling_hz: float = 1000.0, acquisition: str = "auto") -> ComediCard:
         lines = tuple(Channel(number, -10.0, 10.0) for number in inputs)
         outputs = (Channel(0, 0.0, 10.0), Channel(1, 0.0, 10.0))
-        card = ComediCard(CardSetup("daq", CARD, lines, outputs, sampling_hz, acquisition))  # type: ignore[arg-type]
+        card = ComediCard(comedi_setup(CARD, lines, outputs, sampling_hz=sampling_hz, acquisition=acquisition))
         cards.append(card)
         return card
 

@@ -190,10 +190,10 @@ def test_a_second_process_writes_while_the_first_samples(board: Monitor, open_bo
     card = open_board(CHANNELS)
     card.start()
     program = (
-        "import numpy as np\nfrom rig.hardware.cards.base import CardError, CardSetup, Channel\n"
-        "from rig.hardware.cards.comedi import ComediCard\n"
+        "import numpy as np\nfrom rig.hardware.cards.base import CardError, Channel\n"
+        "from rig.hardware.cards.comedi import ComediCard\nfrom tests.support.card_setups import comedi_setup\n"
         "outputs = tuple(Channel(n, 0.0, 10.0) for n in (0, 1))\n"
-        f"card = ComediCard(CardSetup('daq', {CARD!r}, (Channel(0, -10.0, 10.0),), outputs, 1000.0))\n"
+        f"card = ComediCard(comedi_setup({CARD!r}, (Channel(0, -10.0, 10.0),), outputs))\n"
         "card.write(np.array([3.0, 4.0]))\n"
         "try:\n    card.start()\nexcept CardError as error:\n    print(error)\n"
     )

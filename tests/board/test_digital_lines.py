@@ -13,11 +13,11 @@ import pytest
 from rig.config.loader import load
 from rig.control.trigger import TriggerPulses
 from rig.hardware.bench import Bench, open_bench
-from rig.hardware.cards.base import CardSetup
 from rig.hardware.cards.comedi import ComediCard
 from tests.board.board_run import rig_text
 from tests.board.conftest import CARD
 from tests.board.monitor import Monitor
+from tests.support.card_setups import comedi_setup
 
 RESULTS = Path("/out/digital_lines.json")
 CHANNEL = 3
@@ -82,7 +82,7 @@ def test_the_trigger_pulses_are_at_the_board_when_their_rows_say(
 
 
 def test_each_contact_reads_high_while_it_is_closed(board: Monitor) -> None:
-    card = ComediCard(CardSetup("daq", CARD, (), (), 1000.0, digital_inputs=(0, 5, 15)))
+    card = ComediCard(comedi_setup(CARD, digital_inputs=(0, 5, 15)))
     try:
         for closed, expected in ((0, [0, 0, 0]), (1 << 5, [0, 1, 0]), (1 << 15 | 1, [1, 0, 1])):
             board.set("contacts", closed)

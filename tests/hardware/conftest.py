@@ -14,12 +14,13 @@ import pytest
 
 from rig.config.loader import load
 from rig.hardware.cameras.base import Frame, FrameSet
-from rig.hardware.cards.base import CardSetup, Channel
+from rig.hardware.cards.base import Channel
 from rig.hardware.cards.comedi import ComediCard
 from rig.observation.observer import Observer
 from tests.hardware.kernel_card import CARD, OpenCard, bipolar
 from tests.hardware.rig_of_the_machine import CAMERA, LOOPED, VALVES, Player
 from tests.hardware.struck_run import Inputs, Struck
+from tests.support.card_setups import comedi_setup
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -51,7 +52,7 @@ def open_card() -> Iterator[OpenCard]:
         acquisition: str = "auto",
         sampling_hz: float = 1000.0,
     ) -> ComediCard:
-        card = ComediCard(CardSetup("daq", device, inputs, outputs, sampling_hz, acquisition))  # type: ignore[arg-type]
+        card = ComediCard(comedi_setup(device, inputs, outputs, sampling_hz=sampling_hz, acquisition=acquisition))
         cards.append(card)
         return card
 

@@ -21,7 +21,7 @@ from model.units import PA_PER_BAR
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
 from rig.hardware.cameras.base import FrameSet
-from rig.hardware.cards.base import CardSetup, Channel
+from rig.hardware.cards.base import Channel
 from rig.hardware.cards.comedi import ComediCard
 from rig.observation.observer import Observer
 from rig.simulator.mock_camera import MockCamera
@@ -30,6 +30,7 @@ from runs.records import DetectionStatus
 from tests.hardware.kernel_card import CARD
 from tests.hardware.rig_of_the_machine import LOOPED, VALVES
 from tests.hardware.v4l2_output import open_output
+from tests.support.card_setups import comedi_setup
 
 LEVELS_BAR = tuple(np.arange(0.0, 0.66, 0.05).round(2).tolist())
 RATE_HZ = 5
@@ -76,7 +77,7 @@ def play(source: Path, device: str) -> None:
         pictures = stored["pictures"]
     height, width = pictures.shape[1:]
     frames = [bytearray(yuyv(picture)) for picture in pictures]
-    valve = ComediCard(CardSetup("player", CARD, (), (Channel(VALVES[0], 0.0, 10.0),), 1000.0))
+    valve = ComediCard(comedi_setup(CARD, (), (Channel(VALVES[0], 0.0, 10.0),)))
     node = open_output(device, width, height)
     print("playing", flush=True)
     due = time.monotonic()

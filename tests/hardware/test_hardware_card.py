@@ -16,6 +16,7 @@ from rig.hardware.cards.base import CardError, CardSetup, Channel, Scans
 from rig.hardware.cards.comedi import ComediCard
 from rig.hardware.cards.comedi_survey import SubdeviceSurvey, survey
 from tests.hardware.kernel_card import BOARD, CARD, COUNT_V, OpenCard, bipolar
+from tests.support.card_setups import comedi_setup
 
 
 def gather(card: ComediCard, seconds: float) -> Scans:
@@ -115,10 +116,10 @@ def test_a_second_process_writes_while_the_first_samples(open_card: OpenCard) ->
     streaming.write(np.array([1.0, 1.0]))
     program = (
         "import numpy as np\n"
-        "from rig.hardware.cards.base import CardSetup, Channel\n"
+        "from rig.hardware.cards.base import Channel\nfrom tests.support.card_setups import comedi_setup\n"
         "from rig.hardware.cards.comedi import ComediCard\n"
         f"outputs = tuple(Channel(n, -10.0, 10.0) for n in (0, 1))\n"
-        f"card = ComediCard(CardSetup('daq', {CARD!r}, (), outputs, 1000.0))\n"
+        f"card = ComediCard(comedi_setup({CARD!r}, (), outputs))\n"
         "card.write(np.array([-4.0, 6.0]))\n"
         "card.close()\n"
     )
@@ -202,7 +203,7 @@ def test_closing_keeps_the_outputs_and_frees_the_card(open_card: OpenCard) -> No
 def test_cards_opened_by_the_hundred_leave_no_files_open() -> None:
     before = len(list(Path("/proc/self/fd").iterdir()))
     for _ in range(100):
-        ComediCard(CardSetup("daq", CARD, bipolar(0), bipolar(0), 1000.0)).close()
+        ComediCard(comedi_setup(CARD, bipolar(0), bipolar(0))).close()
     assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
@@ -213,14 +214,14 @@ def test_a_card_is_found_by_its_boards_name(open_card: OpenCard) -> None:
 @pytest.mark.parametrize(
     ("setup", "message"),
     [
-        (CardSetup("daq", "PCI-1716", (), (), 1000.0), f"no board called PCI-1716.*{BOARD} at {CARD}"),
-        (CardSetup("daq", "/dev/comedi9", (), (), 1000.0), f"/dev/comedi9 does not exist.*{CARD}.*modprobe"),
-        (CardSetup("daq", "/dev/null", (), (), 1000.0), "no card is attached"),
-        (CardSetup("daq", CARD, bipolar(8), (), 1000.0), r"8 analogue inputs \(0 to 7\).*no input 8"),
-        (CardSetup("daq", CARD, (), bipolar(11), 1000.0), r"8 analogue outputs \(0 to 7\).*no output 11"),
-        (CardSetup("daq", CARD, (Channel(0, 0, 24),), (), 1000.0), "no range that holds 0 to 24 V; it has -10 to 10 V"),
+        (comedi_setup("PCI-1716"), f"no board called PCI-1716.*{BOARD} at {CARD}"),
+        (comedi_setup("/dev/comedi9"), f"/dev/comedi9 does not exist.*{CARD}.*modprobe"),
+        (comedi_setup("/dev/null"), "no card is attached"),
+        (comedi_setup(CARD, bipolar(8)), r"8 analogue inputs \(0 to 7\).*no input 8"),
+        (comedi_setup(CARD, (), bipolar(11)), r"8 analogue outputs \(0 to 7\).*no output 11"),
+        (comedi_setup(CARD, (Channel(0, 0, 24),)), "no range that holds 0 to 24 V; it has -10 to 10 V"),
         (
-            CardSetup("daq", CARD, bipolar(0), (), 1000.0, differential=True),
+            comedi_setup(CARD, bipolar(0), reference="differential"),
             "no differential inputs.*reference: ground",
         ),
     ],
@@ -248,13 +249,13 @@ def test_for_a_card_without_permission_the_message_names_the_group() -> None:
     # The interpreter may lie where that user cannot look: everything is imported before.
     program = (
         "import os\n"
-        "from rig.hardware.cards.base import CardError, CardSetup\n"
+        "from rig.hardware.cards.base import CardError\nfrom tests.support.card_setups import comedi_setup\n"
         "from rig.hardware.cards.comedi import ComediCard\n"
         "from rig.hardware.cards.comedi_device import require\n"
         "require()\n"
         "os.setgroups([])\nos.setgid(65534)\nos.setuid(65534)\n"
         "try:\n"
-        f"    ComediCard(CardSetup('daq', {CARD!r}, (), (), 1000.0))\n"
+        f"    ComediCard(comedi_setup({CARD!r}))\n"
         "except CardError as error:\n"
         "    print(error)\n"
     )

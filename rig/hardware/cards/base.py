@@ -7,7 +7,7 @@ conversion to pressure belongs to the rig (`rig.config.schema`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,9 +46,8 @@ class CardSetup:
 
     `digital_inputs` are channels of digital inputs; only a `DigitalInputCard` can have any. `digital_outputs` are those
     of digital outputs, which only a `DigitalOutputCard` can have.
-    `acquisition` says whether the inputs are sampled by the card's clock (`command`), one scan per read
-    (`instruction`), or by the best mode of the card (`auto`). `one_opener` restricts the mock card to one process
-    at a time; for a real card this is detected.
+    `section` is that of the rig file, with the options of the driver. `by_instruction`: one scan per read, even if the
+    card could sample by its own clock.
     """
 
     name: str
@@ -56,12 +55,10 @@ class CardSetup:
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
     sampling_hz: float
-    acquisition: Literal["auto", "command", "instruction"] = "auto"
-    differential: bool = False
-    one_opener: bool = False
     section: Any = None
     digital_inputs: tuple[int, ...] = ()
     digital_outputs: tuple[int, ...] = ()
+    by_instruction: bool = False
 
     def clipped(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Values of the outputs, each clipped to the range of its channel.

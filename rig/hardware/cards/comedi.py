@@ -58,7 +58,9 @@ class ComediCard:
         self._device = _find(setup.device)
         self._sampler: _CommandSampling | _InstructionSampling | None = None
         try:
-            self._inputs = self._lines(self._device.inputs, setup.inputs, "input", differential=setup.differential)
+            self._inputs = self._lines(
+                self._device.inputs, setup.inputs, "input", differential=setup.section.differential
+            )
             self._outputs = self._lines(self._device.outputs, setup.outputs, "output")
             self._check_digital("input", self._device.digital_inputs, setup.digital_inputs)
             self._check_digital("output", self._device.digital_outputs, setup.digital_outputs)
@@ -136,15 +138,16 @@ class ComediCard:
         subdevice, setup = self._device.inputs, self._setup
         if subdevice is None or not self._inputs:
             return
-        if setup.acquisition == "command" and not subdevice.can_command:
+        acquisition = "instruction" if setup.by_instruction else setup.section.acquisition
+        if acquisition == "command" and not subdevice.can_command:
             raise CardError(
                 f"{self.description} cannot sample by its own clock: set `acquisition: auto` for card {setup.name}"
             )
-        if subdevice.can_command and setup.acquisition != "instruction":
+        if subdevice.can_command and acquisition != "instruction":
             try:
                 self._sampler = _CommandSampling(self._device, subdevice, setup, self._inputs)
             except _CommandsRefusedError:
-                if setup.acquisition == "command":
+                if acquisition == "command":
                     raise
                 self._sampler = _InstructionSampling(self._inputs)
         else:
@@ -294,13 +297,13 @@ def _prepare(
     scan_begin, convert = subdevice.triggers()
     by_channel = {channel.number: line for channel, line in zip(setup.inputs, lines, strict=True)}
     offered: list[float] = []
-    for channels in channel_lists(tuple(c.number for c in setup.inputs), differential=setup.differential):
+    for channels in channel_lists(tuple(c.number for c in setup.inputs), differential=setup.section.differential):
         in_scan: list[AnalogueChannel] = []
         for number in channels:
             # An unused channel in the list gets the range of the previous one, so that the amplifier need not switch.
             in_scan.append(
                 by_channel.get(number)
-                or subdevice.line(number, in_scan[-1].range_index, differential=setup.differential)
+                or subdevice.line(number, in_scan[-1].range_index, differential=setup.section.differential)
             )
         for timing in timings(scan_begin, convert, len(channels), wanted_ns):
             rounded = subdevice.prepare(in_scan, timing)

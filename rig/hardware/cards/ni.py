@@ -76,7 +76,7 @@ class NidaqmxCard:
             for one in self._setup.inputs:
                 self._inputs.ai_channels.add_ai_voltage_chan(
                     f"{self._setup.device}/ai{one.number}",
-                    terminal_config=wiring.DIFF if self._setup.differential else wiring.RSE,
+                    terminal_config=wiring.DIFF if self._setup.section.differential else wiring.RSE,
                     min_val=one.low,
                     max_val=one.high,
                 )

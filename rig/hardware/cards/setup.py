@@ -6,7 +6,7 @@ from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardSetup, Channel
 
 
-def card_setup(config: RigConfig, name: str) -> CardSetup:
+def card_setup(config: RigConfig, name: str, *, by_instruction: bool = False) -> CardSetup:
     """The setup of one card of the rig.
 
     Its inputs are the sensors in actuator order, then the auxiliary inputs; these, valves and emergency stops are in
@@ -29,5 +29,5 @@ def card_setup(config: RigConfig, name: str) -> CardSetup:
         section=card,
         digital_inputs=tuple(stop.channel for stop in config.emergency_stops.values() if stop.card == name),
         digital_outputs=tuple(sorted({t.channel for t in triggers if t is not None and t.card == name})),
-        **card.setup_options(),
+        by_instruction=by_instruction,
     )

@@ -11,13 +11,15 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
 import rig.hardware.cards.comedi as comedi
-from rig.hardware.cards.base import CardError, CardSetup, Channel
+from rig.hardware.cards.base import CardError, Channel
 from rig.hardware.cards.comedi_device import CommandTiming, Polynomial, Trigger
+from tests.support.card_setups import comedi_setup
 
 INPUT_RANGES = ((-10.0, 10.0), (-5.0, 5.0), (0.0, 10.0), (0.0, 5.0))
 OUTPUT_RANGES = ((0.0, 5.0), (0.0, 10.0))
@@ -165,9 +167,9 @@ def make(monkeypatch: pytest.MonkeyPatch) -> Iterator[MakeCard]:
     monkeypatch.setattr(comedi, "Device", open_device)
 
     def make_(
-        inputs: tuple[Channel, ...] = (), outputs: tuple[Channel, ...] = (), **more: object
+        inputs: tuple[Channel, ...] = (), outputs: tuple[Channel, ...] = (), **more: Any
     ) -> tuple[comedi.ComediCard, MadeUpDevice]:
-        setup = CardSetup("daq", "/dev/comedi0", inputs, outputs, **{"sampling_hz": 1000.0, **more})  # type: ignore[arg-type]
+        setup = comedi_setup("/dev/comedi0", inputs, outputs, **more)
         card = comedi.ComediCard(setup)
         return card, devices[-1]
 
@@ -212,7 +214,7 @@ def test_digital_outputs_are_set_together_and_the_others_keep_their_levels(make:
 
 
 def test_differential_inputs_are_sampled_by_the_even_channels(make: MakeCard) -> None:
-    card, device = make(unipolar(0, 4), differential=True)
+    card, device = make(unipolar(0, 4), reference="differential")
     card.start()
     assert [line.number for line in device.inputs.scan] == [0, 2, 4]
     assert all(line.differential for line in device.inputs.scan)

@@ -17,9 +17,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.hardware.cards import comedi_constants, comedi_device
-from rig.hardware.cards.base import CardBusyError, CardError, CardSetup
+from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.cards.comedi import ComediCard
 from rig.hardware.cards.comedi_device import Device, Polynomial, require
+from tests.support.card_setups import comedi_setup
 
 HEADERS = [folder for folder in ("/usr/include", "/usr/local/include") if Path(folder, "comedilib.h").exists()]
 NOT_IN_THE_HEADER = {"TRIG_CONFIG", "COMEDI_CB_EOS", "COMEDI_CB_EOA", "COMEDI_CB_ERROR", "COMEDI_CB_OVERFLOW"}
@@ -56,8 +57,9 @@ def test_the_constants_are_those_of_comedi_h(tmp_path: Path) -> None:
 def test_without_pycomedi_the_message_names_the_installation() -> None:
     program = (
         "import sys\nsys.modules['pycomedi'] = None\n"
-        "from rig.hardware.cards.base import CardError, CardSetup\nfrom rig.hardware.cards.comedi import ComediCard\n"
-        "try:\n    ComediCard(CardSetup('daq', '/dev/comedi0', (), (), 1000.0))\n"
+        "from rig.hardware.cards.base import CardError\nfrom rig.hardware.cards.comedi import ComediCard\n"
+        "from tests.support.card_setups import comedi_setup\n"
+        "try:\n    ComediCard(comedi_setup('/dev/comedi0'))\n"
         "except CardError as error:\n    print(error)\n"
     )
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
@@ -165,4 +167,4 @@ def test_a_file_that_is_not_a_comedi_device_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "comedi0"
     file.touch()
     with pytest.raises(CardError, match="no card is attached to it"):
-        ComediCard(CardSetup("daq", str(file), (), (), 1000.0))
+        ComediCard(comedi_setup(str(file)))

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from rig.config import loader
+from rig.config.card_sections import NidaqmxCardConfig
 from rig.driver_contract.card_checks import CARD_CHECKS
 from rig.driver_contract.card_subject import CardSubject
 from rig.driver_contract.check import CheckVerdict
@@ -53,8 +54,9 @@ def device(stand_in: ModuleType) -> Iterator[str]:
 
 
 def setup(device: str, **changes: object) -> CardSetup:
+    section = NidaqmxCardConfig(driver="nidaqmx", device=device, inputs=2, outputs=2)
     inputs, outputs = (Channel(1, *RSE_10V), Channel(0, *RSE_10V)), (Channel(0, *RSE_10V), Channel(1, *RSE_10V))
-    return replace(CardSetup("daq", device, inputs, outputs, 1000.0), **changes)  # type: ignore[arg-type]
+    return replace(CardSetup("daq", device, inputs, outputs, 1000.0, section), **changes)  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

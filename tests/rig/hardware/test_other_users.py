@@ -29,6 +29,7 @@ from rig.hardware.vent_verification import VentOutcome
 from rig.realtime.control_socket import socket_paths
 from rig.simulator.mock_card import MockCard
 from rig.simulator.registers import Registers, path_of
+from scripts.rig_process import with_one_opener
 
 OTHER_USER = 65534
 NODE = "/dev/full"
@@ -132,11 +133,10 @@ PLACES: dict[str, tuple[Callable[[], Path], Callable[[], object]]] = {
 
 
 def _open_alone() -> MockCard:
-    from dataclasses import replace
-
     from rig.hardware.cards.setup import card_setup
 
-    return MockCard(replace(card_setup(mock_rig(), "daq"), one_opener=True))
+    text = with_one_opener(rig.config.loader.text("mock"), one_opener=True)
+    return MockCard(card_setup(rig.config.loader.parse(text, "rig.yaml"), "daq"))
 
 
 @pytest.mark.parametrize("trap", ["link", "dangling link", "hard link", "FIFO", "writable by all"])

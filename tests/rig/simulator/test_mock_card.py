@@ -252,7 +252,8 @@ def test_a_stalled_plant_continues_at_the_present_and_never_backwards(mock: Mock
 
 def test_a_missing_channel_is_named(mock: Mock) -> None:
     mock.plant()
-    setup = CardSetup("daq", mock.device, (Channel(16, 0, 10),), (), 1000.0)
+    section = mock_rig().cards["daq"]
+    setup = CardSetup("daq", mock.device, (Channel(16, 0, 10),), (), 1000.0, section)
     with pytest.raises(CardError, match="has 16 inputs: there is no input 16"):
         MockCard(setup)
 
