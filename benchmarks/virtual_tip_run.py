@@ -18,11 +18,11 @@ from benchmarks.inline_pipeline import InlinePipeline
 from protocols import SetPointTrajectory
 from protocols.tip_reference import TipMotion
 from rig.config.schema import RigConfig
-from rig.execution.plan import NullOperator, Outcome, RunPlan
+from rig.execution.plan import NullOperator, RunPlan
 from rig.tip_control.horizon import HorizonControl
 from rig.tip_control.interface import TipControlSettings
 from rig.virtual import executor
-from runs.records import Event, Picture
+from runs.records import Event, Picture, RunFooter
 
 Array = NDArray[np.float64]
 
@@ -107,7 +107,7 @@ def distances_m(record: KeptRecord, motion: TipMotion, from_s: float) -> Array:
 
 def perform(
     config: RigConfig, trajectory: SetPointTrajectory, seed: int, controller: str = SHARED_HORIZON
-) -> tuple[KeptRecord, Outcome]:
+) -> tuple[KeptRecord, RunFooter]:
     """Run a trajectory in this process; what was recorded, and how it ended."""
     record = KeptRecord()
     plan = RunPlan(config, Path("drawn.yaml"), trajectory, config.model.variant, seed, (), controller)

@@ -94,7 +94,7 @@ class Picture:
     frame: int
     camera: str
     encoding: str
-    data: bytes
+    data: bytes | memoryview
     marks: ImageAnnotations = field(default_factory=ImageAnnotations.none)
 
 
@@ -278,7 +278,7 @@ class RunHeader:
 
 @dataclass(frozen=True)
 class RunFooter:
-    """How the run ended; a journal without one was cut off."""
+    """How a run ended; it is created after the valves are in their safe state. A journal without one was cut off."""
 
     t_ns: int
     status: Status

@@ -7,7 +7,6 @@ import select
 import sys
 import termios
 import tty
-from types import TracebackType
 from typing import Any
 
 
@@ -29,9 +28,7 @@ class Keyboard:
             tty.setcbreak(sys.stdin, termios.TCSANOW)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._before is not None and self._foreground():
             termios.tcsetattr(sys.stdin, termios.TCSANOW, self._before)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from types import TracebackType
 from typing import IO, TextIO, cast
 
 import numpy as np
@@ -56,16 +55,14 @@ class Terminal:
             self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._live is not None:
             with suppress(OSError):
                 self._live.stop()
         if self._writer is not None:
             self._console.file = self._stream
             self._writer.close()
-        self._keys.__exit__(kind, error, trace)
+        self._keys.__exit__(*error)
 
     def show(self, progress: Progress) -> None:
         """Show the progress of the run."""

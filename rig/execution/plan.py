@@ -14,7 +14,7 @@ from protocols import SetPointTrajectory
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from rig.config.tip_controllers import FEED_FORWARD
-from runs.records import AuxiliaryChannel, Event, Picture, Quantity, Status
+from runs.records import AuxiliaryChannel, Event, Picture, Quantity
 
 UNRECORDED = "the record could not be written"
 """Begin of the message of a run that ends because its journal fails."""
@@ -45,16 +45,6 @@ class RunPlan:
     def controls_tip(self) -> bool:
         """Whether a controller corrects the set-points during the run."""
         return self.tip_controller not in ("", FEED_FORWARD)
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a run ended; it is created after the valves are in their safe state."""
-
-    status: Status
-    message: str
-    t_ns: int
-    counters: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from rig.config.loader import RigChoice, RigFile, Source, read
 from rig.config.model_variant import variant_named
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
-from rig.execution.plan import UNRECORDED, OperatorInterface, Outcome, RunPlan, StartError
+from rig.execution.plan import UNRECORDED, OperatorInterface, RunPlan, StartError
 from rig.experiment import report_process
 from rig.experiment.preflight import check
 from rig.experiment.provenance import git_state, protocol_parameters, quantities, section_places, versions
@@ -97,7 +97,7 @@ class RunRequest:
 class RunResult:
     """Files of a run; `archive` is None when it did not start, `report` when none was written."""
 
-    outcome: Outcome
+    outcome: RunFooter
     archive: Path | None
     report: Path | None
     summary: Summary | None = None
@@ -249,7 +249,7 @@ def run(
         if not journal.wait_until_synced(DISK_WARNING_AFTER_S):
             waiting = f"waiting for the disk to take the rest of {journal.path}"
             operator.report(Event(time.monotonic_ns(), Level.WARNING, "supervisor", waiting))
-        journal.close(RunFooter(outcome.t_ns, outcome.status, outcome.message, outcome.counters))
+        journal.close(outcome)
         archive = finalise(journal.path)
     except (ArchiveError, JournalError) as error:
         warnings.append(f"{error}; the journal is kept: {journal.path}; run `rig recover {request.folder}` later")
@@ -269,7 +269,7 @@ def run(
     return RunResult(outcome, archive, report, summary, parameters, tuple(warnings))
 
 
-def _execute(request: RunRequest, decided: RunPlan, operator: OperatorInterface) -> tuple[Outcome, JournalWriter]:
+def _execute(request: RunRequest, decided: RunPlan, operator: OperatorInterface) -> tuple[RunFooter, JournalWriter]:
     """Run the plan; an error after the journal was created ends the run as aborted."""
     if request.fast:
         from rig.virtual.executor import run as execute
@@ -305,7 +305,7 @@ def _execute(request: RunRequest, decided: RunPlan, operator: OperatorInterface)
                 raise
             # In virtual time the newest record gives the time.
             ended_ns = journal.newest_t_ns if request.fast else time.monotonic_ns()
-            outcome = Outcome(Status.ABORTED, _abort_message(error), ended_ns)
+            outcome = RunFooter(ended_ns, Status.ABORTED, _abort_message(error))
             with suppress(JournalError):
                 if not isinstance(error, _EXPECTED):
                     journal.event(Event(ended_ns, Level.FAULT, "supervisor", traceback.format_exc()))

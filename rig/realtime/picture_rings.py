@@ -68,7 +68,7 @@ class PictureRing:
             return False
         slot = self._rows.written % PICTURES
         start = slot * self._slot_bytes
-        self._slots[start : start + size + len(marks)] = picture.data + marks
+        self._slots[start : start + size + len(marks)] = b"".join((picture.data, marks))
         self._rows.push(np.array((picture.t_ns, picture.frame, camera, slot, size, len(marks)), _PICTURE))
         return True
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from rig.execution.plan import OpenRecord, OperatorInterface, Outcome, RunPlan, StartError, StoppedError
+from rig.execution.plan import OpenRecord, OperatorInterface, RunPlan, StartError, StoppedError
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.opening import card_type
 from rig.hardware.safe_state import UNSAFE, armed_sentence
@@ -21,7 +21,7 @@ from rig.realtime.timing_limits import TimingProfile, remedies, timing_limits, t
 from rig.realtime.tip_controller_monitor import TipControllerMonitor
 from rig.simulator.plant_launcher import Simulation, started
 from rig.tip_control.monitor import SOURCE as TIP_CONTROLLER_SOURCE
-from runs.records import Event, Level, Status
+from runs.records import Event, Level, RunFooter, Status
 
 SLOW_START_S = 4.0
 START_TIMEOUT_S = 300.0
@@ -39,7 +39,7 @@ STOP_MESSAGES = {
 }
 
 
-def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
+def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> RunFooter:
     """Run one plan in real time; return once the valves are safe and every process has ended.
 
     Raises:
@@ -90,7 +90,7 @@ class Supervisor:
         self._plan, self._plant, self._operator = plan, plant, operator
         self._session = OperatorSession(plan, self.memory, operator, self._event)
 
-    def run(self, open_record: OpenRecord) -> Outcome:
+    def run(self, open_record: OpenRecord) -> RunFooter:
         """Start the processes, supervise the run, make the valves safe.
 
         Raises:
@@ -237,7 +237,7 @@ class Supervisor:
             late = "" if niceness <= PLANNING_NICENESS else ": on a busy machine its plans may be late"
             self._event(Level.INFO, TIP_CONTROLLER_SOURCE, f"the tip controller runs with niceness {niceness}{late}")
 
-    def _outcome(self, status: Status, message: str, stolen: int) -> Outcome:
+    def _outcome(self, status: Status, message: str, stolen: int) -> RunFooter:
         """Verify the safe state and return the outcome of the run, which a failure of the end aborts."""
         memory = self.memory
         # Also after another fault: a chamber that does not vent is always reported.
@@ -268,7 +268,7 @@ class Supervisor:
             "stolen_cpu_ms": stolen,
             **sampling_clocks.clock_counters(memory, self._plan.config),
         }
-        return Outcome(status, message, safe_ns or time.monotonic_ns(), counters)
+        return RunFooter(safe_ns or time.monotonic_ns(), status, message, counters)
 
     def _event(self, level: Level, source: str, message: str) -> None:
         self.record.event(level, source, message)

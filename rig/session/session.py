@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 
 from protocols import Problem, arguments
 from protocols.problems import bad_input, raise_all
@@ -68,9 +67,7 @@ class Session:
         self._entered = True
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._entered = False
 
     def check(self, protocol: Path | str, *, settings: Mapping[str, float] | None = None) -> RunPlan:

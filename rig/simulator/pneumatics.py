@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from dataclasses import fields
 from functools import partial
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from model.units import PA_PER_BAR
 from rig.config.schema import RigConfig
 from rig.config.simulator_sections import Simulator
 from rig.valves import iso6358
-from rig.valves.base import SimulatedValve
+from rig.valves.base import SimulatedValve, ValveTruth
 from rig.valves.iso6358 import ANR_K, ANR_PA, ATMOSPHERE_PA
 
 STEP_NS = 100_000
@@ -97,27 +98,22 @@ class PneumaticState(NamedTuple):
     lagged_pa: Floats
 
 
+_OF_TRUTH = tuple(field.name for field in fields(ValveTruth))
+
+
 def valves(config: RigConfig, truth: SimulatedValve) -> ValveTable:
     """The true valves of a rig, each as its type describes it."""
     true = [valve.simulated(truth) for valve in config.valves]
     n, points = len(true), max(len(valve.curve_v) for valve in true) + 1
-    arrays = ValveTable(
-        regulates=np.array([valve.pa_per_unit != 0.0 for valve in true]),
-        closed_v=np.array([valve.closed_v for valve in true]),
-        fill_sign=np.array([valve.fill_sign for valve in true]),
-        half_hysteresis_v=np.array([valve.half_hysteresis_v for valve in true]),
-        spool=np.tile(_spool(truth), (n, 1, 1)),
-        curve_v=np.full((n, points), 1e9) + np.arange(points),
-        curve_fraction=np.zeros((n, points)),
-        conductance=np.array([valve.conductance for valve in true]),
-        leak=np.array([valve.leak for valve in true]),
-        supply_pa=np.array([valve.supply_pa for valve in true]),
-        critical_ratio=np.array([valve.critical_ratio for valve in true]),
-        pa_at_zero=np.array([valve.pa_at_zero for valve in true]),
-        pa_per_unit=np.array([valve.pa_per_unit for valve in true]),
-        lowest_pa=np.array([valve.lowest_pa for valve in true]),
-        highest_pa=np.array([valve.highest_pa for valve in true]),
-    )
+    curves: dict[str, Floats] = {
+        "curve_v": np.full((n, points), 1e9) + np.arange(points),
+        "curve_fraction": np.zeros((n, points)),
+    }
+    scalars: dict[str, Floats] = {
+        name: np.array([getattr(valve, name) for valve in true]) for name in _OF_TRUTH if name not in curves
+    }
+    regulates = np.array([valve.pa_per_unit != 0.0 for valve in true])
+    arrays = ValveTable(regulates=regulates, spool=np.tile(_spool(truth), (n, 1, 1)), **curves, **scalars)
     for i, valve in enumerate(true):
         if valve.curve_v:
             arrays.curve_v[i, : len(valve.curve_v)] = valve.curve_v

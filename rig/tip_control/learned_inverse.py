@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +30,10 @@ class NotRepeatedError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class EarlierRun:
-    """The rows of an earlier run; times in protocol seconds, set-points (n, V) of each valve."""
+    """An earlier run; `rows` are those of all its motions."""
 
     run_id: str
-    sample_s: Array = field(repr=False)
-    setpoint_pa: Array = field(repr=False)
-    frame_s: Array = field(repr=False)
-    tip_m: Array = field(repr=False)
-    learned_m: Array = field(repr=False)
+    rows: Repetition
 
     @classmethod
     def of(cls, run: Run, first_actuators: list[int]) -> EarlierRun:
@@ -65,22 +61,23 @@ class EarlierRun:
                 raise NotRepeatedError("a run that was not paused on its tip paths")
         samples = _last_of_equal(pressure.protocol_s)
         frames = np.flatnonzero(seen)[_last_of_equal(frame_s[seen])]
-        return cls(
-            run.header.run_id,
+        rows = Repetition(
             pressure.protocol_s[samples],
             PA_PER_BAR * pressure.setpoint_bar[samples][:, first_actuators],
             frame_s[frames],
             1e-3 * tip.measured_mm[frames],
             np.zeros((len(frames), 3)) if learned is None else 1e-3 * learned.disturbance_mm[frames],
         )
+        return cls(run.header.run_id, rows)
 
     def repetition(self, begin_s: float, stop_s: float) -> Repetition:
         """The motion between two protocol times."""
-        frames = (self.frame_s >= begin_s) & (self.frame_s < stop_s)
-        samples = (self.sample_s >= begin_s - HISTORY_S) & (self.sample_s <= stop_s)
+        rows = self.rows
+        frames = (rows.frame_s >= begin_s) & (rows.frame_s < stop_s)
+        samples = (rows.sample_s >= begin_s - HISTORY_S) & (rows.sample_s <= stop_s)
         return Repetition(
-            self.sample_s[samples], self.setpoint_pa[samples],
-            self.frame_s[frames], self.tip_m[frames], self.learned_m[frames],
+            rows.sample_s[samples], rows.setpoint_pa[samples],
+            rows.frame_s[frames], rows.tip_m[frames], rows.learned_m[frames],
         )  # fmt: skip
 
 

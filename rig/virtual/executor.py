@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
 from rig.control.control_loop import ControlLoop
-from rig.execution.plan import OpenRecord, OperatorInterface, Outcome, Progress, Recorder, RunPlan, StartError
+from rig.execution.plan import OpenRecord, OperatorInterface, Progress, Recorder, RunPlan, StartError
 from rig.hardware.bench import Bench
 from rig.hardware.cameras.base import CameraError, FrameSet
 from rig.hardware.cards.base import CardError
@@ -42,6 +42,7 @@ from rig.virtual.triggered_exposures import FrameExposures, TriggeredExposures
 from runs.records import (
     Event,
     Level,
+    RunFooter,
     Status,
     adaptation_dtype,
     sample_dtype,
@@ -62,7 +63,7 @@ FRAMES_IN_FLIGHT = 30
 SHOW_S = 0.1
 
 
-def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
+def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> RunFooter:
     """Run one plan in virtual time; return once the (simulated) valves are safe.
 
     Raises:
@@ -146,7 +147,7 @@ class _VirtualRun:
         cameras = tuple(self._cameras.values())
         return FrameStages(cameras, observer, PictureRecorder(plan.config), self._sample_rows)
 
-    def run(self, pipeline: FramePipeline, open_record: OpenRecord) -> Outcome:
+    def run(self, pipeline: FramePipeline, open_record: OpenRecord) -> RunFooter:
         """Arm, run cycles until the run ends, write the safe state."""
         self._pipeline = pipeline
         unverified = self._bench.arm()
@@ -184,7 +185,7 @@ class _VirtualRun:
         counters = {"missed_deadlines": 0, "dropped_frames": self._dropped, "lost_scans": self._lost_scans}
         if not self._plan.config.measures_tip:
             del counters["dropped_frames"]
-        return Outcome(*ending, now, counters)
+        return RunFooter(now, *ending, counters)
 
     def _vented(self, now: int) -> VentOutcome:
         """Watch the chambers vent from the time of the safe state."""

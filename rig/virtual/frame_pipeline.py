@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkProcess
 from queue import SimpleQueue
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,7 +184,7 @@ class FramePipeline:
     def __enter__(self) -> FramePipeline:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *error: object) -> None:
         for pipe in (self._exposures, self._samples):
             pipe.close()
         for child in self._children.values():

@@ -18,8 +18,8 @@ from runs.archive.fields import ComputedColumn, Field, Group, named
 from runs.columns import SECONDS
 from runs.columns.conversions import LARGEST_NS
 from runs.journal.journal import Journal
-from runs.journal.stored_rows import StoredPicture, StoredPictures
-from runs.records import Event, Level, Status
+from runs.journal.stored_rows import StoredPictures
+from runs.records import Event, Level, Picture, Status
 
 VERSION = max(column.since for table in columns.TABLES for column in table.columns())
 """Layout of the archives that are written: that of the newest column."""
@@ -152,7 +152,7 @@ def _picture_fields(journal: Journal) -> tuple[Field, ...]:
     """Time, camera and bytes of each kept picture."""
     pictures, by = journal.pictures, ("time",)
 
-    def column(values: Callable[[Sequence[StoredPicture]], Any]) -> ComputedColumn:
+    def column(values: Callable[[Sequence[Picture]], Any]) -> ComputedColumn:
         return ComputedColumn(pictures, values)
 
     seconds = column(lambda some: column_groups.seconds(journal, np.array([p.t_ns for p in some], np.int64)))

@@ -6,13 +6,12 @@ Only an index is in memory, 16 bytes per block or picture, so runs of any length
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runs.journal import mcap_records, messages
-from runs.records import ImageAnnotations, blank
+from runs.records import ImageAnnotations, Picture, blank
 
 
 class StoredRows:
@@ -51,20 +50,8 @@ class Index:
         self.ends.append((self.ends[-1] if self.ends else 0) + rows)
 
 
-@dataclass(frozen=True)
-class StoredPicture:
-    """A picture in a journal; `data` is a view of the mapped file."""
-
-    t_ns: int
-    frame: int
-    camera: str
-    encoding: str
-    data: memoryview
-    marks: ImageAnnotations
-
-
 class StoredPictures:
-    """The pictures; a slice of them is a list of `StoredPicture`."""
+    """The pictures; a slice of them is a list whose `data` are views of the mapped file."""
 
     def __init__(self, data: memoryview) -> None:
         self.utc_minus_t_ns = 0
@@ -90,16 +77,16 @@ class StoredPictures:
     def __len__(self) -> int:
         return len(self._pictures)
 
-    def __getitem__(self, part: slice) -> list[StoredPicture]:
+    def __getitem__(self, part: slice) -> list[Picture]:
         return [
             self._picture_at(position, self._marks_at(marks)[2] if marks else ImageAnnotations.none())
             for position, marks in zip(self._pictures[part], self._marks[part], strict=True)
         ]
 
-    def _picture_at(self, position: int, marks: ImageAnnotations) -> StoredPicture:
+    def _picture_at(self, position: int, marks: ImageAnnotations) -> Picture:
         _, log_ns, payload = mcap_records.message_at(self._data, position)
         frame, camera, encoding, begin = messages.picture_from_bytes(payload[:512].tobytes())
-        return StoredPicture(log_ns - self.utc_minus_t_ns, frame, camera, encoding, payload[begin:], marks)
+        return Picture(log_ns - self.utc_minus_t_ns, frame, camera, encoding, payload[begin:], marks)
 
     def _marks_at(self, position: int) -> tuple[int, str, ImageAnnotations]:
         return messages.marks_from_bytes(mcap_records.message_at(self._data, position)[2].tobytes())

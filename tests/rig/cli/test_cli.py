@@ -347,10 +347,9 @@ def test_a_closed_terminal_does_not_change_how_a_run_ends(gone: str) -> None:
         f"outer, inner = os.{gone}()\n"
         "os.dup2(inner, 1)\nos.close(inner)\nos.close(outer)\n"
         "from rig.cli import run_output\nfrom rig.cli.console import console\n"
-        "from rig.execution.plan import Outcome\n"
         "from rig.experiment.run import RunResult\n"
-        "from runs.records import Status\n"
-        "result = RunResult(Outcome(Status.INTERRUPTED, 'the terminal was closed', 0), None, None)\n"
+        "from runs.records import RunFooter, Status\n"
+        "result = RunResult(RunFooter(0, Status.INTERRUPTED, 'the terminal was closed'), None, None)\n"
         "run_output.last_screen(console(), result)\n"
         "sys.exit(run_output.exit_status(result))\n"
     )

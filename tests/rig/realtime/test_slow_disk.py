@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 import runs
-from rig.execution.plan import NullOperator, OpenRecord, OperatorInterface, Outcome, RunPlan
+from rig.execution.plan import NullOperator, OpenRecord, OperatorInterface, RunPlan
 from rig.experiment import run as experiment
 from rig.realtime import health_monitor, supervisor
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.shared_state import Stage
-from runs.records import Event, Level, Status
+from runs.records import Event, Level, RunFooter, Status
 
 PATIENCE_S = 30.0
 
@@ -57,11 +57,11 @@ def request_(tmp_path: Path) -> experiment.RunRequest:
 def test_waiting_for_the_disk_is_reported_and_the_archive_is_complete(
     request_: experiment.RunRequest, disk: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def ended_on_a_stalled_disk(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
+    def ended_on_a_stalled_disk(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> RunFooter:
         record = open_record(time.monotonic_ns())
         disk.clear()
         record.event(Event(time.monotonic_ns(), Level.INFO, "control", "the valves are in their safe state"))
-        return Outcome(Status.FINISHED, "", time.monotonic_ns())
+        return RunFooter(time.monotonic_ns(), Status.FINISHED, "")
 
     monkeypatch.setattr(supervisor, "run", ended_on_a_stalled_disk)
     monkeypatch.setattr(experiment, "DISK_WARNING_AFTER_S", 0.0)
@@ -80,7 +80,7 @@ def test_the_supervisor_warns_of_a_stalled_disk_and_continues(
     monkeypatch.setattr(health_monitor, "DISK_S", 0.0)
     listener = Listener(disk, "has not taken the record")
 
-    def supervised(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> Outcome:
+    def supervised(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> RunFooter:
         parent = supervisor.Supervisor(plan, operator, None)
         journal = open_record(time.monotonic_ns())
         parent.record = DataRecorder(plan.config, parent.memory, journal, operator)
@@ -89,7 +89,7 @@ def test_the_supervisor_warns_of_a_stalled_disk_and_continues(
         parent.memory.publish_stage("control", Stage.DONE)
         status, message = parent.supervise()
         os.close(parent.memory.fd)
-        return Outcome(status, message, time.monotonic_ns())
+        return RunFooter(time.monotonic_ns(), status, message)
 
     monkeypatch.setattr(supervisor, "run", supervised)
     result = experiment.run(request_, experiment.plan(request_), listener)

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.execution.plan import NullOperator, Outcome, Recorder, RunPlan, StartError
+from rig.execution.plan import NullOperator, Recorder, RunPlan, StartError
 from rig.hardware.cards.base import CardError
 from rig.hardware.vent_verification import UNCONFIRMED, VentOutcome
 from rig.realtime import control_process, process_group, supervisor
@@ -25,7 +25,7 @@ from rig.realtime.shared_state import SETPOINTS, SharedState, Stage, StateLayout
 from rig.realtime.timing_limits import TimingLimits
 from rig.simulator.registers import Registers
 from runs.journal.append_only_file import JournalError
-from runs.records import Event, Level, Picture, Status, streamed_dtype
+from runs.records import Event, Level, Picture, RunFooter, Status, streamed_dtype
 from tests.support.child_programs import SLEEPS, child
 
 HOLD_STILL = (
@@ -131,9 +131,9 @@ def test_the_reason_for_the_end_is_reported_even_if_the_watchdog_has_to_be_kille
     plan: RunPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A stalled process has not exited when the run ends."""
-    ended = Outcome(Status.ABORTED, "the watchdog process has been silent for 1.2 s", 5, {"missed_deadlines": 3})
+    ended = RunFooter(5, Status.ABORTED, "the watchdog process has been silent for 1.2 s", {"missed_deadlines": 3})
 
-    def supervised(parent: supervisor.Supervisor, _: object) -> Outcome:
+    def supervised(parent: supervisor.Supervisor, _: object) -> RunFooter:
         parent.timing = replace(parent.timing, ending_s=0.1)
         child(parent.processes, "watchdog", SLEEPS)
         return ended
@@ -253,7 +253,7 @@ def test_the_exit_status_of_a_process_killed_for_silence_is_not_reported(
 def test_remaining_air_is_reported_whatever_ends_a_run(
     plan: RunPlan, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
 ) -> None:
-    def supervised(parent: supervisor.Supervisor, _: object) -> Outcome:
+    def supervised(parent: supervisor.Supervisor, _: object) -> RunFooter:
         parent.memory.publish_stage("control", Stage.FAILED, UNCONFIRMED)
         raise error
 

@@ -71,10 +71,10 @@ def replace_columns(table: Any, rows: np.ndarray[Any, Any], **own: Any) -> Simpl
 def test_a_prompt_before_the_path_does_not_count_as_a_pause_on_it(followed: Run) -> None:
     plain = EarlierRun.of(followed, FIRST_ACTUATORS)
     waited = EarlierRun.of(held(followed, 0.0), FIRST_ACTUATORS)
-    assert (np.diff(waited.sample_s) > 0).all()
-    assert (np.diff(waited.frame_s) > 0).all()
-    later = plain.frame_s > 0.1
-    np.testing.assert_allclose(waited.tip_m[waited.frame_s > 0.1], plain.tip_m[later])
+    assert (np.diff(waited.rows.sample_s) > 0).all()
+    assert (np.diff(waited.rows.frame_s) > 0).all()
+    later = plain.rows.frame_s > 0.1
+    np.testing.assert_allclose(waited.rows.tip_m[waited.rows.frame_s > 0.1], plain.rows.tip_m[later])
 
 
 def test_a_run_that_was_paused_on_the_path_is_refused(followed: Run) -> None:
