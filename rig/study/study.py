@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -102,36 +103,11 @@ def load(
     protocol = _protocol(source, plan.protocol, ("protocol",))
     if problems := list(_setting_problems(source, plan, protocol)):
         raise BadInputError(problems)
-    checked: list[tuple[RunRequest, RunPlan]] = []
-    found: dict[Problem, list[str]] = {}
-
-    def check(name: Path, settings: Mapping[str, float], what: str) -> None:
-        try:
-            request = experiment.request(
-                str(name),
-                rig,
-                settings=settings,
-                folder=folder,
-                fast=fast,
-                operator=operator,
-                metadata=metadata,
-                report=False,
-            )
-            checked.append((request, experiment.plan(request)))
-        except BadInputError as bad:
-            for problem in bad.problems:
-                found.setdefault(problem, []).append(what)
-
-    every = plan.settings()
-    for number, settings in enumerate(every, 1):
-        values = ", ".join(f"{name} = {value:.12g}" for name, value in settings.items())
-        check(protocol, settings, f"combination {number} ({values})" if values else "the protocol")
-    if plan.conditioning is not None:
-        path = _protocol(source, plan.conditioning.protocol, ("conditioning", "protocol"))
-        check(path, plan.conditioning.settings, "conditioning")
-    if found:
-        raise BadInputError(_named(problem, where, len(every)) for problem, where in found.items())
-    requests, plans = zip(*checked[: len(every)], strict=True)
+    request = partial(
+        experiment.request, rig=rig, folder=folder, fast=fast, operator=operator, metadata=metadata, report=False
+    )
+    checked = _checked_runs(source, plan, protocol, request)
+    requests, plans = zip(*checked[: len(plan.settings())], strict=True)
     return Study(
         name=file.stem,
         plan=plan,
@@ -143,6 +119,36 @@ def load(
         plans=plans,
         conditioning=checked[-1] if plan.conditioning is not None else None,
     )
+
+
+def _checked_runs(
+    source: Document, plan: StudyPlan, protocol: Path, request: Callable[..., RunRequest]
+) -> list[tuple[RunRequest, RunPlan]]:
+    """The request and plan of every combination, and then those of the conditioning, if there is one.
+
+    Raises:
+        BadInputError: every problem, with the combinations that have it.
+    """
+    every = plan.settings()
+    wanted: list[tuple[Path, Mapping[str, float], str]] = []
+    for number, settings in enumerate(every, 1):
+        values = ", ".join(f"{name} = {value:.12g}" for name, value in settings.items())
+        wanted.append((protocol, settings, f"combination {number} ({values})" if values else "the protocol"))
+    if plan.conditioning is not None:
+        path = _protocol(source, plan.conditioning.protocol, ("conditioning", "protocol"))
+        wanted.append((path, plan.conditioning.settings, "conditioning"))
+    checked: list[tuple[RunRequest, RunPlan]] = []
+    found: dict[Problem, list[str]] = {}
+    for name, chosen, what in wanted:
+        try:
+            one = request(str(name), settings=chosen)
+            checked.append((one, experiment.plan(one)))
+        except BadInputError as bad:
+            for problem in bad.problems:
+                found.setdefault(problem, []).append(what)
+    if found:
+        raise BadInputError(_named(problem, where, len(every)) for problem, where in found.items())
+    return checked
 
 
 def _check_plan(
