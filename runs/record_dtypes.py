@@ -48,7 +48,7 @@ def sample_dtype(actuators: int, valves: int, inputs: int = 0) -> np.dtype[np.vo
     """One control cycle: `Pressure` and `Timing`, and `Auxiliary` for a rig with auxiliary inputs.
 
     `t_ns` is the time of the newest scan, `measured_pa` the mean of the `scans` scans since the last cycle,
-    `valve_v` the voltage then commanded.
+    `valve_v` the voltage then commanded, NaN where an output is in another unit.
     """
     return _dtype((*SAMPLES, *(AUXILIARY if inputs else ())), actuator=actuators, valve=valves, input=inputs)
 

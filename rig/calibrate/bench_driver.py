@@ -39,11 +39,11 @@ class BenchClock(Protocol):
 
 @dataclass(frozen=True)
 class BenchLog:
-    """Logged samples: `time_s` (n,), `pressure_pa` (n, N) and `volts` (n, N), one row per scan."""
+    """Logged samples: `time_s` (n,), `pressure_pa` (n, N) and `signals` (n, N), one row per scan."""
 
     time_s: Floats
     pressure_pa: Floats
-    volts: Floats
+    signals: Floats
 
 
 class BenchDriver:
@@ -151,16 +151,16 @@ class _RowBuffer:
     def __init__(self) -> None:
         self._t: list[NDArray[np.int64]] = []
         self._p: list[Floats] = []
-        self._v: list[Floats] = []
+        self._signals: list[Floats] = []
 
-    def take(self, t_ns: NDArray[np.int64], pressure_pa: Floats, volts: Floats) -> None:
+    def take(self, t_ns: NDArray[np.int64], pressure_pa: Floats, signals: Floats) -> None:
         if len(t_ns):
             self._t.append(t_ns.copy())
             self._p.append(pressure_pa.copy())
-            self._v.append(volts.copy())
+            self._signals.append(signals.copy())
 
     def log(self) -> BenchLog:
         if not self._t:
             return BenchLog(np.empty(0), np.empty((0, 0)), np.empty((0, 0)))
         t = np.concatenate(self._t)
-        return BenchLog((t - t[0]) * 1e-9, np.concatenate(self._p), np.concatenate(self._v))
+        return BenchLog((t - t[0]) * 1e-9, np.concatenate(self._p), np.concatenate(self._signals))

@@ -45,7 +45,7 @@ def read_gauge(
         driver.regulate(level, SETTLE_S)
         for actuator in sorted(readings):
             tell(f"held at {share * config.limits.pressure_bar:.3f} bar; the gauge on actuator {actuator}?")
-            volts = driver.regulate(level, AVERAGE_S).volts[:, actuator - 1]
+            volts = driver.regulate(level, AVERAGE_S).signals[:, actuator - 1]
             readings[actuator].append((float(volts.mean()), gauge(driver, actuator - 1)))
     return readings
 

@@ -1,6 +1,6 @@
-"""The pressure regulator of one valve: a pure step function from set-point and measured pressure to voltage.
+"""The pressure regulator of one valve: a pure step function from set-point and measured pressure to output.
 
-The valve's type has the law from the filtered set-point to the voltage (`rig.valves`). Pressures are gauge, SI
+The valve's type has the law from the filtered set-point to the output (`rig.valves`). Pressures are gauge, SI
 throughout.
 """
 

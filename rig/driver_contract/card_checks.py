@@ -121,10 +121,10 @@ def sampling(subject: CardSubject) -> str:
         raise BrokenContractError(
             f"the newest scan is {min(ages_s) * 1e3:.0f} ms old at best; a run stops at {stale_s * 1e3:g} ms (stale_s)"
         )
-    volts = np.concatenate([s.signals for s in scans])
-    if not np.all(np.isfinite(volts)):
-        raise BrokenContractError("a voltage is not finite")
-    _within_range(subject, volts)
+    signals = np.concatenate([s.signals for s in scans])
+    if not np.all(np.isfinite(signals)):
+        raise BrokenContractError("a reading is not finite")
+    _within_range(subject, signals)
     rate = (len(t_ns) - 1) / ((t_ns[-1] - t_ns[0]) * 1e-9)
     if rate < 0.5 * subject.config.control.rate_hz:
         raise BrokenContractError(f"{rate:.0f} scans/s; control runs at {subject.config.control.rate_hz:g} Hz")
@@ -133,9 +133,9 @@ def sampling(subject: CardSubject) -> str:
     return f"{rate:.0f} scans/s, period {np.median(gaps_ms):.2f} ms, longest {gaps_ms.max():.2f} ms, {lost} lost"
 
 
-def _within_range(subject: CardSubject, volts: Values) -> None:
+def _within_range(subject: CardSubject, signals: Values) -> None:
     """Raise BrokenContractError for readings far beyond the range of their input: they are in another unit."""
-    for channel, column in zip(subject.setup.inputs, volts.T, strict=True):
+    for channel, column in zip(subject.setup.inputs, signals.T, strict=True):
         margin = channel.high - channel.low
         if column.min() < channel.low - margin or column.max() > channel.high + margin:
             raise BrokenContractError(
@@ -150,12 +150,12 @@ def durations(subject: CardSubject) -> str:
     with closing(subject.open()) as card:
         card.start()
         writes: list[float] = []
-        volts = subject.outputs(0.5)
+        written = subject.outputs(0.5)
         reads = []
         for _, took_s in polled(card, period_s, subject.sample_s):
             reads.append(took_s)
-            if len(volts):
-                writes.append(timed(lambda: card.write(volts))[1])
+            if len(written):
+                writes.append(timed(lambda: card.write(written))[1])
     words = []
     for word, taken in (("read", np.array(reads)), ("write", np.array(writes))):
         if not len(taken):
@@ -196,11 +196,11 @@ def closing_again(subject: CardSubject) -> str:
 def second_opener(subject: CardSubject) -> str:
     """A second process writes the outputs, or gets an error that names the process that has the card."""
     needs_outputs(subject)
-    volts = subject.outputs(0.6)
+    written = subject.outputs(0.6)
     with closing(subject.open()) as card:
         card.start()
         card.write(subject.outputs(0.3))
-        answer = in_second_process(subject, volts)
+        answer = in_second_process(subject, written)
         if "raised" in answer or "error" in answer:
             raise BrokenContractError(f"the second process got {answer.get('raised') or answer['error']}")
         if "busy" in answer:
@@ -210,16 +210,16 @@ def second_opener(subject: CardSubject) -> str:
                 )
             return "the card admits one process, and names it"
         found = np.array(answer["stands"])
-        if not np.all(np.isnan(found) | (np.abs(found - volts) <= subject.output_tolerance)):
+        if not np.all(np.isnan(found) | (np.abs(found - written) <= subject.output_tolerance)):
             raise BrokenContractError(
-                f"the second process wrote {subject.stated(volts)} and reads back {subject.stated(found)}"
+                f"the second process wrote {subject.stated(written)} and reads back {subject.stated(found)}"
             )
-        seen = settled_readback(card, volts, subject)
+        seen = settled_readback(card, written, subject)
         # The device may have vented by itself since.
-        stands = np.minimum(np.abs(seen - volts), np.abs(seen - subject.safe_output)) <= subject.output_tolerance
+        stands = np.minimum(np.abs(seen - written), np.abs(seen - subject.safe_output)) <= subject.output_tolerance
         if not np.all(np.isnan(seen) | stands):
             raise BrokenContractError(
-                f"a second process set {subject.stated(volts)} and the first process still reads back "
+                f"a second process set {subject.stated(written)} and the first process still reads back "
                 f"{subject.stated(seen)}: its read-back is not that of the device"
             )
         if subject.setup.inputs and not any(len(s.t_ns) for s, _ in polled(card, subject.period_s, 0.2)):

@@ -59,7 +59,7 @@ class CardSubject:
         return card_type(self.config.cards[self.name])(setup)
 
     def outputs(self, fraction: float) -> Values:
-        """A voltage for each output, all different, at about this share of the range."""
+        """A value for each output, all different, at about this share of the range."""
         steps = enumerate(self.setup.outputs)
         return np.array([c.low + (c.high - c.low) * min(1.0, fraction + 0.02 * i) for i, c in steps])
 
@@ -80,7 +80,7 @@ class CardSubject:
 
     @property
     def safe_output(self) -> Values:
-        """The safe voltage of each output."""
+        """The safe value of each output."""
         return np.array([valve.safe_output() for valve in self.valves])
 
     def make_safe(self) -> None:

@@ -46,7 +46,7 @@ class Bench:
         self._cards = dict(cards)
         self._safe = SafeOutputs(config, self._cards)
         self._sensors = config.sensors_by_actuator
-        # A sensor is linear in voltage: two points define it.
+        # A sensor is linear in its signal: two points define it.
         at_0, at_1 = ([float(s.pressure_pa(np.array(v))) for s in self._sensors] for v in (0.0, 1.0))
         self._pa_at_zero = np.array(at_0)
         self._pa_per_unit = np.array(at_1) - self._pa_at_zero
@@ -191,7 +191,7 @@ class Bench:
         return self._safe.unsafe_output()
 
     def readback(self) -> NDArray[np.float64]:
-        """The output voltages (V,), NaN where a card has no read-back."""
+        """The outputs (V,), each in its unit, NaN where a card has no read-back."""
         return self._safe.readback()
 
     def make_safe(self, *, vent: bool = False) -> None:

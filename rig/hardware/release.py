@@ -15,7 +15,7 @@ class OpenDevice(Protocol):
 
 
 def release(devices: Iterable[OpenDevice]) -> None:
-    """Close every device; the outputs of cards keep their voltages.
+    """Close every device; the outputs of cards keep their values.
 
     What a driver raises here moves no valve and loses no data, so it ends no run and no `rig vent`. The contract test
     of drivers reports it.

@@ -43,7 +43,7 @@ def vent(config: RigConfig) -> VentResult:
     holds valves, the end of the run is awaited.
 
     Raises:
-        CardError: a card cannot be opened or written, an output does not keep its voltage, a camera trigger cannot be
+        CardError: a card cannot be opened or written, an output does not keep its value, a camera trigger cannot be
             set low, the pressures do not confirm it, or a process that holds the rig continues and cannot be signalled;
             the other cards are vented nevertheless.
     """

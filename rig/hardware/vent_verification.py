@@ -1,4 +1,4 @@
-"""Confirmation of the safe state by the pressure sensors: a written voltage is no proof that a valve has moved.
+"""Confirmation of the safe state by the pressure sensors: a written output is no proof that a valve has moved.
 
 Control, the supervisor, the watchdog, the observer, virtual time, calibrations and `rig vent` all use this module once
 the safe state has been written: it delays no write.
@@ -179,7 +179,7 @@ class VentVerification:
         return float(self._pressure_pa[actuator])
 
     def _reason(self, waited_s: float) -> str:
-        written = "the safe voltages were written, but"
+        written = "the safe outputs were written, but"
         if self._failure:
             return f"{written} the pressures cannot be read ({self._failure})"
         if self._pressure_pa is None:

@@ -135,7 +135,7 @@ class GuardedOutputs:
             self._bench.write(outputs)
 
     def undisturbed(self) -> bool:
-        """True if the outputs have the voltages that this run wrote; False if its own watchdog has written others.
+        """True if the outputs have the values that this run wrote; False if its own watchdog has written others.
 
         Raises:
             CardError: another program has moved them; if that vented them, the run ends vented.

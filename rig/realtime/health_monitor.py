@@ -106,7 +106,7 @@ class HealthMonitor:
                 yield _warning(
                     t_ns,
                     "control",
-                    f"control stalled for {row['lateness_ns'] * 1e-9:.2f} s, the valves at their last voltages; "
+                    f"control stalled for {row['lateness_ns'] * 1e-9:.2f} s, the valves at their last outputs; "
                     "the pressures return to their set-points within the rate limit",
                 )
             yield from self._missing.events(
@@ -301,7 +301,7 @@ class HealthMonitor:
                 t_ns,
                 "supervisor",
                 f"the computer was suspended for {(suspended_ns - before) * 1e-9:.1f} s, the valves at their last "
-                "voltages; times of the record do not count this",
+                "outputs; times of the record do not count this",
             )
 
     def disk(self, t_ns: int, standing_s: float) -> Iterator[Event]:

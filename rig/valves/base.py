@@ -32,7 +32,7 @@ ValidationFaults = Iterator[ValidationFault]
 class RegulatorState(NamedTuple):
     """State of one regulator after a step; `output` is what to write, in the unit of the valve.
 
-    `reference_pa` is the set-point after the rate limit, `demand_pa_s` the rate of pressure change that the voltage
+    `reference_pa` is the set-point after the rate limit, `demand_pa_s` the rate of pressure change that the output
     should cause, `integral_pa_s` its part that compensates leakage. `reference_pa` is NaN before the first
     step, which starts it at the measured pressure.
     """

@@ -101,7 +101,7 @@ class BrokenSensors(SampleInterlock):
         return cls(tuple(spans), tuple(sensor.unit for sensor in config.sensors_by_actuator))
 
     def trip(self, sample: Sample, *, new: bool) -> Trip | None:
-        """Compare each voltage of a new scan."""
+        """Compare each signal of a new scan."""
         for i, ((low, high, ceiling), signal) in enumerate(
             zip(self.spans, sample.signals.tolist() if new else (), strict=new)
         ):

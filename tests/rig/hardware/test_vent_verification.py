@@ -126,7 +126,7 @@ def test_the_wait_is_bounded_whatever_the_pressure_does() -> None:
 def test_a_board_that_answers_all_ones_confirms_nothing() -> None:
     outcome, took_s = watched(lambda t_s: (FULL_SCALE_BAR,) * 3)
     assert outcome.sentence == (
-        f"{UNCONFIRMED}: the safe voltages were written, but card daq reads full scale at every pressure sensor: "
+        f"{UNCONFIRMED}: the safe outputs were written, but card daq reads full scale at every pressure sensor: "
         "it is pulled or hangs"
     )
     assert took_s == pytest.approx(VENTING_S, abs=2 * PERIOD_S)
@@ -134,7 +134,7 @@ def test_a_board_that_answers_all_ones_confirms_nothing() -> None:
 
 def test_a_card_without_scans_confirms_nothing() -> None:
     outcome, _ = watched(lambda t_s: None)
-    assert outcome.sentence == (f"{UNCONFIRMED}: the safe voltages were written, but no pressure has been read since")
+    assert outcome.sentence == (f"{UNCONFIRMED}: the safe outputs were written, but no pressure has been read since")
 
 
 def test_scans_from_before_the_safe_state_confirm_nothing() -> None:
@@ -149,7 +149,7 @@ def fails(t_s: float) -> None:
 def test_a_card_that_cannot_be_read_confirms_nothing_and_its_message_is_kept() -> None:
     outcome, took_s = watched(fails, patience_s=10.0)
     assert outcome.sentence == (
-        f"{UNCONFIRMED}: the safe voltages were written, but the pressures cannot be read (no answer)"
+        f"{UNCONFIRMED}: the safe outputs were written, but the pressures cannot be read (no answer)"
     )
     assert took_s == pytest.approx(UNREADABLE_S, abs=2 * PERIOD_S)
 
