@@ -170,6 +170,9 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Group:
         table.add_row("lateness p50/p99/max [us]", " / ".join(_number(us, 0) for us in late))
     if counters.get("damaged_lines"):
         table.add_row("damaged lines between computer and card", str(counters["damaged_lines"]))
+    if "lost_setpoints" in counters:
+        lost, refused = counters["lost_setpoints"], counters["refused_setpoints"]
+        table.add_row("set-points of another program", f"{lost} lost, {refused} refused")
     if "stolen_cpu_ms" in counters:
         table.add_row("CPU time stolen by the host [ms]", str(counters["stolen_cpu_ms"]))
     for name, period_ns in counters.items():

@@ -38,6 +38,11 @@ class OperatorSession:
             return f"no page can watch this run: {error}"
         return ""
 
+    @property
+    def stream_counts(self) -> dict[str, int]:
+        """Lost and refused set-points of other programs; empty for a protocol without a step `stream`."""
+        return self._stream.counts if self._plan.trajectory.streams else {}
+
     def close(self) -> None:
         """Close the control socket."""
         if self._socket is not None:

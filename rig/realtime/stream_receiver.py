@@ -26,7 +26,10 @@ from runs.records import DetectionStatus, Level, blank, streamed_dtype
 SOURCE = "stream"
 QUIET_S = 1.0
 """Least time between two events about refused or lost set-points."""
-MOST_SEQUENCE = 2**63
+MOST_SEQUENCE = 2**53
+"""Sequence numbers are below this: a double, the only number of many programs, holds each of them exactly."""
+MOST_COUNTED = 2**63 - 1
+"""Largest count that an archive holds."""
 LARGEST_BAR = 1e6
 
 Answer = dict[str, Any]
@@ -43,9 +46,18 @@ class _Client:
 
     sender: str
     sequence: int = -1
+    """Sequence number of the newest set-point that was followed."""
+    arrived: int = -1
+    """The largest sequence number that has arrived, followed or refused."""
     followed: int = 0
     refused: int = 0
     lost: int = 0
+
+    def arrives(self, sequence: int) -> int:
+        """Take the sequence number of a packet; return how many were lost between the one before and it."""
+        lost = max(0, sequence - self.arrived - 1) if self.arrived >= 0 else 0
+        self.arrived, self.lost = max(self.arrived, sequence), self.lost + lost
+        return lost
 
 
 class StreamReceiver:
@@ -60,7 +72,12 @@ class StreamReceiver:
         self._reported: StreamInterval | None = None
         self._owner = 0
         self._reported_s = 0.0
-        self._refusing = 0
+        self._refusing = self._refused = self._lost = 0
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Set-points of the run that were lost on the way, and refused ones."""
+        return {"lost_setpoints": min(self._lost, MOST_COUNTED), "refused_setpoints": self._refused}
 
     def update(self, place: str) -> None:
         """Report that a step waits for set-points at the socket `place`; called in every cycle of the supervisor."""
@@ -84,11 +101,13 @@ class StreamReceiver:
         row = self._row
         row["connection"], row["t_ns"], row["status"] = connection, time.monotonic_ns(), StreamStatus.FOLLOWED
         try:
-            row["sequence"], row["setpoint_pa"] = _sequence(packet), self._setpoint_pa(interval, packet)
+            row["sequence"] = sequence = _sequence(packet)
+            lost = client.arrives(sequence)
+            self._lost += lost
+            row["setpoint_pa"] = self._setpoint_pa(interval, packet)
         except _MalformedError as error:
             self._refuse(client, f"a set-point of {sender} is refused: {error}")
             return {"done": False, "message": str(error), **self.state()}
-        sequence = int(row["sequence"])
         if interval is not None and self._owner not in (0, connection):
             row["status"] = StreamStatus.OTHER_CLIENT
         before = StreamPosition(connection, client.sequence)
@@ -98,7 +117,7 @@ class StreamReceiver:
         if reason:
             self._refuse(client, f"set-point {sequence} of {sender} is refused: {reason}")
         else:
-            self._follow(connection, client, sequence, interval)
+            self._follow(connection, client, sequence, interval, lost)
         return {"done": not reason, "message": reason, "sequence": sequence, **self.state()}
 
     def disconnected(self, connection: int) -> None:
@@ -173,28 +192,30 @@ class StreamReceiver:
                 lowest, highest = (pa / PA_PER_BAR for pa in (self._limits.lowest_pa, self._limits.pressure_pa))
                 return f"{given} bar; expected {lowest:g} to {highest:g} bar (limits, pressure_bar)"
             case StreamStatus.OUT_OF_ORDER:
-                return f"a sequence number above {client.sequence} is expected"
+                above = f"a sequence number above {client.sequence} is expected"
+                return f"{above}: connect again to begin with a lower one"
             case StreamStatus.OTHER_CLIENT:
                 return f"{self._clients[self._owner].sender} sends the set-points of this step"
             case StreamStatus.NOT_NOW:
                 return "the run is paused" if self._memory.paused else "the protocol is not at a step stream"
 
-    def _follow(self, connection: int, client: _Client, sequence: int, interval: StreamInterval | None) -> None:
+    def _follow(
+        self, connection: int, client: _Client, sequence: int, interval: StreamInterval | None, lost: int
+    ) -> None:
         assert interval is not None
         if not self._owner:
             self._owner = connection
             self._event(Level.INFO, SOURCE, f"{client.sender} sends the set-points of {_actuators(interval)}")
-        missing = sequence - client.sequence - 1 if client.sequence >= 0 else 0
-        client.followed, client.lost, client.sequence = client.followed + 1, client.lost + missing, sequence
-        if missing and self._may_report():
-            message = f"set-points {sequence - missing} to {sequence - 1} of {client.sender} did not arrive"
+        client.followed, client.sequence = client.followed + 1, sequence
+        if lost and self._may_report():
+            message = f"set-points {sequence - lost} to {sequence - 1} of {client.sender} did not arrive"
             self._event(Level.WARNING, SOURCE, f"{message}; the run continues")
         if self._refusing and self._may_report():
             self._event(Level.INFO, SOURCE, f"set-points are followed again, after {self._refusing} refused ones")
             self._refusing = 0
 
     def _refuse(self, client: _Client, message: str) -> None:
-        client.refused, self._refusing = client.refused + 1, self._refusing + 1
+        client.refused, self._refusing, self._refused = client.refused + 1, self._refusing + 1, self._refused + 1
         if self._may_report():
             self._event(Level.WARNING, SOURCE, f"{message}; the set-points stay")
 
@@ -209,7 +230,8 @@ class StreamReceiver:
 def _sequence(packet: Mapping[str, Any]) -> int:
     sequence = packet.get("sequence")
     if not isinstance(sequence, int) or isinstance(sequence, bool) or not 0 <= sequence < MOST_SEQUENCE:
-        raise _MalformedError("sequence is expected to be an integer of 0 or more, higher for each set-point")
+        expected = f"an integer from 0 to {MOST_SEQUENCE - 1}, higher for each set-point"
+        raise _MalformedError(f"sequence is expected to be {expected}")
     return sequence
 
 

@@ -265,6 +265,7 @@ class Supervisor:
             status, message = _aborted(message, self.record.failure)
         counters = {
             **self.record.counters(),
+            **self._session.stream_counts,
             "stolen_cpu_ms": stolen,
             **sampling_clocks.clock_counters(memory, self._plan.config),
         }

@@ -180,7 +180,8 @@ def test_what_is_wrong_is_refused_with_its_reason_and_recorded(tmp_path: Path) -
     assert (np.abs(np.diff(archive.pressure.setpoint_bar, axis=0)) <= room * (1 + 1e-6)).all()
     said = messages(archive)
     assert "is refused: 0.1, 9, 0.1 bar; expected 0 to" in said
-    assert "has disconnected: 2 set-points followed" in said
+    assert "has disconnected: 2 set-points followed, 9 refused, 6 lost" in said
+    assert archive.timing.counters["lost_setpoints"] == 6
 
 
 @pytest.mark.realtime
