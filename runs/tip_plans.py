@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from runs.archive.reader import ArchiveReader
+from runs.plan_counts import PlanCounts
 from runs.records import SolveStatus
 
 NAN = float("nan")
@@ -19,7 +20,8 @@ class TipPlans:
     count: int
     not_solved: int
     """The solver found none; the one before was continued."""
-    refused: int
+    refused: dict[str, int]
+    """Number of those that the control loop refused, by reason."""
     constrained: int
     """With at least one active constraint."""
     solve_p50_ms: float = NAN
@@ -32,12 +34,8 @@ def tip_plans(run: ArchiveReader) -> TipPlans | None:
     plans = run.tip_control
     if plans is None or not len(plans.time_s):
         return None
-    counts = (
-        len(plans.time_s),
-        int((plans.status == SolveStatus.NOT_SOLVED).sum()),
-        int((plans.status == SolveStatus.REFUSED).sum()),
-        int((plans.active > 0).sum()),
-    )
+    counted = PlanCounts(plans.status)
+    counts = (counted.total, counted[SolveStatus.NOT_SOLVED], counted.refused, int((plans.active > 0).sum()))
     solve_ms = plans.solve_us * 1e-3
     if not solve_ms.any():
         return TipPlans(*counts)

@@ -24,6 +24,7 @@ from rig.cli.json_output import print_json
 from rig.cli.run_names import resolve
 from runs import annotation_file
 from runs.catalogue import Entry
+from runs.plan_counts import refusals
 from runs.pressure_cycles import pressure_cycles
 from runs.records import Quantity, StudyRun
 from runs.recovery import RecoveryStatus
@@ -198,10 +199,12 @@ def _add_tip_path(table: Table, path: TipErrorSummary) -> None:
 
 def _add_tip_plans(table: Table, plans: TipPlans) -> None:
     """Add what the tip controller needed."""
-    failed = [
-        f"{count} {words}" for count, words in ((plans.not_solved, "not solved"), (plans.refused, "refused")) if count
-    ]
-    table.add_row("plans of the tip controller", ", ".join([str(plans.count), *failed]))
+    counts = [str(plans.count)]
+    if plans.not_solved:
+        counts.append(f"{plans.not_solved} not solved")
+    if plans.refused:
+        counts.append(f"{sum(plans.refused.values())} refused: {refusals(plans.refused)}")
+    table.add_row("plans of the tip controller", ", ".join(counts))
     table.add_row("  at a limit of pressure or rate", str(plans.constrained))
     if not math.isnan(plans.solve_p99_ms):
         solve = (plans.solve_p50_ms, plans.solve_p99_ms, plans.solve_max_ms)

@@ -107,9 +107,10 @@ class ControlLoop:
         """
         now_s = self.position.protocol_s
         row["late_s"] = now_s - row["start_s"]
-        reference = self._trajectory.tip.motion_at(now_s)
-        if self._follower is None or reference is None or not self._follower.take(now_s, *plan):
-            row["status"] = SolveStatus.REFUSED
+        if self._follower is None or self._trajectory.tip.motion_at(now_s) is None:
+            row["status"] = SolveStatus.NO_PATH
+        elif (reason := self._follower.take(now_s, *plan)) is not None:
+            row["status"] = reason
         return row
 
     def take_setpoint(self, row: NDArray[np.void] | np.void, now_ns: int) -> NDArray[np.void] | np.void:

@@ -15,6 +15,7 @@ from rig.realtime.health_monitor import HealthMonitor
 from rig.realtime.scheduling import suspended_ns
 from rig.realtime.shared_state import SharedState
 from runs.journal.append_only_file import JournalError
+from runs.plan_counts import PlanCounts
 from runs.records import Event, Level
 
 Record = TypeVar("Record")
@@ -33,6 +34,7 @@ class DataRecorder:
         self._lost_scans = self._damaged_lines = self._missed = self._dropped = self._lost_pulses = 0
         self.failure = ""
         """Why the record could not be written; empty if it could."""
+        self.plan_counts = PlanCounts()
         self.sample: NDArray[np.void] | None = None
         self.observation: NDArray[np.void] | None = None
         self.adaptation: NDArray[np.void] | None = None
@@ -80,6 +82,7 @@ class DataRecorder:
         plans = memory.plans.read()
         if len(plans):
             self._write(journal.plans, plans)
+            self.plan_counts.add(plans["status"])
             self.report(*self._health.plans(plans))
         streamed = memory.streamed.read()
         if len(streamed):

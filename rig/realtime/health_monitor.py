@@ -246,19 +246,18 @@ class HealthMonitor:
     def plans(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of plans (n,) of `runs.records.tip_control_dtype`, in order of time."""
         for row in rows:
-            t_ns, status = int(row["t_ns"]), int(row["status"])
+            t_ns, status = int(row["t_ns"]), SolveStatus(int(row["status"]))
             judged = (
+                (self._refused, status.refused, f"plans are refused: {status.words}"),
                 (
-                    self._refused,
-                    SolveStatus.REFUSED,
-                    "plans are refused: not finite, not in order, old or out of limits",
+                    self._not_solved,
+                    status is SolveStatus.NOT_SOLVED,
+                    "the solver finds no plan: the ones before are continued",
                 ),
-                (self._not_solved, SolveStatus.NOT_SOLVED, "the solver finds no plan: the ones before are continued"),
             )
-            for condition, counted, message in judged:
-                part = float(status == counted)
+            for condition, affected, message in judged:
                 yield from condition.events(
-                    t_ns, self._frame_s, part, "tip controller", message, "plans are followed again"
+                    t_ns, self._frame_s, float(affected), "tip controller", message, "plans are followed again"
                 )
 
     def pulses(self, rows: NDArray[np.void]) -> Iterator[Event]:

@@ -150,7 +150,7 @@ class Supervisor:
                 return Status.ABORTED, failure
             self.record.report(*self._tip_controller.events(time.monotonic_ns()))
             if done:
-                return Status.FINISHED, self._tip_controller.message
+                return Status.FINISHED, self._tip_controller.message(self.record.plan_counts)
             self._session.update(self.record)
             if self._plant is not None:
                 self._plant.set_tip_weight(self._plan.trajectory.weight_kg(memory.protocol_s))

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from rig.realtime.process_group import ProcessGroup
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState
 from rig.tip_control.monitor import TipControlMonitor
+from runs.plan_counts import PlanCounts
 from runs.records import Event
 
 
@@ -18,10 +19,9 @@ class TipControllerMonitor:
         self._monitor = TipControlMonitor()
         self._failure = ""
 
-    @property
-    def message(self) -> str:
-        """Why the tip was without its controller; empty if it was not, or only for an instant."""
-        return self._monitor.message
+    def message(self, plans: PlanCounts) -> str:
+        """What is wrong with the tip control of a run that has finished; empty if nothing is."""
+        return self._monitor.message(plans)
 
     def events(self, t_ns: int) -> Iterator[Event]:
         """What has changed since the last call."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from rig.tip_control.plan_follower import LONGEST_S, LOST_S, SetPointSource
+from runs.plan_counts import PlanCounts, refusals
 from runs.records import Event, Level
 
 SOURCE = "tip controller"
@@ -23,8 +24,18 @@ class TipControlMonitor:
         self._source = SetPointSource.PROTOCOL
         self._since_s = 0.0
         self._failure = ""
-        self.message = ""
+        self._loss = ""
         """Why the tip was without its controller; empty if it was not, or only for an instant."""
+
+    def message(self, plans: PlanCounts) -> str:
+        """What is wrong with the tip control of a run that has finished; empty if nothing is.
+
+        Plans that were refused because they came late or after the path are no fault of the controller by themselves.
+        """
+        if not (refused := plans.refused) or not (self._loss or plans.at_fault):
+            return self._loss
+        count = f"{sum(refused.values())} of {plans.total} plans of the tip controller were refused"
+        return f"{self._loss}; {count}: {refusals(refused)}".removeprefix("; ")
 
     def events(self, t_ns: int, protocol_s: float, source: SetPointSource, failure: str) -> Iterator[Event]:
         """What has changed since the last call; `failure` says why there is no controller any more, else empty."""
@@ -48,4 +59,4 @@ class TipControlMonitor:
             yield Event(t_ns, Level.INFO, SOURCE, message)
 
     def _lost(self, protocol_s: float, reason: str) -> None:
-        self.message = self.message or f"the tip lost its controller at {protocol_s:.2f} s of the protocol: {reason}"
+        self._loss = self._loss or f"the tip lost its controller at {protocol_s:.2f} s of the protocol: {reason}"

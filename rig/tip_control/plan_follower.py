@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from runs.records import SolveStatus
+
 Array = NDArray[np.float64]
 
 LONGEST_S = 0.3
@@ -51,25 +53,31 @@ class PlanFollower:
         self._since_s: float | None = None
         self.source = SetPointSource.PROTOCOL
 
-    def take(self, protocol_s: float, times_s: Array, setpoint_pa: Array) -> bool:
-        """Follow a plan from now on; False for one that is refused: then the old one is kept.
+    def take(self, protocol_s: float, times_s: Array, setpoint_pa: Array) -> SolveStatus | None:
+        """Follow a plan from now on, or return why it is refused: then the old one is kept.
 
         Times (K,) must ascend and set-points (K, V) be finite and within the pressure limit. The plan must start
         within LONGEST_S of now, and not before the old one.
         """
-        good = (
-            times_s.ndim == 1
-            and len(times_s) > 0
-            and setpoint_pa.shape == (len(times_s), self._valves)
-            and bool(np.isfinite(times_s).all() and np.isfinite(setpoint_pa).all())
-            and bool((np.diff(times_s) > 0).all())
-            and bool((setpoint_pa >= -TOLERANCE_PA).all() and (setpoint_pa <= self._limit_pa + TOLERANCE_PA).all())
-            and abs(float(times_s[0]) - protocol_s) <= LONGEST_S
-            and not (len(self._times_s) and times_s[0] < self._times_s[0])
-        )
-        if good:
+        reason = self._refusal(protocol_s, times_s, setpoint_pa)
+        if reason is None:
             self._times_s, self._setpoint_pa = times_s, setpoint_pa
-        return good
+        return reason
+
+    def _refusal(self, protocol_s: float, times_s: Array, setpoint_pa: Array) -> SolveStatus | None:
+        if times_s.ndim != 1 or not len(times_s) or setpoint_pa.shape != (len(times_s), self._valves):
+            return SolveStatus.MALFORMED
+        if not (np.isfinite(times_s).all() and np.isfinite(setpoint_pa).all()):
+            return SolveStatus.NOT_FINITE
+        if not (np.diff(times_s) > 0).all():
+            return SolveStatus.MALFORMED
+        if (setpoint_pa < -TOLERANCE_PA).any() or (setpoint_pa > self._limit_pa + TOLERANCE_PA).any():
+            return SolveStatus.OUT_OF_LIMITS
+        if abs(ahead_s := float(times_s[0]) - protocol_s) > LONGEST_S:
+            return SolveStatus.EARLY if ahead_s > 0 else SolveStatus.LATE
+        if len(self._times_s) and times_s[0] < self._times_s[0]:
+            return SolveStatus.OUTDATED
+        return None
 
     def drop(self) -> None:
         """Forget the plan: the protocol's set-points hold again."""

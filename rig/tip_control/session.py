@@ -13,12 +13,12 @@ from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from rig.execution.plan import RunPlan
-from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory, TipControlSettings
+from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory, SetPointPlan, TipControlSettings
 from rig.tip_control.plan_record import StampedPlan
 from rig.tip_control.registry import controller_class
 from runs.columns import PLAN_AHEAD_S
 from runs.interpolation import interpolated
-from runs.records import DetectionStatus, blank, tip_control_dtype
+from runs.records import DetectionStatus, SolveStatus, blank, tip_control_dtype
 
 Array = NDArray[np.float64]
 
@@ -84,7 +84,7 @@ class TipControlSession:
             samples["measured_pa"][:, self._actuators],
             start_s,
         )
-        plan = self._controller.step(self._state, self._reference(motion, start_s), measurement)
+        plan = _checked(self._controller.step(self._state, self._reference(motion, start_s), measurement))
         self._state = plan.state
         row = self._row.copy()
         row["t_ns"], row["frame"], row["start_s"] = observation["t_ns"], observation["frame"], start_s
@@ -114,7 +114,7 @@ class TipControlSession:
                 np.zeros((2, valves)),
                 start_s,
             )
-            state = self._controller.step(state, self._reference(motion, start_s), measurement).state
+            state = _checked(self._controller.step(state, self._reference(motion, start_s), measurement)).state
 
     def _reference(self, motion: TipMotion, start_s: float) -> ReferenceTrajectory:
         times = self._settings.reference_times(start_s)
@@ -125,3 +125,10 @@ class TipControlSession:
         position, velocity = np.where(over, np.nan, position), np.where(over, np.nan, velocity)
         feed = self._trajectory.sample(times.tolist())[:, self._actuators]
         return ReferenceTrajectory(times, position, velocity, feed, motion.period_s)
+
+
+def _checked(plan: SetPointPlan) -> SetPointPlan:
+    """A plan of a controller, which may be code of the user. Raises ValueError: its status is not that of a solver."""
+    if plan.status not in (SolveStatus.SOLVED, SolveStatus.NOT_SOLVED):
+        raise ValueError(f"status of a plan is SOLVED or NOT_SOLVED; found {plan.status}")
+    return plan

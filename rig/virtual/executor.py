@@ -39,6 +39,7 @@ from rig.virtual import time_limit
 from rig.virtual.frame_pipeline import MOST_IN_FLIGHT, FramePipeline, FrameProcessError, FrameSamples, FrameStages
 from rig.virtual.recent_rows import RecentRows
 from rig.virtual.triggered_exposures import FrameExposures, TriggeredExposures
+from runs.plan_counts import PlanCounts
 from runs.records import (
     Event,
     Level,
@@ -125,6 +126,7 @@ class _VirtualRun:
         self._plans = RecentRows(tip_control_dtype(len(config.valves)), self._history_cycles)
         self._tip_control = _tip_control(plan)
         self._tip_monitor, self._tip_failure = TipControlMonitor(), ""
+        self._plan_counts = PlanCounts()
         self._exposed: deque[tuple[int, float]] = deque()
         """Times of the frames that wait for the tip controller: of the exposure [ns], and in the protocol [s]."""
         self._shown = 0.0
@@ -223,7 +225,7 @@ class _VirtualRun:
             self._event(now, Level.FAULT, "control", trip.message)
             return Status.ABORTED, trip.message
         if self._loop.finished:
-            return Status.FINISHED, self._tip_monitor.message
+            return Status.FINISHED, self._tip_monitor.message(self._plan_counts)
         if self._loop.position.waiting and self._answered == self._loop.position.prompts_passed:
             message = self._plan.trajectory.prompts[self._answered].message
             self._answered += 1
@@ -317,7 +319,9 @@ class _VirtualRun:
                 self._recorder.event(Event(now, Level.WARNING, SOURCE, traceback.format_exc()))
                 return
             if found is not None:
-                self._plans.add(self._loop.take_plan(*found))
+                row = self._loop.take_plan(*found)
+                self._plans.add(row)
+                self._plan_counts.add(row["status"])
 
     def _receive(self) -> None:
         """Wait for the result of the oldest frame in flight."""

@@ -15,13 +15,41 @@ PLAN_AHEAD_S = (0.0, 0.1, 0.2, 0.3)
 
 
 class SolveStatus(IntEnum):
-    """How the tip controller found a plan."""
+    """How the tip controller found a plan, or why the control loop refuses it: it then follows the plan before."""
 
     SOLVED = 0
     NOT_SOLVED = 1
     """The solver failed: the plan continues the one before."""
     REFUSED = 2
-    """The control loop cannot follow it (not finite, not in order, out of limits, old): it follows the one before."""
+    """Refused; the archive does not say why."""
+    MALFORMED = 3
+    """It is empty, or its times do not ascend."""
+    NOT_FINITE = 4
+    OUT_OF_LIMITS = 5
+    """Outside the pressure limit of the rig."""
+    LATE = 6
+    """It starts too long before the cycle that took it."""
+    EARLY = 7
+    """It starts too long after that cycle."""
+    OUTDATED = 8
+    """It starts before the plan that is followed."""
+    NO_PATH = 9
+    """The tip has no reference any more."""
+
+    @property
+    def refused(self) -> bool:
+        """True if the control loop refuses the plan."""
+        return self >= SolveStatus.REFUSED
+
+    @property
+    def at_fault(self) -> bool:
+        """True if the controller has made a plan that could not be followed at any time."""
+        return self.refused and self not in {SolveStatus.LATE, SolveStatus.NO_PATH}
+
+    @property
+    def words(self) -> str:
+        """The status in a message."""
+        return self.name.lower().replace("_", " ")
 
 
 def reference_error_mm(rows: NDArray[np.void]) -> Values:
@@ -96,7 +124,7 @@ class TipControl(Table):
     status = Column(
         "status",
         "<i4",
-        about=f"{', '.join(f'{s.value} {s.name.lower()}' for s in SolveStatus)}",
+        about=f"{', '.join(f'{s.value} {s.name.lower()}' for s in SolveStatus)}; from 2 on the plan is refused",
         among=tuple(SolveStatus),
     )
     iterations = Column("iterations", "<i4", about="iterations of the solver", limits=COUNT)

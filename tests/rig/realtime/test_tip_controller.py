@@ -175,7 +175,8 @@ def test_an_own_controller_that_goes_wrong_moves_no_valve_out_of_limits(
     plans = archive.tip_control
     assert plans is not None
     if name == "Nonsense":
-        assert (plans.status[plans.start_s > 1.6] == SolveStatus.REFUSED).all()
+        assert set(plans.status[plans.start_s > 1.6]) <= {SolveStatus.NOT_FINITE, SolveStatus.NO_PATH}
+        assert "plans of the tip controller were refused" in archive.message
         assert "plans are refused" in messages(archive)
     assert np.isfinite(archive.pressure.setpoint_bar).all()
     assert archive.pressure.setpoint_bar.min() >= 0

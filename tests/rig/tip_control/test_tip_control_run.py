@@ -205,7 +205,7 @@ def test_the_summary_counts_the_plans(controlled: dict[str, Run]) -> None:
     assert run.tip_control is not None
     assert plans is not None
     assert plans.count == len(run.tip_control.time_s)
-    assert (plans.not_solved, plans.refused) == (0, 0)
+    assert (plans.not_solved, plans.refused) == (0, {})
     shown = invoke("show", run.path).output
     assert "plans of the tip controller" in shown
     # In virtual time no time is measured.
@@ -254,6 +254,22 @@ class Hangs(StaticInverse):
         while reference.times_s[0] > FROM_S:
             pass
         return super().step(state, reference, measurement)
+"""
+
+
+HALF_USABLE = """
+from rig.tip_control.baselines import StaticInverse
+
+
+class HalfUsable(StaticInverse):
+    def start(self):
+        return 0
+
+    def step(self, state, reference, measurement):
+        plan = super().step(None, reference, measurement)
+        if state % 2:
+            plan.setpoint_pa[:] = 1e6
+        return plan._replace(state=state + 1, status=STATUS)
 """
 
 
@@ -309,4 +325,32 @@ def test_a_controller_that_fails_at_once_does_not_start_a_run(
     result = steered_by(f"failing_controller_{len(said)}", source, "Raises")
     assert result.exit_code == 1
     assert f"the tip controller failed: {said}" in result.output
+    assert not list(tmp_path.glob("*.h5"))
+
+
+def test_a_run_states_in_message_and_summary_how_many_plans_were_refused_and_why(
+    tmp_path: Path, steered_by: SteeredBy
+) -> None:
+    result = steered_by("half_usable", HALF_USABLE.replace("STATUS", "0"), "HalfUsable")
+    assert result.exit_code == 1, result.output
+    (archive,) = tmp_path.glob("*.h5")
+    run = runs.open(archive)
+    assert run.status is Status.FINISHED
+    found = re.fullmatch(r"(\d+) of (\d+) plans of the tip controller were refused: (\d+) out of limits", run.message)
+    assert found is not None, run.message
+    refused, count, out_of_limits = map(int, found.groups())
+    assert refused == out_of_limits == count // 2
+    assert run.summary.tip_plans is not None
+    assert run.summary.tip_plans.count == count
+    assert run.summary.tip_plans.refused == {"out of limits": refused}
+    assert f"{count}, {refused} refused: {refused} out of limits" in " ".join(result.output.split())
+
+
+@pytest.mark.parametrize("status", [2, 5, 99])
+def test_a_controller_cannot_state_a_status_of_the_control_loop(
+    tmp_path: Path, steered_by: SteeredBy, status: int
+) -> None:
+    result = steered_by(f"states_{status}", HALF_USABLE.replace("STATUS", str(status)), "HalfUsable")
+    assert result.exit_code == 1
+    assert f"status of a plan is SOLVED or NOT_SOLVED; found {status}" in " ".join(result.output.split())
     assert not list(tmp_path.glob("*.h5"))
