@@ -25,6 +25,8 @@ LINEAR = 4
 """Trials by regula falsi; where the error is far from linear, bisection follows."""
 RESOLUTION = 0.02
 """A share that is stated is possible, and one that is larger by more than this is not."""
+LOWERED = 0.97
+"""Factor between the trials of a share that is possible by a coarse grid only."""
 LEAD_IN_FELT_S = 0.5
 """How far into the path a lead-in that is too short has an effect."""
 BINDING_S = 0.15
@@ -105,30 +107,45 @@ def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_re
         if still and not lead_in_s:
             return f"a lead_in_s of {LONGEST_LEAD_IN_S:g} is not long enough either"
     # A lead-in with which the path can be begun may not be long enough for the rest of it.
-    for longer_s in (
-        (lead_in_s, max(lead_in_s, request.lead_in_s, USUAL_LEAD_IN_S)) if lead_in_s else (USUAL_LEAD_IN_S,)
-    ):
+    stated_s, longest_s = request.lead_in_s, max(lead_in_s, request.lead_in_s, USUAL_LEAD_IN_S)
+    for longer_s in sorted({lead_in_s or longest_s, longest_s} - {stated_s}):
         request = replace(request, lead_in_s=longer_s)
-        if (worst_m := follower.worst_m(request, 1.0, 1.0)) <= request.tolerance_m:
+        if follower.accepts(request):
             return f"a lead_in_s of {longer_s:g} is long enough"
-    longer = f"with a lead_in_s of {request.lead_in_s:g}"
+    longer = "" if request.lead_in_s == stated_s else f" with a lead_in_s of {request.lead_in_s:g}"
+    worst_m = max(follower.worst_m(request, 1.0, 1.0), request.tolerance_m)
     if possible := _possible(follower, request, worst_m, out_of_reach):
-        return f"largest possible {longer}: {possible}"
-    return f"{longer} neither {SMALLEST:g} of its speed nor {SMALLEST:g} of its size makes it possible"
+        return f"largest possible{longer}: {possible}"
+    neither = f"neither {SMALLEST:g} of its speed nor {SMALLEST:g} of its size makes it possible"
+    return f"{longer} {neither}".strip()
 
 
 def _possible(follower: PathFollower, request: TipRequest, worst_m: float, out_of_reach: bool) -> str:
     """Largest speed and size with which the path can be followed, `worst_m` being its error; empty without any."""
     found, tolerance_m = [], request.tolerance_m
     speed = 0.0 if out_of_reach else largest_share(lambda s: follower.worst_m(request, s, 1.0), worst_m, tolerance_m)
-    if speed:
+    if speed := _accepted_share(lambda s: follower.accepts(request, s, 1.0), speed):
         period = request.path.period_s
-        means = f" (period_s: {period / speed:.3g})" if period else ""
+        means = f" (period_s: {_rounded_up(period / speed):g})" if period else ""
         found.append(f"{speed:.2f} of this speed{means}")
     size = largest_share(lambda s: follower.worst_m(request, 1.0, s), worst_m, tolerance_m)
-    if size:
-        found.append(f"{size:.2f} of this size about {_point(request.path.centre_m(), request.coordinates)}")
+    if size := _accepted_share(lambda s: follower.accepts(request, 1.0, s), size):
+        about = _point(request.path.centre_m(), request.coordinates)
+        found.append(f"{size:.2f} of this size in the same time about {about}")
     return ", or ".join(found)
+
+
+def _accepted_share(accepts: Callable[[float], bool], share: float) -> float:
+    """A share that was found on a coarse grid, or the first lower one that is accepted; 0 if none is."""
+    while share >= SMALLEST and not accepts(share):
+        share = math.floor(100 * LOWERED * share) / 100
+    return share if share >= SMALLEST else 0.0
+
+
+def _rounded_up(period_s: float) -> float:
+    """A period [s] with three digits, none faster than it is."""
+    digit = 10.0 ** (math.floor(math.log10(period_s)) - 2)
+    return math.ceil(period_s / digit - 1e-9) * digit
 
 
 def _in_metres(path: TipPath) -> bool:

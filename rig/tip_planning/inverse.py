@@ -12,7 +12,7 @@ from protocols.tip_paths import TipPath
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from rig.tip_planning.infeasible_path import infeasible_path_error
-from rig.tip_planning.path_follower import NO_SOLUTION, SETTLED_S, PathFollower, TruncatedPath
+from rig.tip_planning.path_follower import NO_SOLUTION, PathFollower, shortened
 
 Array = NDArray[np.float64]
 
@@ -38,9 +38,9 @@ class RigTipInverse:
                 f"at most {valves}, because rig {rig} has {valves} valve{'s' if valves > 1 else ''}: "
                 "give the step `coordinates`, or use a rig with more valves, such as mock-3",
             )
-        path, repeated = _shortened(request.path)
+        path, repeated = shortened(request.path)
         try:
-            found = self._follower.follow(request, path)
+            found = self._follower.solution(request, path)
         except NO_SOLUTION as error:
             raise TipRefusedError("a path without a solution", f"a path within the arm's reach: {error}") from None
         if not self._follower.within(request, found):
@@ -52,18 +52,6 @@ class RigTipInverse:
         # The grid rounds the lead-in to whole steps.
         times = np.where(times < 0, times * (request.lead_in_s / lead_s if lead_s else 1.0), times)
         return TipSolution(times + request.lead_in_s, pressure @ self._follower.drive.matrix().T, tips, found.start)
-
-
-def _shortened(path: TipPath) -> tuple[TipPath, float]:
-    """A periodic path cut to the periods that need a solution, and the time that repeats its last period [s]."""
-    if path.period_s is None:
-        return path, 0.0
-    needed = (1 + math.ceil(SETTLED_S / path.period_s)) * path.period_s
-    # One step more than needed: at the end of a solution the pressures have no target after them.
-    whole = needed + path.period_s
-    if whole >= path.duration_s:
-        return path, 0.0
-    return TruncatedPath(path, whole), path.duration_s - needed
 
 
 def _repeat(times: Array, pressure: Array, tips: Array, path: TipPath, rest_s: float) -> tuple[Array, Array, Array]:

@@ -120,10 +120,23 @@ class PathFollower:
         """True if the tip of the model stays within the tolerance."""
         return bool(np.all(found.error_m <= request.tolerance_m))
 
+    def solution(self, request: TipRequest, path: TipPath) -> PathSolution:
+        """The pressures of `path` with the least rms error, or, if they leave the tolerance, others within it.
+
+        Raises:
+            ArithmeticError, NotConverged: there is no solution.
+        """
+        found = self.follow(request, path)
+        if self.within(request, found):
+            return found
+        bounded = self.follow(request, path, enough_m=request.tolerance_m)
+        return bounded if self.within(request, bounded) else found
+
     def worst_m(self, request: TipRequest, speed: float, size: float) -> float:
         """Largest error of the path at this share of its speed and size; infinite without a solution.
 
-        Of a path that stays within the tolerance it is an upper bound.
+        Of a path that stays within the tolerance it is an upper bound. A coarse grid is enough for the search of a
+        share; `accepts` decides.
         """
         path: TipPath = ScaledPath(request.path, speed, size)
         if path.period_s is not None and path.period_s + SETTLED_S < path.duration_s:
@@ -133,6 +146,14 @@ class PathFollower:
         except NO_SOLUTION:
             return math.inf
         return worst if math.isfinite(worst) else math.inf
+
+    def accepts(self, request: TipRequest, speed: float = 1.0, size: float = 1.0) -> bool:
+        """True if the path can be followed at this share of its speed and size."""
+        path, _ = shortened(ScaledPath(request.path, speed, size))
+        try:
+            return self.within(request, self.solution(request, path))
+        except NO_SOLUTION:
+            return False
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +175,18 @@ class TruncatedPath(TipPath):
 
     def centre_m(self) -> Array:
         return self.path.centre_m()
+
+
+def shortened(path: TipPath) -> tuple[TipPath, float]:
+    """A periodic path cut to the periods that need a solution, and the time that repeats its last period [s]."""
+    if path.period_s is None:
+        return path, 0.0
+    needed = (1 + math.ceil(SETTLED_S / path.period_s)) * path.period_s
+    # One step more than needed: at the end of a solution the pressures have no target after them.
+    whole = needed + path.period_s
+    if whole >= path.duration_s:
+        return path, 0.0
+    return TruncatedPath(path, whole), path.duration_s - needed
 
 
 def _between_m(path: TipPath, times_s: Array, coordinates: Sequence[int]) -> Array:
