@@ -8,7 +8,7 @@ second differences, which a smooth error does not have.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +18,19 @@ from runs.archive.reader import ArchiveReader
 Floats = NDArray[np.float64]
 NAN = float("nan")
 LEAST_FRAMES = 5
+"""Frames from which the error is split into its parts."""
 MOVING_MM_S = 0.1
 
 
 @dataclass(frozen=True)
 class TipError:
-    """Root mean squares [mm] over the frames on a path, without its lead-in; NaN without data."""
+    """Root mean squares [mm] over the frames on a path, without its lead-in; NaN without data.
 
+    With fewer than LEAST_FRAMES frames the parts are NaN.
+    """
+
+    frames: int = 0
+    """Those on a path at which the tip is known."""
     rms_mm: float = NAN
     max_mm: float = NAN
     lag_ms: float = NAN
@@ -84,9 +90,22 @@ def _split(
     motion: NDArray[np.int64],
     period: NDArray[np.int64],
 ) -> TipError:
-    if path.sum() < LEAST_FRAMES:
+    frames = int(path.sum())
+    if not frames:
         return TipError()
     off, rate = off_mm[path], velocity[path]
+    passes = sorted({(int(m), int(p)) for m, p in zip(motion[path], period[path], strict=True)})
+    whole = TipError(
+        frames=frames,
+        rms_mm=_rms(off),
+        max_mm=float(np.linalg.norm(off, axis=1).max()),
+        periods_mm=tuple(_rms(off_mm[path & (motion == m) & (period == p)]) for m, p in passes),
+    )
+    return whole if frames < LEAST_FRAMES else _with_parts(whole, off, rate)
+
+
+def _with_parts(whole: TipError, off: Floats, rate: Floats) -> TipError:
+    """The error with its lag, contour and noise, of errors [mm] and reference velocities [mm/s] (n, 3)."""
     speed = np.linalg.norm(rate, axis=1)
     moving = speed > MOVING_MM_S
     squares = float((speed[moving] ** 2).sum())
@@ -95,17 +114,13 @@ def _split(
     along[moving] = (off[moving] * rate[moving]).sum(axis=1) / speed[moving]
     across = np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0.0))
     changes = off[2:] - 2 * off[1:-1] + off[:-2]
-    passes = sorted({(int(m), int(p)) for m, p in zip(motion[path], period[path], strict=True)})
-    each = tuple(_rms(off_mm[path & (motion == m) & (period == p)]) for m, p in passes)
-    return TipError(
-        rms_mm=_rms(off),
-        max_mm=float(np.linalg.norm(off, axis=1).max()),
+    return replace(
+        whole,
         lag_ms=1e3 * lag_s,
         lag_mm=abs(lag_s) * float(np.sqrt(np.mean(speed**2))) if squares else 0.0,
         contour_mm=float(np.sqrt(np.mean(across**2))),
         # White noise of variance s^2 in each frame gives second differences of variance 6 s^2.
         noise_mm=_rms(changes) / math.sqrt(6.0),
-        periods_mm=each,
     )
 
 

@@ -190,11 +190,20 @@ def _add_tip_path(table: Table, path: TipErrorSummary) -> None:
     if path.truth is not None:
         errors.append(("true, simulated", path.truth))
     for words, error in errors:
+        if not error.frames:
+            table.add_row(f"tip to reference ({words})", "no frame falls on the path")
+            continue
         table.add_row(f"tip to reference, rms ({words}) [mm]", _number(error.rms_mm, 3))
-        table.add_row(f"  lag of {_number(error.lag_ms, 1)} ms [mm]", _number(error.lag_mm, 3))
-        table.add_row("  across the path [mm]", _number(error.contour_mm, 3))
-    table.add_row("  noise of the measured tip [mm]", _number(path.measured.noise_mm, 3))
-    table.add_row("  predicted by the model [mm]", _number(path.predicted_mm, 3))
+        if not math.isnan(error.lag_ms):
+            table.add_row(f"  lag of {error.lag_ms:.1f} ms [mm]", _number(error.lag_mm, 3))
+        if not math.isnan(error.contour_mm):
+            table.add_row("  across the path [mm]", _number(error.contour_mm, 3))
+    for words, value in (
+        ("noise of the measured tip", path.measured.noise_mm),
+        ("predicted by the model", path.predicted_mm),
+    ):
+        if not math.isnan(value):
+            table.add_row(f"  {words} [mm]", _number(value, 3))
 
 
 def _add_tip_plans(table: Table, plans: TipPlans) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from rig.experiment.simulate import simulate
 from runs.columns import Reference, Simulated, Tip
 from runs.run import Run
 from runs.tip_error import tip_error
+from tests.support.command_line import invoke
 
 FRAMES_HZ = 60
 
@@ -86,6 +88,41 @@ def test_a_coordinate_that_is_not_controlled_has_no_error() -> None:
     truth = error_of(MadeRun(0, 20, 0, free=1)).truth
     assert truth is not None
     assert truth.rms_mm == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 4])
+def test_a_path_of_few_frames_has_its_distance_but_no_lag_and_no_noise(frames: int) -> None:
+    made = MadeRun(0, 20.5, 0)
+    made.reference.period[frames + 60 :] = 0
+    truth = error_of(made).truth
+    assert truth is not None
+    assert truth.frames == frames
+    assert truth.rms_mm == pytest.approx(0.5, rel=1e-3)
+    assert truth.max_mm == pytest.approx(0.5, rel=1e-3)
+    assert np.isnan([truth.lag_ms, truth.lag_mm, truth.contour_mm, truth.noise_mm]).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        ("circle: {centre_mm: [0, 0, 190], radius_mm: 15, period_s: 8, periods: 0.01}", r"simulated\) \[mm\] 0\.\d+ "),
+        ("circle: {centre_mm: [0, 0, 190], radius_mm: 15, period_s: 4, periods: 0.001}", "no frame falls on the path"),
+        ("hold: {at_mm: [0, 0, 190], duration_s: 0.5}", r"across the path \[mm\] 0\.\d+ "),
+    ],
+    ids=["a few frames", "no frame", "a held point"],
+)
+def test_the_summary_of_a_short_path_states_what_is_known_and_nothing_else(
+    tmp_path: Path, shape: str, expected: str
+) -> None:
+    (tmp_path / "short.yaml").write_text(f"title: short\nsteps:\n  - tip: {{{shape}, lead_in_s: 1.005}}\n")
+    command = ["run", tmp_path / "short.yaml", "--rig", "mock-3", "--fast", "--yes", "--no-report", "--out", tmp_path]
+    result = invoke(*command, "--controller", "feed-forward")
+    assert result.exit_code == 0, result.output
+    words = " ".join(result.output.split())
+    about = words[words.index("tip to reference") :]
+    assert re.search(expected, about), about
+    assert " - " not in about.split("archive ")[0]
 
 
 @pytest.fixture(scope="module")
