@@ -23,6 +23,8 @@ Path = tuple[str | int, ...]
 Array = NDArray[np.float64]
 LONGEST_TIP_S = 3600.0
 """Longest path of the tip: its samples are held in memory."""
+SHORTEST_TIP_S = 1e-3
+"""Shortest path of the tip, and shortest period of one: no arm answers within it."""
 
 
 def too_long(steps: Sequence[Step], document: Document) -> list[Problem]:
@@ -144,9 +146,9 @@ class _Expander:
     ) -> None:
         if self.problems:
             return
-        if lead_in_s + path.duration_s > LONGEST_TIP_S:
-            found = f"{lead_in_s + path.duration_s:.6g} s"
-            self.problems.append(_problem(self._document, self._path, f"at most {LONGEST_TIP_S:g} s", found))
+        if fault := _time_fault(path, lead_in_s):
+            found, expected = fault
+            self.problems.append(_problem(self._document, self._path, expected, found))
             return
         if self._inverse is None:
             self.problems.append(
@@ -228,6 +230,17 @@ class _Expander:
         start_s, self.now_s = self.now_s, self.now_s + duration_s
         level_pa = tuple(self._level_pa)
         self.segments.append(Segment(start_s, self.now_s, kind, label, actuators, self._line, level_pa, waves, jumps))
+
+
+def _time_fault(path: TipPath, lead_in_s: float) -> tuple[str, str] | None:
+    """What is found and expected of the times of a path; None if they are possible."""
+    if path.period_s is not None and path.period_s < SHORTEST_TIP_S:
+        return f"a period of {path.period_s:.3g} s", f"a period of at least {SHORTEST_TIP_S:g} s"
+    if path.duration_s < SHORTEST_TIP_S:
+        return f"a path of {path.duration_s:.3g} s", f"a path of at least {SHORTEST_TIP_S:g} s"
+    if (whole_s := lead_in_s + path.duration_s) > LONGEST_TIP_S:
+        return f"{whole_s:.6g} s", f"at most {LONGEST_TIP_S:g} s"
+    return None
 
 
 def _part(times_s: Array, pressure_pa: Array, from_s: float, to_s: float) -> list[Samples]:

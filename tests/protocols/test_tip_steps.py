@@ -165,6 +165,26 @@ def test_a_csv_file_gives_points_over_time_or_at_a_speed(tmp_path: Path) -> None
         ("{points: {at_mm: [[0, 0, 1], [0, 0, 1]], move_s: 1}}", 39, "steps #1, tip, points, at_mm #2", "another"),
         ("{csv: {file: missing.csv}}", 23, "steps #1, tip, csv, file", "there is no such file"),
         ("{hold: {at_mm: [0, 0, 190], duration_s: 5000}}", 10, "steps #1, tip", "at most 3600 s"),
+        ("{hold: {at_mm: [0, 0, 190], duration_s: 1.0e-300}}", 10, "steps #1, tip", "at least 0.001 s"),
+        (f"{{circle: {CIRCLE.replace('period_s: 2', 'period_s: 1.0e-9')}}}", 10, "steps #1, tip", "at least 0.001 s"),
+        (
+            f"{{circle: {CIRCLE.replace('period_s: 2', 'speed_mm_per_s: 9.0e+5')}}}",
+            10,
+            "steps #1, tip",
+            "at least 0.001",
+        ),
+        (
+            f"{{circle: {CIRCLE.replace('radius_mm: 20, period_s', 'radius_mm: 1.0e-300, speed_mm_per_s')}}}",
+            10,
+            "steps #1, tip",
+            "a period of at least 0.001 s",
+        ),
+        (
+            "{points: {at_mm: [[0, 0, 1], [0, 0, 2]], move_s: 1.0e-12, periods: 9}}",
+            10,
+            "steps #1, tip",
+            "at least 0.001",
+        ),
     ],
 )
 def test_a_wrong_path_is_refused_at_its_place(
