@@ -11,7 +11,12 @@ from rig.cli.column_table import ColumnTable
 from rig.config.drivers import InstalledDriver
 from rig.driver_contract.check import CheckResult, CheckVerdict
 
-_STYLE = {CheckVerdict.PASS: "green", CheckVerdict.FAIL: "bold red", CheckVerdict.SKIPPED: "dim"}
+_STYLE = {
+    CheckVerdict.PASS: "green",
+    CheckVerdict.FAIL: "bold red",
+    CheckVerdict.SKIPPED: "dim",
+    CheckVerdict.NOT_JUDGED: "yellow",
+}
 
 
 def table(rows: Sequence[InstalledDriver]) -> Table:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
 from rig.driver_contract.check import NotApplicableError
-from rig.driver_contract.device_time import timed
 from rig.hardware.cards.base import Card, CardError, CardSetup, Scans
 from rig.hardware.cards.opening import card_type
 from rig.hardware.cards.setup import card_setup
@@ -106,11 +105,11 @@ def settled_readback(card: Card, written: Values, subject: CardSubject) -> Value
         time.sleep(0.002)
 
 
-def polled(card: Card, period_s: float, duration_s: float) -> Iterator[tuple[Scans, float]]:
-    """Read once in each control period; yields scans and the duration of each read."""
+def polled(card: Card, period_s: float, duration_s: float) -> Iterator[Scans]:
+    """Read once in each control period."""
     until = time.monotonic() + duration_s
     due = time.monotonic()
     while time.monotonic() < until:
-        yield timed(card.read)
+        yield card.read()
         due = max(due + period_s, time.monotonic())
         time.sleep(max(0.0, due - time.monotonic()))

@@ -23,6 +23,7 @@ class CheckVerdict(StrEnum):
     PASS = "pass"
     FAIL = "FAIL"
     SKIPPED = "skipped"
+    NOT_JUDGED = "not judged"
 
 
 class BrokenContractError(Exception):
@@ -31,6 +32,10 @@ class BrokenContractError(Exception):
 
 class NotApplicableError(Exception):
     """The device lacks what the check needs; the message says what."""
+
+
+class NotJudgedError(Exception):
+    """The figures do not show whether the driver or something else is at fault; the message says what."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,7 @@ class CheckResult:
 
 @dataclass(frozen=True)
 class Check(Generic[Subject]):
-    """A check: `run` returns figures, or raises BrokenContractError or NotApplicableError."""
+    """A check: `run` returns figures, or raises BrokenContractError, NotApplicableError or NotJudgedError."""
 
     name: str
     expected: str
@@ -74,6 +79,8 @@ class Check(Generic[Subject]):
             verdict, found = CheckVerdict.PASS, self.run(subject)
         except NotApplicableError as error:
             verdict, found = CheckVerdict.SKIPPED, str(error)
+        except NotJudgedError as error:
+            verdict, found = CheckVerdict.NOT_JUDGED, str(error)
         except BrokenContractError as error:
             verdict, found = CheckVerdict.FAIL, str(error)
         except (CardError, TipSourceError) as error:

@@ -1,26 +1,80 @@
-"""How long a call into a driver takes, without the time that this process waits for a processor."""
+"""How long calls into a driver take, and whether the driver or a busy machine makes them long."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.driver_contract.check import BrokenContractError, NotJudgedError
 
 Result = TypeVar("Result")
 
+MOST_SLOW = 0.02
+"""Largest share of calls that may take longer than the control period."""
+WAKE_UPS = 4
+"""Processes and threads that may have to wake up, one after the other, before a device has answered."""
+_QUIET = 0.25
+"""Share of the control period that a quiet machine adds to a call at most."""
 _SCHEDULER = Path("/proc/thread-self/schedstat")
 
 
-def timed(call: Callable[[], Result]) -> tuple[Result, float]:
-    """The result of a call and its duration [s]: a busy computer is not the driver's fault.
+class CallTime(NamedTuple):
+    """Duration of a call without the time that this thread waited for a processor, and the processor time used."""
 
-    Where the system does not tell how long the thread waited for a processor, the whole duration.
-    """
-    waited_s, began = _waited_s(), time.monotonic()
+    took_s: float
+    processor_s: float
+
+
+def timed(call: Callable[[], Result]) -> tuple[Result, CallTime]:
+    """The result of a call and its time; the whole duration where the system does not tell how long a thread waited."""
+    waited_s, used_s, began = _waited_s(), time.thread_time(), time.monotonic()
     result = call()
-    took_s = time.monotonic() - began
-    return result, max(0.0, took_s - (_waited_s() - waited_s))
+    took_s, used_s = time.monotonic() - began, time.thread_time() - used_s
+    return result, CallTime(max(0.0, took_s - (_waited_s() - waited_s)), used_s)
+
+
+def idle_wait(until: float) -> float:
+    """Wait until a time of `time.monotonic()`; returns how much too late the wait ended [s]."""
+    time.sleep(max(0.0, until - time.monotonic()))
+    return max(0.0, time.monotonic() - until)
+
+
+def judged(word: str, calls: Sequence[CallTime], late_s: Sequence[float], period_s: float) -> str:
+    """The figures of calls that may take a control period at most.
+
+    `late_s` tells how much too late idle waits beside the calls ended: as late may be each wake-up inside a call.
+
+    Raises:
+        BrokenContractError: the driver takes longer.
+        NotJudgedError: the calls take longer, and so they might because the machine is busy.
+    """
+    took, late = np.array([call.took_s for call in calls]), np.array(late_s)
+    figures = f"{word} {np.median(took) * 1e3:.2f} ms, 90 % {np.quantile(took, 0.9) * 1e3:.2f} ms, "
+    figures += f"longest {took.max() * 1e3:.2f} ms"
+    if not (fault := _fault(word, took, period_s)):
+        return figures
+    often_s, typical_s = (WAKE_UPS * float(np.quantile(late, share)) for share in (1 - MOST_SLOW, 0.5))
+    processor = np.array([call.processor_s for call in calls])
+    certain = _fault(word, processor, period_s) or _fault(word, took - often_s, period_s)
+    if often_s < _QUIET * period_s or certain or np.median(took) - typical_s > period_s:
+        raise BrokenContractError(f"{figures}; {fault}")
+    idle = f"idle waits end up to {np.quantile(late, 1 - MOST_SLOW) * 1e3:.2f} ms late (98 %)"
+    raise NotJudgedError(f"machine busy: {idle}; {figures}")
+
+
+def _fault(word: str, took_s: NDArray[np.float64], period_s: float) -> str:
+    """What is wrong with these durations; empty if nothing is."""
+    if np.quantile(took_s, 0.9) > period_s:
+        return f"the control period is {period_s * 1e3:g} ms"
+    slow = int((took_s > period_s).sum())
+    if slow > max(1.0, MOST_SLOW * len(took_s)):
+        return f"{slow} of {len(took_s)} calls of {word} take longer than the control period"
+    return ""
 
 
 def _waited_s() -> float:
