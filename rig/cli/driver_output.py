@@ -32,7 +32,7 @@ def _about(row: InstalledDriver) -> str:
     parts = [row.about + (" (simulated)" if row.simulated else "")]
     if row.keys:
         parts.append(f"keys: {', '.join(row.keys)}")
-    if row.safe_state and row.kind == "cards":
+    if row.safe_state:
         parts.append(f"if the program dies: {row.safe_state}")
     return "; ".join(parts)
 

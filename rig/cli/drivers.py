@@ -18,7 +18,10 @@ SUPPLY = (
 
 
 def drivers(json: AsJson = False) -> None:
-    """List the drivers of cards, cameras and trackers and the valve types, with their packages."""
+    """List the drivers of cards, cameras and trackers and the valve types, with their packages.
+
+    Status 1: an installed plug-in cannot be used.
+    """
     from rig.cli import driver_output
     from rig.cli.console import console
     from rig.cli.json_output import print_json
@@ -29,6 +32,7 @@ def drivers(json: AsJson = False) -> None:
         print_json(rows)
     else:
         console().print(driver_output.table(rows))
+    raise typer.Exit(FAULT if any(row.fault for row in rows) else DONE)
 
 
 def check_drivers(

@@ -152,6 +152,7 @@ CARD_DRIVERS = DriverRegistry(
         simulated=True,
         section=MockCardConfig,
     ),
+    has_outputs=True,
 )
 
 if TYPE_CHECKING:

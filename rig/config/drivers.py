@@ -34,7 +34,7 @@ class Plugin:
     `section` is the model of the device's section in the rig file, a subclass of the one of its kind (`CardConfig`,
     `CameraConfig`, `TrackerConfig`). `open` opens a device: that of a card takes a `CardSetup`, that of a camera
     returns a `CameraDriver`, that of a tracker a `TrackerDriver`. `about` says in one line what it drives, `safe_state`
-    what the outputs do once the program is dead.
+    what the outputs of a card do once the program is dead.
     A run with a `simulated` device is marked as simulated. `examine` takes the rig's `RigConfig` and the name of a
     device and returns the findings for `rig doctor`; it must not write to the device. `silence_s` is for a card whose
     device makes its outputs safe by itself: it takes the section and returns the time [s] without a write after which
@@ -105,9 +105,13 @@ class InstalledDriver:
 class DriverRegistry:
     """Drivers of one kind of device, by name."""
 
-    def __init__(self, kind: str, *drivers: Driver) -> None:
-        """`kind` is the section of the rig file; its plug-ins are the entry points `softrig.<kind>`."""
+    def __init__(self, kind: str, *drivers: Driver, has_outputs: bool = False) -> None:
+        """`kind` is the section of the rig file; its plug-ins are the entry points `softrig.<kind>`.
+
+        has_outputs: the devices have outputs, whose state matters once the program is dead.
+        """
         self.kind = kind
+        self._has_outputs = has_outputs
         self.built_in = {driver.name: driver for driver in drivers}
         self._group = PluginGroup(f"softrig.{kind}", self._checked)
         self._base: type[BaseModel] = BaseModel
@@ -119,8 +123,9 @@ class DriverRegistry:
             return self.built_in[name]
         if name not in self._loaded:
             found, package = self._group.load(name)
+            safe_state = found.safe_state if self._has_outputs else ""
             self._loaded[name] = Driver(
-                name, "", found.about, found.safe_state, found.simulated, package=package, plugin=found
+                name, "", found.about, safe_state, found.simulated, package=package, plugin=found
             )
         return self._loaded[name]
 
@@ -186,14 +191,13 @@ class DriverRegistry:
                 )
                 continue
             try:
-                plugin = self[entry.name].plugin
+                found, section = self[entry.name], self.section(entry.name)
             except PluginError as error:
                 yield InstalledDriver(self.kind, entry.name, row.package, fault=str(error))
                 continue
-            assert plugin is not None
-            keys = tuple(key for key in plugin.section.model_fields if key not in base.model_fields)
+            keys = tuple(key for key in section.model_fields if key not in base.model_fields)
             yield InstalledDriver(
-                self.kind, entry.name, row.package, plugin.about, plugin.safe_state, plugin.simulated, keys
+                self.kind, entry.name, row.package, found.about, found.safe_state, found.simulated, keys
             )
 
 

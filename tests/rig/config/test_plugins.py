@@ -177,7 +177,7 @@ def test_a_broken_plugin_is_one_message(
     assert problem.startswith("my.yaml:7:17")
     assert "softrig-broken 1.0" in problem
     assert says in problem
-    assert status_of("drivers", "--json") == 0
+    assert status_of("drivers", "--json") == 1
     (row,) = [row for row in json.loads(capsys.readouterr().out) if row["package"] == "softrig-broken 1.0"]
     assert says in row["fault"]
 
@@ -196,7 +196,7 @@ def test_a_plugin_never_replaces_a_driver_of_softrig(
     install(tmp_path / "site", "softrig-false", {"softrig.cards mock": "box_card:box"}, {"box_card.py": BOX})
     use(tmp_path / "site", monkeypatch)
     assert type(loader.load("mock").cards["daq"]).__name__ == "MockCardConfig"
-    assert status_of("drivers") == 0
+    assert status_of("drivers") == 1
     assert "not used: softrig has a driver of that name" in " ".join(capsys.readouterr().out.split())
 
 
@@ -214,6 +214,36 @@ def test_drivers_lists_plugins_with_package_keys_and_safe_state(site: Path, caps
         ["supply_bar", "vacuum_bar", "range_V", "span_V", "span_bar", "seconds"],
     )
     assert rows["cards", "comedi"]["package"] == "softrig"
+
+
+TRACKER = """
+from rig.config.drivers import Plugin
+from rig.config.tracker_sections import TrackerConfig
+
+still = Plugin(TrackerConfig, print, about="an arm that stands still")
+"""
+
+
+def test_nothing_is_said_about_outputs_of_a_device_without_outputs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    install(
+        tmp_path / "site",
+        "softrig-still",
+        {"softrig.trackers still": "still_tracker:still"},
+        {"still_tracker.py": TRACKER},
+    )
+    monkeypatch.delitem(sys.modules, "still_tracker", raising=False)
+    use(tmp_path / "site", monkeypatch)
+    assert status_of("drivers", "--json") == 0
+    (row,) = [row for row in json.loads(capsys.readouterr().out) if row["name"] == "still"]
+    assert (row["about"], row["safe_state"]) == ("an arm that stands still", "")
+    text = loader.text("mock-tracker")
+    shared = text.replace("driver: mock, rate_hz", "driver: still, rate_hz").replace(
+        ", drift_ppm: 50, jitter_ms: 1", ""
+    )
+    (behind,) = rig_devices(loader.parse(shared, "my.yaml"))
+    assert behind.found == "driver still of softrig-still 1.0: an arm that stands still"
 
 
 def test_doctor_asks_the_plugin_about_its_device(site: Path) -> None:
