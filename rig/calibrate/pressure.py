@@ -21,6 +21,7 @@ from rig.config.calibration_files import sha256_of
 from rig.config.loader import load, path_of
 from rig.config.schema import RigConfig
 from rig.execution.plan import StoppedError
+from rig.execution.virtual_time import require_mocks
 from rig.simulator.plant_launcher import simulated
 
 _LARGEST_ML = 1e5
@@ -79,6 +80,8 @@ def run(request: PressureCalibrationRequest, operator: BenchOperator) -> Pressur
     config = load(request.rig)
     request.output.check()
     _check(request)
+    if request.fast:
+        require_mocks(config.name, config.cards)
     sensors: tuple[calibration_schema.SensorCalibration, ...] = ()
     valves: tuple[calibration_schema.ValveCalibration, ...] = ()
     used: tuple[calibration_schema.SourceFileSection, ...] = ()

@@ -25,6 +25,7 @@ from rig.config.model_variant import variant_named
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from rig.execution.plan import UNRECORDED, OperatorInterface, RunPlan, StartError
+from rig.execution.virtual_time import require_mocks
 from rig.experiment import report_process
 from rig.experiment.preflight import check
 from rig.experiment.provenance import git_state, protocol_parameters, quantities, section_places, versions
@@ -202,6 +203,9 @@ def plan(request: RunRequest) -> RunPlan:
     Raises:
         BadInputError: every violated limit, or the reasons why the rig cannot run the protocol.
     """
+    if request.fast:
+        rig = request.config
+        require_mocks(rig.name, {**rig.cards, **rig.cameras, **rig.trackers})
     inverse, learned_from = tip_inverse(request.protocol, request.rig, request.variant, request.learn_from)
     trajectory = request.protocol.expand(request.config.actuators, inverse)
     if request.fast and trajectory.streams:

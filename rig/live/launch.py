@@ -116,7 +116,8 @@ def show(archive: Path | None, pid: int | None, listen: str, port: int, say: Cal
 
     Raises:
         ArchiveError: the file is no archive.
-        StartError: no experiment is running, or the page cannot start.
+        BadInputError: no experiment is running, or several are and `pid` names none of them.
+        StartError: the page cannot start.
     """
     if archive is not None:
         from runs.run import Run
@@ -139,9 +140,9 @@ def _socket_path(pid: int | None) -> Path:
         return found[0]
     if found:
         pids = ", ".join(path.name.removeprefix("run-") for path in found)
-        raise StartError(f"several experiments are running; choose one by its process: --pid with one of {pids}")
+        raise bad_input("--pid", "", f"several experiments are running; choose one by its process: {pids}")
     which = "no experiment of yours is running" if pid is None else f"process {pid} runs no experiment of yours"
-    raise StartError(f"{which}; start one with `rig run .. --live`, or name an archive to play")
+    raise bad_input("--pid", "", f"{which}; start one with `rig run .. --live`, or name an archive to play")
 
 
 def _address(listen: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:

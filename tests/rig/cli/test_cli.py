@@ -169,6 +169,9 @@ def test_ctrl_c_while_modules_load_ends_the_program_silently() -> None:
         (["runs", "nowhere"], "a folder of archives"),
         (["recover", "nowhere"], "a folder of archives"),
         (["runs", "--since", "yesterday"], "a date or its beginning"),
+        (["run", "ramp-a", "--rig", "pci1716", "--fast", "--yes"], "omit --fast"),
+        (["calibrate", "pressure", "--rig", "pci1716", "--fast", "--yes"], "omit --fast"),
+        (["live", "--pid", "1"], "process 1 runs no experiment of yours"),
     ],
 )
 def test_bad_input_gives_one_message_and_status_2(
