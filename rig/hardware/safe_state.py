@@ -160,6 +160,11 @@ def cards_with_outputs(config: RigConfig) -> tuple[str, ...]:
     return tuple(name for name, setup in setups.items() if setup.outputs or setup.digital_outputs)
 
 
+def followed_by(reason: str, failure: str) -> str:
+    """A fault and the failure that followed; a failure that repeats the fault stands for both."""
+    return failure if not reason or reason in failure else f"{reason}; then {failure}"
+
+
 def failure_of(write: Callable[[], None], patience_s: float = 0.0) -> str:
     """Write the safe state by `write`, again while it fails, for `patience_s`; return the failure, empty on success."""
     until = time.monotonic() + patience_s

@@ -14,6 +14,7 @@ from rig.control.control_loop import ControlLoop
 from rig.control.trigger import TriggerPulses
 from rig.hardware.bench import Bench, open_bench
 from rig.hardware.cards.base import CardError
+from rig.hardware.safe_state import followed_by
 from rig.hardware.vent_verification import VentOutcome, VentVerification, real_time
 from rig.realtime import sampling_clocks
 from rig.realtime.child_process import (
@@ -76,16 +77,16 @@ def main() -> int:
             bench.make_safe(vent=memory.vents)
             memory.safe_ns = time.monotonic_ns()
         except CardError as error:
-            fault = f"{fault}; then {error}".removeprefix("; then ")
+            fault = followed_by(fault, str(error))
         else:
             if bench.trigger_failure:
-                fault = f"{fault}; then {bench.trigger_failure}".removeprefix("; then ")
+                fault = followed_by(fault, bench.trigger_failure)
             vented = _verify_venting(job, memory, bench)
             if supervisor.exited:
                 report_end("", lambda: vented)
             # Pressures that cannot be read here may be readable by the supervisor, which opens the cards again.
             if not vented.confirmed and vented.answered and not memory.watchdog_trip_ns:
-                fault = f"{fault}; then {vented.sentence}".removeprefix("; then ")
+                fault = followed_by(fault, vented.sentence)
     memory.publish_stage("control", Stage.FAILED if fault else Stage.DONE, fault)
     bench.close()
     disable_realtime_scheduling()

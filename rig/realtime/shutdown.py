@@ -79,9 +79,11 @@ class Shutdown:
                 "neither control nor the watchdog could write the safe state: the supervisor has written it"
             )
             return ""
-        message = self._memory.message("watchdog")
+        for name in ("watchdog", "control"):
+            if UNSAFE in (message := self._memory.message(name)):
+                return message
         why = self._written_message or "neither control nor the watchdog has reported that it was"
-        return message if UNSAFE in message else f"{UNSAFE}: {why}"
+        return f"{UNSAFE}: {why}"
 
     def confirm(self, timing: TimingLimits) -> VentOutcome:
         """Whether the pressures confirm the safe state: by the readings of control, else by this process's own."""

@@ -251,8 +251,9 @@ class Supervisor:
         if written := self.shutdown.written_message:
             self._event(Level.FAULT, "supervisor", written)
         if failure:
+            if failure not in message:
+                self._event(Level.FAULT, "watchdog", failure)
             status, message = _aborted(message, "" if UNSAFE in message else failure)
-            self._event(Level.FAULT, "watchdog", failure)
         elif UNCONFIRMED not in message:
             writer = "supervisor" if written else "control" if memory.safe_ns else "watchdog"
             vented = self.shutdown.confirm(self.timing)

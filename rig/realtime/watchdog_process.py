@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 
 from rig.hardware.cards.base import CardError
-from rig.hardware.safe_state import WatchdogOutputs, failure_of
+from rig.hardware.safe_state import WatchdogOutputs, failure_of, followed_by
 from rig.hardware.vent_verification import LONGEST_VENTING_S, verify_venting
 from rig.realtime.child_process import (
     await_device_access,
@@ -72,7 +72,7 @@ def main() -> int:
         time.sleep(0.005)
         # A control process that was only slow may have written once more before it died.
         failure = _make_safe(outputs, memory)
-    message = f"{reason}; then {failure}" if reason and failure else reason or failure
+    message = followed_by(reason, failure) if failure else reason
     memory.publish_stage("watchdog", Stage.FAILED if failure else Stage.DONE, message)
     if ended:
         report(f"{reason}: the process that held the card was ended to make the valves safe")

@@ -23,7 +23,7 @@ from rig.execution.plan import OpenRecord, OperatorInterface, Progress, Recorder
 from rig.hardware.bench import Bench
 from rig.hardware.cameras.base import CameraError, FrameSet
 from rig.hardware.cards.base import CardError
-from rig.hardware.safe_state import armed_sentence, failure_of
+from rig.hardware.safe_state import armed_sentence, failure_of, followed_by
 from rig.hardware.tip_source import TipSourceError
 from rig.hardware.vent_verification import VentOutcome, VentVerification
 from rig.observation.observer import Observer, observations_of
@@ -169,7 +169,7 @@ class _VirtualRun:
         unsafe = unsafe or ("" if vented.confirmed else vented.sentence)
         if unsafe:
             self._event(now, Level.FAULT, "control", unsafe)
-            ending = Status.ABORTED, f"{ending[1]}; then {unsafe}".removeprefix("; then ")
+            ending = Status.ABORTED, followed_by(ending[1], unsafe)
         else:
             self._event(now, Level.INFO, "control", f"the valves are in their safe state; {vented.sentence}")
         counters = {"missed_deadlines": 0, "dropped_frames": self._dropped, "lost_scans": self._lost_scans}

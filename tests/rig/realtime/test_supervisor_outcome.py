@@ -9,12 +9,14 @@ import sys
 import threading
 from contextlib import nullcontext
 from dataclasses import replace
+from typing import NoReturn
 
 import numpy as np
 import pytest
 
 from rig.execution.plan import NullOperator, Recorder, RunPlan, StartError
 from rig.hardware.cards.base import CardError
+from rig.hardware.safe_state import UNSAFE
 from rig.hardware.vent_verification import UNCONFIRMED, VentOutcome
 from rig.realtime import control_process, process_group, supervisor
 from rig.realtime.child_process import ChildJob
@@ -262,3 +264,71 @@ def test_remaining_air_is_reported_whatever_ends_a_run(
     with pytest.raises((CardError, StartError)) as raised:
         supervisor.run(plan, lambda _: None, NullOperator())  # type: ignore[arg-type, return-value]
     assert str(raised.value) == told
+
+
+GONE = "box 0 has gone: is the cable in?"
+
+
+class Events(Unwritten):
+    """A recorder that keeps the messages of its events."""
+
+    def __init__(self) -> None:
+        self.messages: list[str] = []
+
+    def event(self, event: Event) -> None:
+        """Keep it."""
+        self.messages.append(event.message)
+
+
+def unplugged(*_: object) -> NoReturn:
+    raise CardError(GONE)
+
+
+def test_what_an_unplugged_card_says_is_stated_once(
+    own_plan: RunPlan, own_parent: supervisor.Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It fails in the cycle, in the safe state that control writes then, and in the one of the watchdog."""
+    memory = own_parent.memory
+    monkeypatch.setattr(control_process, "receive_job", lambda: (ChildJob(own_plan, memory.fd, os.getppid()), memory))
+    monkeypatch.setattr(control_process, "_warm_up", unplugged)
+    monkeypatch.setattr(control_process, "enable_realtime_scheduling", lambda priority: Scheduling.NONE)
+    memory.publish_stage("watchdog", Stage.READY)
+    before = signal.getsignal(signal.SIGTERM)
+    opened = control_process.open_bench
+
+    def opened_then_unplugged(*words: object) -> object:
+        bench = opened(*words)  # type: ignore[arg-type]
+        bench.arm()
+        for card in bench._cards.values():
+            monkeypatch.setattr(card, "write", unplugged)
+        monkeypatch.setattr(bench, "arm", lambda: ())
+        return bench
+
+    monkeypatch.setattr(control_process, "open_bench", opened_then_unplugged)
+    try:
+        assert control_process.main() == 1
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    unsafe = f"{UNSAFE}: card daq: {GONE}"
+    assert memory.message("control") == unsafe
+    memory.publish_stage("watchdog", Stage.FAILED, unsafe)
+    monkeypatch.setattr(own_parent.processes, "await_exit", lambda *_: True)
+    monkeypatch.setattr("rig.realtime.shutdown.force_safe_state", lambda *_: unsafe)
+    events = Events()
+    recorded(own_parent, own_plan, events)
+    own_parent.record.event(Level.FAULT, "control", unsafe)
+    outcome = own_parent._outcome(Status.ABORTED, unsafe, 0)
+    assert (outcome.message, events.messages) == (unsafe, [unsafe])
+
+
+def test_a_failed_safe_state_that_control_has_reported_is_not_called_unreported(
+    own_plan: RunPlan, own_parent: supervisor.Supervisor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unsafe = f"{UNSAFE}: card daq: {GONE}"
+    own_parent.memory.publish_stage("control", Stage.FAILED, unsafe)
+    monkeypatch.setattr("rig.realtime.shutdown.force_safe_state", lambda *_: "it has gone")
+    monkeypatch.setattr(own_parent.processes, "await_exit", lambda *_: True)
+    events = Events()
+    recorded(own_parent, own_plan, events)
+    assert own_parent._outcome(Status.ABORTED, unsafe, 0).message == unsafe
+    assert events.messages == []
