@@ -62,12 +62,29 @@ def test_the_driver_is_one_short_file() -> None:
     assert len(module.read_text().splitlines()) <= LARGEST
 
 
+def shown_rig() -> str:
+    """The rig file that the tutorial shows."""
+    (text,) = re.findall(r"```yaml\n(.*?)```", TUTORIAL.read_text(), re.DOTALL)
+    return str(text)
+
+
+def test_the_rig_that_the_tutorial_shows_is_the_one_that_its_commands_use(
+    rig: Callable[..., tuple[int, str]], tmp_path: Path
+) -> None:
+    assert shown_rig() == (PACKAGE / "pneubox.yaml").read_text()
+    copied = [line.split() for line in TUTORIAL.read_text().splitlines() if line.startswith("cp ")]
+    assert copied == [["cp", "-r", f"{PACKAGE.relative_to(ROOT)}", "pneubox"], ["cp", "pneubox/pneubox.yaml", "."]]
+    (tmp_path / "pneubox.yaml").write_text(shown_rig())
+    status, said = rig("check", "ramp-a", "--rig", "pneubox.yaml")
+    assert (status, "daq AO 2" in said) == (0, True), said
+
+
 @pytest.mark.slow
 def test_the_tutorial_works_as_it_stands(rig: Callable[..., tuple[int, str]], site: Path, tmp_path: Path) -> None:
     (row,) = [row for row in json.loads(rig("drivers", "--json")[1]) if row["name"] == "pneubox"]
     assert (row["package"], row["keys"]) == ("softrig-pneubox 0.1.0", ["lag_ms", "silence_ms"])
-    (program,) = re.findall(r"python - <<'END'\n(.*?)END\n", TUTORIAL.read_text(), re.DOTALL)
-    exec(program, {})
+    rig_file = tmp_path / "pneubox.yaml"
+    rig_file.write_text(shown_rig())
     assert "nothing is wrong" in rig("check", "ramp-a", "--rig", "pneubox.yaml")[1]
     findings = {row["topic"]: row for row in json.loads(rig("doctor", "--rig", "pneubox.yaml", "--json")[1])}
     assert findings["box daq"]["remedy"] == "switch it on"
@@ -78,7 +95,6 @@ def test_the_tutorial_works_as_it_stands(rig: Callable[..., tuple[int, str]], si
     env = os.environ | {"PYTHONPATH": str(site)}
     vented = subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout
     assert vented.startswith("every chamber of rig pneubox is open to the exhaust (simulated")
-    rig_file = tmp_path / "pneubox.yaml"
     rig_file.write_text(rig_file.read_text().replace("silence_ms: 100", "silence_ms: 5"))
     status, said = rig("check", "ramp-a", "--rig", "pneubox.yaml")
     assert status == 2
