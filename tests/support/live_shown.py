@@ -1,4 +1,4 @@
-"""A page with a stalled run and the widest possible numbers: `python tests/support/live_shown.py 6 --adapt`.
+"""A page with a run an hour old and the widest possible numbers: `python tests/support/live_shown.py 6 --adapt`.
 
 Prints the page's link. What is real: server, page, stream and browser; what is made up: the run's numbers.
 """
@@ -9,6 +9,8 @@ import argparse
 import asyncio
 import socket
 import sys
+import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -57,21 +59,26 @@ EVENTS = [
 ]
 
 
+STEP_S = 0.2
+"""Between packets, each of which has a newer sample; a stalled run repeats its last one."""
+
+
 class Shown:
-    """A run source that always shows the same moment."""
+    """A run source that always shows the same numbers."""
 
     live = True
     finished = False
 
-    def __init__(self, actuators: int, adapt: bool, prompt: str) -> None:
+    def __init__(self, actuators: int, adapt: bool, prompt: str, stalled: bool) -> None:
         self.actuators = actuators
-        seconds = np.arange(0.0, 60.0, 0.5)
+        self.stalled = stalled
+        seconds = np.arange(3660.0, 3720.0, 0.5)
         pressures = 0.6123 + 0.05 * np.sin(seconds[:, None] + np.arange(2 * actuators))
         track = np.column_stack([seconds, *(100 * np.sin(seconds + i) for i in range(11))])
         row = ("1/bar", "-0.0012345", "0.00012", "-0.0012346")
-        now = ViewState(
+        self.now = ViewState(
             state="waiting" if prompt else "running",
-            time_s=59.5,
+            time_s=3719.5,
             protocol=ProtocolView(
                 time_s=3723.4,
                 left_s=5999.6,
@@ -87,7 +94,8 @@ class Shown:
         lines = np.linspace((0, 0, 0), (120, 30, 180), 20)[None] + np.zeros((actuators + 1, 1, 1))
         drawing = ViewOverlay(np.full((20, 2), 50.0), np.array([90.0, 90.0]), np.array([95.0, 95.0]), lines)
         picture = jpeg(np.full((480, 640), 160, np.uint8))
-        self.packet = ViewUpdate(now, pressures_of(seconds, pressures), track, list(EVENTS), drawing, picture).encoded()
+        rows = np.column_stack([seconds, pressures])
+        self.first = ViewUpdate(self.now, rows, track, list(EVENTS), drawing, picture).encoded()
 
     def about(self) -> RunDescription:
         """Description of a run with that many actuators."""
@@ -105,22 +113,31 @@ class Shown:
 
     def viewer(self) -> Moment:
         """One more browser."""
-        return Moment(self.packet)
+        return Moment(self)
 
     def update(self) -> None:
         """Nothing changes."""
 
 
 class Moment:
-    """One browser's view: the one packet."""
+    """One browser's view: everything at first, then the time alone."""
 
-    def __init__(self, packet: bytes) -> None:
-        self._packet: bytes | None = packet
+    def __init__(self, source: Shown) -> None:
+        self._source = source
+        self._sent = 0
+        self._due_s = 0.0
 
     def packet(self) -> bytes | None:
-        """The packet, once."""
-        packet, self._packet = self._packet, None
-        return packet
+        """The next packet, when it is due."""
+        if time.monotonic() < self._due_s:
+            return None
+        self._due_s = time.monotonic() + STEP_S
+        self._sent += 1
+        if self._sent == 1:
+            return self._source.first
+        now = self._source.now
+        later_s = 0.0 if self._source.stalled else STEP_S * self._sent
+        return ViewUpdate(replace(now, time_s=now.time_s + later_s)).encoded()
 
     def handle(self, message: Message, who: str) -> dict[str, Any]:
         """Answer with the requested command and its account."""
@@ -130,23 +147,19 @@ class Moment:
         """There is nothing to release."""
 
 
-def pressures_of(seconds: np.ndarray, pressures: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
-    """Rows of the pressure chart."""
-    return np.column_stack([seconds, pressures])
-
-
 def main() -> None:
     """Serve until killed."""
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("actuators", type=int)
     arguments.add_argument("--adapt", action="store_true")
     arguments.add_argument("--prompt", default="")
+    arguments.add_argument("--stalled", action="store_true", help="the page's packets bring no new sample")
     wanted = arguments.parse_args()
     keys = AccessTokens("ada-lovelace")
     listening = socket.create_server(("127.0.0.1", 0))
     port = listening.getsockname()[1]
     app = application(
-        Shown(wanted.actuators, wanted.adapt, wanted.prompt), PageConfiguration(listening.fileno(), keys), port
+        Shown(wanted.actuators, wanted.adapt, wanted.prompt, wanted.stalled), PageConfiguration(listening.fileno(), keys), port
     )
     server = uvicorn.Server(uvicorn.Config(app, log_level="error"))
     print(f"live page   http://127.0.0.1:{port}/#{keys.operator}", flush=True)

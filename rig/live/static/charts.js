@@ -63,11 +63,12 @@ export class Charts {
   colours() {
     if (!this.about) return;
     const ink = css("--ink"), muted = css("--muted"), rule = css("--rule");
-    const axis = (more) => ({
-      type: "value", scale: true, axisLabel: { color: muted, fontSize: 13 }, nameTextStyle: { color: muted, fontSize: 13 },
+    const axis = ({ axisLabel, ...more } = {}) => ({
+      type: "value", scale: true, axisLabel: { color: muted, fontSize: 13, hideOverlap: true, ...axisLabel }, nameTextStyle: { color: muted, fontSize: 13 },
       axisLine: { lineStyle: { color: muted } }, splitLine: { lineStyle: { color: rule } }, ...more,
     });
-    const time = (more) => axis({ min: "dataMin", max: "dataMax", axisLabel: { color: muted, fontSize: 13, showMinLabel: false, showMaxLabel: false, formatter: (v) => Math.round(100 * v) / 100 + " s" }, ...more });
+    const ticks = { showMinLabel: false, showMaxLabel: false, formatter: (v) => Math.round(100 * v) / 100 + " s" };
+    const time = ({ axisLabel, ...more } = {}) => axis({ min: "dataMin", max: "dataMax", axisLabel: { ...ticks, ...axisLabel }, ...more });
     const common = { animation: false, textStyle: { color: ink }, grid: { left: 46, right: 14, top: 26, bottom: 26 } };
     const legend = (data) => ({ data, top: 0, right: 8, itemHeight: 8, textStyle: { color: ink, fontSize: 13 } });
     const line = (name, colour, more) => ({
@@ -96,7 +97,7 @@ export class Charts {
     ];
     this.tip.setOption({
       animation: false, textStyle: { color: ink }, legend: legend(["measured", "model"]),
-      grid: [{ left: 54, right: 14, top: 26, height: "34%" }, { left: 54, right: 14, bottom: 24, height: "34%" }],
+      grid: [{ left: 54, right: 14, top: 26, bottom: "53%" }, { left: 54, right: 14, top: "58%", bottom: 24 }],
       xAxis: [time({ gridIndex: 0, axisLabel: { show: false } }), time({ gridIndex: 1 })],
       yAxis: [axis({ gridIndex: 0, name: "in plane", nameLocation: "middle", nameGap: 34, splitNumber: 3 }), axis({ gridIndex: 1, name: "z", nameLocation: "middle", nameGap: 34, splitNumber: 3, inverse: true })],
       series: [...band("r", 0), ...band("z", 1)],

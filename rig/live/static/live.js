@@ -6,14 +6,16 @@ import { PictureView } from "/live/picture.js";
 const EVENTS_SHOWN = 200;
 const RETRY_MS = 1000;
 const DOUBLE_CLICK_MS = 400;
+const OLD_MS = 2000; // values without a newer sample for this time are shown as old
 const at = (id) => document.getElementById(id);
-const fixed = (x, digits) => (x === null || x === undefined ? "–" : x.toFixed(digits));
+const fixed = (x, digits) => (x === null || x === undefined ? "–" : x.toFixed(digits).replace(/^-(?=[0.]+$)/, ""));
 const clock = (s) => `${Math.floor(Math.max(0, s) / 60)}:${String(Math.floor(Math.max(0, s) % 60)).padStart(2, "0")}`;
 
 // For tests and for the curious: how many packets were drawn and how old each picture was on the screen [ms].
 const seen = (window.softrig = { packets: 0, latency: [], now: null, about: null });
 
 let socket, about, charts, arm, picture, now = null, placing = false;
+let sampled = 0, stalled = false;
 
 function ask(message) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
@@ -61,6 +63,7 @@ function begin(what) {
 async function show(data) {
   const length = new DataView(data).getUint32(0, true);
   const packet = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+  if (packet.now.time_s !== now?.time_s) sampled = performance.now();
   now = seen.now = packet.now;
   if (packet.reset) {
     charts.begin(about);
@@ -78,8 +81,24 @@ async function show(data) {
   seen.packets += 1;
 }
 
+// A connection may stay open while nothing arrives, and packets may arrive while nothing is sampled.
+function checkAge() {
+  if (!about?.live || !now?.pressure || now.state === "ended" || socket.readyState !== WebSocket.OPEN) return;
+  const age = performance.now() - sampled;
+  if (age > OLD_MS) {
+    stalled = true;
+    state("stalled");
+    banner(`No new values for ${fixed(age / 1000, 0)} s. The page shows the last values, of ${fixed(now.time_s, 1)} s. The run may continue; its terminal shows it.`);
+  } else if (stalled) {
+    stalled = false;
+    state(now.state);
+    banner("");
+  }
+}
+
 function numbers() {
-  state(now.state);
+  if (!stalled) state(now.state);
+  checkAge();
   const { protocol, timing, pressure } = now, tip = now.tip ?? {};
   at("segment").textContent = `${protocol.segment}${protocol.segment_left_s > 0 ? `, ${clock(protocol.segment_left_s)} left` : ""}`;
   at("progress-bar").style.width = `${(100 * protocol.time_s) / about.duration_s}%`;
@@ -126,6 +145,7 @@ function numbers() {
     at("pause").querySelector(".q-btn__content").textContent = now.state === "paused" ? "Resume" : "Pause";
   }
   if (now.state === "ended") {
+    state("ended");
     banner(`The run has ended: ${now.ended}. The page shows its last values, of ${fixed(now.time_s, 1)} s.`);
     window.socket?.disconnect(); // NiceGUI's own connection would go on knocking at a page that is gone
   }
@@ -149,9 +169,9 @@ function estimates(rows) {
 }
 
 function state(name) {
-  at("state").textContent = name === "lost" ? "connection lost" : name;
+  at("state").textContent = { lost: "connection lost", stalled: "no new values" }[name] ?? name;
   at("state").dataset.state = name;
-  at("softrig").classList.toggle("old", name === "lost" || name === "ended");
+  at("softrig").classList.toggle("old", ["lost", "stalled", "ended"].includes(name));
 }
 
 function banner(text) {
@@ -207,6 +227,7 @@ async function start() {
   arm = new ArmView(at("arm-view"), pressureColour);
   picture = new PictureView(at("picture"));
   wire();
+  setInterval(checkAge, 250);
   connect();
 }
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -60,6 +62,30 @@ HIDDEN = """
 }).map((e) => `${selector}: ${e.textContent}`)
 """
 
+# State, whether the numbers are dimmed, whether there is no banner.
+OLD = """[document.getElementById("state").textContent,
+  getComputedStyle(document.getElementById("numbers")).opacity < 1, document.getElementById("banner").hidden]"""
+# The texts of each chart, by the rectangles that they cover on its canvas.
+OVERLAPPING = """
+(async () => {
+  const { echarts } = await import("nicegui-echart"), found = [];
+  for (const element of document.querySelectorAll(".chart")) {
+    const texts = echarts.getInstanceByDom(element).getZr().storage.getDisplayList()
+      .filter((shape) => shape.type === "tspan" && !shape.ignore && !shape.invisible).map((shape) => {
+        const box = shape.getBoundingRect().clone();
+        if (shape.transform) box.applyTransform(shape.transform);
+        return [shape.style.text, box];
+      });
+    texts.forEach(([text, a], i) => texts.slice(i + 1).forEach(([other, b]) => {
+      const wide = Math.min(a.x + a.width, b.x + b.width) - Math.max(a.x, b.x);
+      const high = Math.min(a.y + a.height, b.y + b.height) - Math.max(a.y, b.y);
+      if (wide > 0.5 && high > 0.5) found.push(`${element.className}: ${text} | ${other}`);
+    }));
+  }
+  return found;
+})()
+"""
+
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
@@ -69,19 +95,29 @@ def browser() -> Iterator[Browser]:
 
 
 @contextmanager
-def shown(browser: Browser, folder: Path, *options: str) -> Iterator[Tab]:
-    """A tab with the page of a made-up run."""
+def serving(folder: Path, *options: str) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """The link to the page of a made-up run, and the process that serves it."""
     log = folder / "log"
     with log.open("w") as file:
         process = subprocess.Popen([sys.executable, str(SHOWN), *options], stdout=file, stderr=subprocess.STDOUT)
     try:
-        tab = open_tab(browser, printed_link(log.read_text, "live page"))
-        # NiceGUI's own connection reloads the page when the machine is too busy to answer it in time.
-        tab.value("void window.socket.disconnect()")
-        yield tab
+        yield printed_link(log.read_text, "live page"), process
     finally:
         process.kill()
         process.wait()
+
+
+@contextmanager
+def shown(browser: Browser, folder: Path, *options: str) -> Iterator[Tab]:
+    """A tab with the page of a made-up run."""
+    with serving(folder, *options) as (link, _):
+        yield quiet(open_tab(browser, link))
+
+
+def quiet(tab: Tab) -> Tab:
+    """The tab without NiceGUI's own connection, which reloads the page when a busy machine answers it too late."""
+    tab.value("void window.socket.disconnect()")
+    return tab
 
 
 @pytest.mark.parametrize(
@@ -107,3 +143,32 @@ def test_every_figure_is_seen_at_every_width(
                 assert tab.value(f"({HIDDEN})('#prompt-text')") == [], width
                 assert tab.value(f"({HIDDEN})('#prompt [data-do=answer]')") == [], width
         assert tab.troubles == []
+
+
+def test_no_text_of_a_chart_covers_another(browser: Browser, tmp_path: Path) -> None:
+    with shown(browser, tmp_path, "6") as tab:
+        for width, height in SIZES:
+            tab.size(width, height)
+            tab.until(f"innerWidth === {width} && {FITS}", 30.0)
+            assert tab.value(OVERLAPPING) == [], width
+
+
+def test_values_are_shown_as_old_while_the_page_gets_no_packet(browser: Browser, tmp_path: Path) -> None:
+    with serving(tmp_path, "3") as (link, process):
+        tab = quiet(open_tab(browser, link))
+        assert tab.value(OLD) == ["running", False, True]
+        os.kill(process.pid, signal.SIGSTOP)
+        tab.until("document.getElementById('state').textContent === 'no new values'", 30.0)
+        assert tab.value(OLD) == ["no new values", True, False]
+        assert "last values, of 37" in tab.value("document.getElementById('banner').textContent")
+        os.kill(process.pid, signal.SIGCONT)
+        tab.until("document.getElementById('state').textContent === 'running'", 30.0)
+        assert tab.value(OLD) == ["running", False, True]
+
+
+def test_values_are_shown_as_old_while_packets_repeat_the_same_sample(browser: Browser, tmp_path: Path) -> None:
+    with shown(browser, tmp_path, "3", "--stalled") as tab:
+        tab.until("document.getElementById('state').textContent === 'no new values'", 30.0)
+        packets = tab.value("window.softrig.packets")
+        tab.until(f"window.softrig.packets > {packets} + 1")
+        assert tab.value(OLD) == ["no new values", True, False]
