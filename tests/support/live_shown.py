@@ -159,7 +159,9 @@ def main() -> None:
     listening = socket.create_server(("127.0.0.1", 0))
     port = listening.getsockname()[1]
     app = application(
-        Shown(wanted.actuators, wanted.adapt, wanted.prompt, wanted.stalled), PageConfiguration(listening.fileno(), keys), port
+        Shown(wanted.actuators, wanted.adapt, wanted.prompt, wanted.stalled),
+        PageConfiguration(listening.fileno(), keys),
+        port,
     )
     server = uvicorn.Server(uvicorn.Config(app, log_level="error"))
     print(f"live page   http://127.0.0.1:{port}/#{keys.operator}", flush=True)
