@@ -20,6 +20,7 @@ from model.units import PA_PER_BAR
 from rig.cli.keyboard import Keyboard
 from rig.cli.nonblocking_writer import NonBlockingWriter
 from rig.execution.plan import Progress
+from runs.columns.tip_control import reference_error_mm
 from runs.printable_text import printable
 from runs.records import DetectionStatus, Event, Level, Quantity
 
@@ -130,9 +131,8 @@ def _error_mm(progress: Progress) -> float:
 
 
 def _path_error_mm(row: NDArray[np.void]) -> float:
-    """Distance from the reference in the controlled coordinates; NaN without a reference."""
-    off = row["measured_m"] - row["reference_m"]
-    return 1e3 * float(np.sqrt(np.nansum(off**2))) if np.isfinite(off).any() and row["tip_motion"] else float("nan")
+    """Distance from the reference; NaN without one."""
+    return float(reference_error_mm(np.array([row]))[0])
 
 
 def _line(progress: Progress) -> str:

@@ -12,9 +12,8 @@ from rig.config.input_sections import AuxiliaryInput
 from rig.config.schema import RigConfig
 from rig.config.sections import Sensor
 from rig.hardware.cards.base import Card, CardError, DigitalInputCard, Scans, SelfClockedCard
-from rig.hardware.cards.opening import open_card
+from rig.hardware.cards.opening import open_cards
 from rig.hardware.cards.setup import card_setup
-from rig.hardware.release import release
 from rig.hardware.safe_state import SafeOutputs
 
 
@@ -38,20 +37,18 @@ class BenchScans:
     damaged: int = 0
 
 
-class Bench:
-    """The open cards of a rig. Methods may raise `CardError`."""
+class Bench(SafeOutputs):
+    """The open cards of a rig: outputs that can be made safe, and inputs. Methods may raise `CardError`."""
 
     def __init__(self, config: RigConfig, cards: Mapping[str, Card]) -> None:
         """`cards` are open, by their names in the rig, set up by `card_setup`; a part of them suffices for writing."""
-        self._cards = dict(cards)
-        self._safe = SafeOutputs(config, self._cards)
+        super().__init__(config, dict(cards))
         self._sensors = config.sensors_by_actuator
         # A sensor is linear in its signal: two points define it.
         at_0, at_1 = ([float(s.pressure_pa(np.array(v))) for s in self._sensors] for v in (0.0, 1.0))
         self._pa_at_zero = np.array(at_0)
         self._pa_per_unit = np.array(at_1) - self._pa_at_zero
         self._commanded: NDArray[np.float64] | None = None
-        self._units = [valve.output_unit for valve in config.valves]
         self._auxiliary = tuple(config.inputs.values())
         self._digital = _digital_cards(config, self._cards)
         self._stop_cards = [stop.card for stop in config.emergency_stops.values() if stop.card in self._digital]
@@ -64,11 +61,6 @@ class Bench:
     def card_names(self) -> tuple[str, ...]:
         """Names of the cards in the order of the rig file."""
         return tuple(self._cards)
-
-    @property
-    def safe_outputs(self) -> NDArray[np.float64]:
-        """The safe output of each valve (V,), in its unit."""
-        return self._safe.safe_output
 
     def clock(self, card: str) -> tuple[float, float] | None:
         """Period [ns] of a card's own sampling clock and its drift [ppm]; None where the computer's clock is used."""
@@ -138,7 +130,7 @@ class Bench:
     def write(self, outputs: NDArray[np.float64]) -> None:
         """Set every valve (V,), each in its unit."""
         self._commanded = None
-        for name, column in self._safe.columns.items():
+        for name, column in self.columns.items():
             try:
                 self._cards[name].write(outputs[column])
             except CardError:
@@ -146,15 +138,6 @@ class Bench:
             except Exception as error:
                 raise CardError(f"card {name}: write of its driver failed: {type(error).__name__}: {error}") from error
         self._commanded = outputs.copy()
-
-    def write_trigger(self, *, high: bool) -> None:
-        """As `SafeOutputs.write_trigger`."""
-        self._safe.write_trigger(high=high)
-
-    @property
-    def trigger_failure(self) -> str:
-        """As `SafeOutputs.trigger_failure`."""
-        return self._safe.trigger_failure
 
     def external_write(self) -> str:
         """Message about a valve that another program has moved since the last `write`; empty if there is none.
@@ -165,11 +148,12 @@ class Bench:
         if self._commanded is None:
             return ""
         stands = self.readback()
-        off = np.abs(stands - self._commanded) > self._safe.output_tolerance
+        off = np.abs(stands - self._commanded) > self.output_tolerance
         for i in np.flatnonzero(off).tolist():
+            unit = self._valves[i].output_unit
             return (
-                f"valve {i + 1} reads back {stands[i]:.3f} {self._units[i]} instead of the commanded "
-                f"{self._commanded[i]:.3f} {self._units[i]}: another program has written to the card (`rig vent`?)"
+                f"valve {i + 1} reads back {stands[i]:.3f} {unit} instead of the commanded "
+                f"{self._commanded[i]:.3f} {unit}: another program has written to the card (`rig vent`?)"
             )
         return ""
 
@@ -183,28 +167,8 @@ class Bench:
         if self._commanded is None:
             return False
         stands = self.readback()
-        off = np.abs(stands - self._commanded) > self._safe.output_tolerance
-        return bool(np.all(np.abs(stands - self._safe.vent_output)[off] <= self._safe.output_tolerance[off]))
-
-    def unsafe_output(self) -> str:
-        """As `SafeOutputs.unsafe_output`."""
-        return self._safe.unsafe_output()
-
-    def readback(self) -> NDArray[np.float64]:
-        """The outputs (V,), each in its unit, NaN where a card has no read-back."""
-        return self._safe.readback()
-
-    def make_safe(self, *, vent: bool = False) -> None:
-        """As `SafeOutputs.make_safe`."""
-        self._safe.make_safe(vent=vent)
-
-    def arm(self, *, vent: bool = False) -> tuple[str, ...]:
-        """As `SafeOutputs.arm`."""
-        return self._safe.arm(vent=vent)
-
-    def close(self) -> None:
-        """Release every card; the outputs keep their values."""
-        release(self._cards.values())
+        off = np.abs(stands - self._commanded) > self.output_tolerance
+        return bool(np.all(np.abs(stands - self.vent_outputs)[off] <= self.output_tolerance[off]))
 
 
 def open_bench(config: RigConfig, *, by_instruction: bool = False) -> Bench:
@@ -213,14 +177,8 @@ def open_bench(config: RigConfig, *, by_instruction: bool = False) -> Bench:
     Raises:
         CardError: a card cannot be opened.
     """
-    cards: dict[str, Card] = {}
-    try:
-        for name, card in config.cards.items():
-            cards[name] = open_card(card, card_setup(config, name, by_instruction=by_instruction))
-    except BaseException:
-        release(cards.values())
-        raise
-    return Bench(config, cards)
+    setups = (card_setup(config, name, by_instruction=by_instruction) for name in config.cards)
+    return Bench(config, open_cards(config, setups))
 
 
 def _digital_cards(config: RigConfig, cards: Mapping[str, Card]) -> dict[str, DigitalInputCard]:

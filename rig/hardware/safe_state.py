@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import Card, CardBusyError, CardError, DigitalOutputCard
-from rig.hardware.cards.opening import open_card
+from rig.hardware.cards.opening import open_cards
 from rig.hardware.cards.setup import card_setup
 from rig.hardware.release import release
 
@@ -48,8 +48,8 @@ class SafeOutputs:
     def __init__(self, config: RigConfig, cards: Mapping[str, Card]) -> None:
         """`cards` are open, by their names in the rig, set up by `card_setup`; they may be some of the rig's."""
         self._cards, self._valves = cards, config.valves
-        self.safe_output: NDArray[np.float64] = np.array(safe_outputs(config))
-        self.vent_output: NDArray[np.float64] = np.array(safe_outputs(config, vent=True))
+        self.safe_outputs: NDArray[np.float64] = np.array(safe_outputs(config))
+        self.vent_outputs: NDArray[np.float64] = np.array(safe_outputs(config, vent=True))
         self.output_tolerance: NDArray[np.float64] = np.array(
             [(v.output_range[1] - v.output_range[0]) * READBACK_TOLERANCE for v in config.valves]
         )
@@ -70,7 +70,7 @@ class SafeOutputs:
             CardError: one or more cards could not be written; it names each.
         """
         failures = []
-        outputs = self.vent_output if vent else self.safe_output
+        outputs = self.vent_outputs if vent else self.safe_outputs
         for name, column in self.columns.items():
             if failure := _retry(partial(self._cards[name].write, outputs[column])):
                 failures.append(f"card {name}: {failure}")
@@ -96,7 +96,7 @@ class SafeOutputs:
         """
         self.make_safe(vent=vent)
         stands = self.readback()
-        outputs = self.vent_output if vent else self.safe_output
+        outputs = self.vent_outputs if vent else self.safe_outputs
         for i in sorted(i for column in self.columns.values() for i in column):
             valve, safe = self._valves[i], outputs[i]
             if abs(stands[i] - safe) > self.output_tolerance[i]:
@@ -128,7 +128,7 @@ class SafeOutputs:
         """
         stands = self.readback()
         for i in range(len(stands)):
-            known = (self.safe_output[i], self.vent_output[i])
+            known = (self.safe_outputs[i], self.vent_outputs[i])
             if all(abs(stands[i] - v) > self.output_tolerance[i] for v in known):
                 return f"valve {i + 1} stands at {stands[i]:.3f} {self._valves[i].output_unit}"
         return ""
@@ -144,14 +144,8 @@ def open_outputs(config: RigConfig, *names: str) -> SafeOutputs:
     Raises:
         CardError: a card cannot be opened.
     """
-    cards: dict[str, Card] = {}
-    try:
-        for name in names:
-            cards[name] = open_card(config.cards[name], replace(card_setup(config, name), inputs=(), digital_inputs=()))
-    except BaseException:
-        release(cards.values())
-        raise
-    return SafeOutputs(config, cards)
+    setups = (replace(card_setup(config, name), inputs=(), digital_inputs=()) for name in names)
+    return SafeOutputs(config, open_cards(config, setups))
 
 
 def cards_with_outputs(config: RigConfig) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import rig.hardware.safe_state
+import rig.hardware.cards.opening
 from rig.config.card_sections import CardConfig
 from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
@@ -186,7 +186,7 @@ def test_a_driver_that_fails_to_close_leaves_no_card_open_and_ends_no_vent(
         raise OSError("cable pulled")
 
     monkeypatch.setattr(cards["daq"], "close", unplugged)
-    monkeypatch.setattr(rig.hardware.safe_state, "open_card", lambda card, setup: cards[setup.name])
+    monkeypatch.setattr(rig.hardware.cards.opening, "open_card", lambda card, setup: cards[setup.name])
     vent(two_card_rig())
     assert cards["other"].closed
     cards["other"].closed = False
@@ -244,7 +244,7 @@ def test_a_card_that_cannot_be_opened_does_not_stop_the_safe_state_of_others(
             raise CardError("card daq is not there")
         return cards[setup.name]
 
-    monkeypatch.setattr(rig.hardware.safe_state, "open_card", opened)
+    monkeypatch.setattr(rig.hardware.cards.opening, "open_card", opened)
     with pytest.raises(CardError, match="card daq is not there"):
         make_safe(two_card_rig(), vent=True)
     assert cards["other"].outputs.tolist() == [0.0]
@@ -261,7 +261,7 @@ def test_a_card_of_another_process_does_not_stop_the_venting_of_others(
             raise CardBusyError("card daq", (os.getpid(),))
         return cards[setup.name]
 
-    monkeypatch.setattr(rig.hardware.safe_state, "open_card", opened)
+    monkeypatch.setattr(rig.hardware.cards.opening, "open_card", opened)
     monkeypatch.setattr(os, "kill", lambda pid, number: None)
     vent(two_card_rig())
     assert cards["daq"].outputs.tolist() == [0.0]

@@ -84,7 +84,7 @@ def test_a_trigger_that_cannot_be_set_low_leaves_the_valves_safe_and_is_reported
     card = BrokenLine()
     outputs = SafeOutputs(triggered_rig(), {"daq": card})  # type: ignore[dict-item]
     outputs.make_safe()
-    np.testing.assert_allclose(card.volts, outputs.safe_output)
+    np.testing.assert_allclose(card.volts, outputs.safe_outputs)
     assert card.order[:2] == ["valves", "trigger"]
     assert outputs.trigger_failure == "the camera trigger of card daq could not be set low: gone"
 
