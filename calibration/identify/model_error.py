@@ -24,7 +24,7 @@ from model.units import PA_PER_BAR
 
 Array = NDArray[np.float64]
 
-# Highest pressure and way of the pressure, over the reference pressure, at which most of the softening has happened.
+# At this peak and this total variation of the pressure, over the reference pressure, softening is 63 % complete.
 _SOFT_PEAK, _SOFT_TRAVEL = 0.5, 3.0
 _HALF_NORMAL_MEAN = math.sqrt(2.0 / math.pi)
 # Change of a coefficient for derivatives: some hundredths of a pascal.
@@ -33,24 +33,24 @@ _STEP = 1e-7
 
 @dataclass(frozen=True)
 class ModelErrorTerm:
-    """One kind of model error.
-
-    scale: standard deviation of its amplitude over arms, before anything is known of this one. push: by poses and their
-    reference pressure [Pa], the pressure errors (K, N, m) [Pa] per unit of its m coefficients; None for the load, whose
-    one coefficient is a relative error of its effect. by_pair: its
-    coefficients belong to pairs of actuators. unit, factor: of its size for readers. modelled: whether an arm's model
-    has the effect already. sign: that of the errors of every actuator per unit of `push`, in any arm; 0 if both occur.
-    """
+    """One kind of model error, linear in m coefficients."""
 
     name: str
     about: str
     scale: float
+    """Standard deviation of the amplitude over arms: the prior of one arm."""
     push: Callable[[Poses, float], Array] | None
+    """From K poses and the reference pressure [Pa] to the pressure errors (K, N, m) [Pa] per unit of each coefficient.
+    None for the load: its only coefficient is the relative error of the load's effect."""
     by_pair: bool = False
+    """Whether the coefficients belong to pairs of actuators."""
     unit: str = "%"
+    """Unit in which reports state the size of the error, `factor` times that of the coefficients."""
     factor: float = 100.0
     modelled: Callable[[Arm], bool] = lambda _: False
+    """Whether the model of an arm contains the effect."""
     sign: int = 0
+    """Sign that the errors have in every arm, per unit of `push`; 0 if both signs occur."""
 
     def groups(self, coefficients: Array, actuators: int) -> Array:
         """Coefficients (.., m) by groups (.., G, C): in each, one for every actuator or pair, then a common one."""
@@ -58,11 +58,11 @@ class ModelErrorTerm:
         return coefficients.reshape(*coefficients.shape[:-1], -1, count + 1)
 
     def unit_prior(self, count: int, actuators: int) -> tuple[Array, Array]:
-        """Mean and standard deviation of its m = `count` coefficients for an amplitude of one.
+        """Mean and standard deviation of the m = `count` coefficients for an amplitude of one.
 
-        The sum of an actuator's errors over the groups, per unit of `push`, has a mean square of the number of groups.
-        With a known sign it has the mean and the variance of a half-normal distribution. Half of the variance is common
-        to all actuators.
+        An actuator's error per unit of `push` is the sum over the groups of (own + common coefficient) / sqrt(2). Its
+        mean square is the number of groups. With a known sign its mean and variance are those of a half-normal
+        distribution. Half of the variance is common to all actuators.
         """
         mean, std = np.zeros(count), np.ones(count)
         if self.sign:

@@ -179,9 +179,9 @@ def _screen(title: str, progress: Progress) -> Group:
     if progress.prompt is not None:
         parts.append(Text(f"{printable(progress.prompt)}, then press Enter", "bold yellow"))
     clock = f"{_clock(progress.protocol_s)} of {_clock(progress.duration_s)}"
-    way = Table.grid(Column(max_width=50), Column(no_wrap=True), padding=(0, 1))
-    way.add_row(ProgressBar(total=progress.duration_s, completed=progress.protocol_s), clock)
-    parts.append(way)
+    bar = Table.grid(Column(max_width=50), Column(no_wrap=True), padding=(0, 1))
+    bar.add_row(ProgressBar(total=progress.duration_s, completed=progress.protocol_s), clock)
+    parts.append(bar)
     if sample is not None:
         parts += [Text("actuator: set-point / measured [bar]", "bold"), _cells(_pressures(sample))]
         if inputs := _auxiliary(progress):

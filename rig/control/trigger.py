@@ -23,7 +23,7 @@ class TriggerOutput(Protocol):
 
 
 class TriggerPulses:
-    """Pulses of the camera trigger: one per frame period, two never closer than that less one control period."""
+    """Pulses of the camera trigger: one per frame period. Jitter shortens an interval by one control period at most."""
 
     def __init__(self, config: RigConfig, output: TriggerOutput, clock: Callable[[], int]) -> None:
         """`clock` returns the time [ns]; the edge of a pulse is stamped by it before and after the write."""

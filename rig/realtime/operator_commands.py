@@ -59,28 +59,28 @@ class CommandHandler:
         self._trajectory = trajectory
         self.ending: tuple[Status, str] | None = None
 
-    def handle(self, request: OperatorCommand) -> CommandResult:
+    def handle(self, command: OperatorCommand) -> CommandResult:
         """Execute one command, or return why it is refused."""
-        match request.action:
+        match command.action:
             case CommandKind.VENT:
                 self._memory.request_stop(Stop.VENT)
-                return self._end(f"vented by {request.who}")
+                return self._end(f"vented by {command.who}")
             case CommandKind.STOP:
                 self._memory.request_stop(Stop.SAFE)
-                return self._end(f"stopped by {request.who}")
+                return self._end(f"stopped by {command.who}")
             case CommandKind.PAUSE | CommandKind.RESUME:
-                return self._hold(request.action is CommandKind.PAUSE, request.who)
+                return self._set_paused(command.action is CommandKind.PAUSE, command.who)
             case CommandKind.SKIP:
-                return self._skip(request.who)
+                return self._skip(command.who)
             case CommandKind.ANSWER:
-                return self._answer(request.who)
+                return self._answer(command.who)
 
     def _end(self, sentence: str) -> CommandResult:
         if self.ending is None:
             self.ending = Status.INTERRUPTED, sentence
         return CommandResult(True, sentence)
 
-    def _hold(self, paused: bool, who: str) -> CommandResult:
+    def _set_paused(self, paused: bool, who: str) -> CommandResult:
         if self._memory.paused == paused:
             return CommandResult(False, "the run is paused already" if paused else "the run is not paused")
         self._memory.paused = paused

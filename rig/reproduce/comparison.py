@@ -6,19 +6,22 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
-Origin = Literal["text", "model", "simulated", "measured"]
-"""By the printed numbers alone; by the model with them; by a simulated rig; by a real one."""
+ResultOrigin = Literal["text", "model", "simulated", "measured"]
+"""Where a result comes from: the printed numbers alone, the model with them, a simulated rig, or a real one."""
 
 
 @dataclass(frozen=True)
 class PaperComparison:
-    """One line of the comparison; `paper` is empty where the paper shows a curve without numbers."""
+    """One line of the comparison: the printed value, and the one computed `here`.
+
+    `paper` is empty where the paper shows a curve without numbers.
+    """
 
     item: str
     what: str
     paper: str
     here: str
-    origin: Origin
+    origin: ResultOrigin
     why: str
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rig.execution.plan import NullOperator, StartError
 from rig.experiment import run as experiment
-from rig.reproduce.comparison import Origin
+from rig.reproduce.comparison import ResultOrigin
 from runs.archive.writer import ArchiveError
 from runs.records import Status
 from runs.run import Run
@@ -33,7 +33,7 @@ def recorded_or_simulated(
     return {name: found[name] for name in protocols}
 
 
-def origin(*runs: Run) -> Origin:
+def origin(*runs: Run) -> ResultOrigin:
     """Whether all of some runs were measured: a result of a simulated one is simulated."""
     return "simulated" if any(run.header.simulated for run in runs) else "measured"
 

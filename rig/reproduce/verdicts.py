@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from rig.reproduce.comparison import Origin
+from rig.reproduce.comparison import ResultOrigin
 from rig.reproduce.table4 import Space
 
 AGREES = 0.05
@@ -14,7 +14,7 @@ _NAMES = ("homogeneous", "homogeneous with RPE", "inhomogeneous with RPE")
 Errors = Sequence[float | None]
 
 
-def table3(printed: Sequence[float], here: Sequence[float], origin: Origin) -> str:
+def table3(printed: Sequence[float], here: Sequence[float], origin: ResultOrigin) -> str:
     """Return whether the three errors [%] agree with the printed ones."""
     off = [value / paper - 1 for value, paper in zip(here, printed, strict=True)]
     numbers = f"{_listed(here)} % here ({origin}), {_listed(printed)} % printed"
@@ -33,7 +33,7 @@ def table4(
     labels: Sequence[str],
     printed: Mapping[tuple[Space, int], Errors],
     here: Mapping[tuple[Space, int], Errors],
-    origin: Origin,
+    origin: ResultOrigin,
 ) -> str:
     """Return whether the methods rank as printed by their errors [mm], for each rule along the arm and its N."""
     parts = []

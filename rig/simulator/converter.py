@@ -7,13 +7,13 @@ import math
 from rig.hardware.cards.base import CardError
 
 
-def quantised_output_v(volts: float, low: float, high: float) -> float:
-    """The voltage of a 16-bit output of a range for a requested voltage.
+def quantised_output(value: float, low: float, high: float) -> float:
+    """The value of a 16-bit output for a requested value, both in the unit of the range `low` to `high`.
 
     Raises:
-        CardError: the voltage is not a number.
+        CardError: the value is not a number.
     """
-    if not math.isfinite(volts):
-        raise CardError(f"{volts} V cannot be written")
-    code = round((min(max(volts, low), high) - low) / (high - low) * 65535.0)
+    if not math.isfinite(value):
+        raise CardError(f"{value} cannot be written")
+    code = round((min(max(value, low), high) - low) / (high - low) * 65535.0)
     return low + code / 65535.0 * (high - low)

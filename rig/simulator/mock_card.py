@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
 from rig.hardware.runtime_folder import open_private
-from rig.simulator.converter import quantised_output_v
+from rig.simulator.converter import quantised_output
 from rig.simulator.registers import DIGITAL_OUTPUTS, Registers, path_of
 
 
@@ -81,7 +81,7 @@ class MockCard:
     def write(self, outputs: NDArray[np.float64]) -> None:
         """Set the outputs with a resolution of 16 bits."""
         self._registers.faults.before_write(self._device)
-        values = [quantised_output_v(v, c.low, c.high) for v, c in zip(outputs.tolist(), self._outputs, strict=True)]
+        values = [quantised_output(v, c.low, c.high) for v, c in zip(outputs.tolist(), self._outputs, strict=True)]
         now = time.monotonic_ns()
         for channel, value in zip(self._outputs, values, strict=True):
             self._registers.write(channel.number, value, now)

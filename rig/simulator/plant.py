@@ -16,7 +16,7 @@ from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError, Scans
 from rig.simulator import pneumatics
 from rig.simulator.auxiliary_inputs import SimulatedInputs
-from rig.simulator.converter import quantised_output_v
+from rig.simulator.converter import quantised_output
 from rig.simulator.faults import Faults
 from rig.simulator.faulty_devices import FaultySensors, FaultyValves
 from rig.simulator.pneumatics import STEP_NS
@@ -274,7 +274,7 @@ class PlantCard:
         """Set the outputs, as near as 16 bits come."""
         self.faults.before_write(self._device)
         for valve, (low, high), v in zip(self._valves, self._ranges, outputs.tolist(), strict=True):
-            self._plant.set_output(valve, quantised_output_v(v, low, high))
+            self._plant.set_output(valve, quantised_output(v, low, high))
 
     def write_digital(self, *, high: bool) -> None:
         """Set the digital outputs, all at once."""

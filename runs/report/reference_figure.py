@@ -13,7 +13,7 @@ from runs.run import Run
 from runs.summary import Summary
 
 AXES = "xyz"
-MM = "{} [mm]"
+AXIS_LABEL = "{} [mm]"
 
 
 def draw(figure: Figure, run: Run, summary: Summary) -> None:
@@ -37,8 +37,8 @@ def draw(figure: Figure, run: Run, summary: Summary) -> None:
     left.set_aspect("equal", adjustable="datalim")
     if second == 2:
         left.invert_yaxis()
-    left.set_xlabel(MM.format(AXES[first]))
-    left.set_ylabel("z, along the arm [mm]" if second == 2 else MM.format(AXES[second]))
+    left.set_xlabel(AXIS_LABEL.format(AXES[first]))
+    left.set_ylabel("z, along the arm [mm]" if second == 2 else AXIS_LABEL.format(AXES[second]))
     if np.isfinite(tip.measured_mm).any():
         error = with_gaps(reference.error_mm, gaps)
         right.plot(*drawing.decimated(tip.time_s, error), color=MEASURED, lw=0.8, label="measured")

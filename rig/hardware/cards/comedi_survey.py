@@ -14,7 +14,7 @@ from rig.hardware.cards.comedi_timing import timings
 class SubdeviceSurvey:
     """The analogue inputs or outputs of a card.
 
-    `fastest_hz` is the card's own sampling of one channel, None where it samples by instruction only.
+    `fastest_hz` is the highest rate of one channel by the card's own clock; None if it samples by instruction only.
     """
 
     channels: int
