@@ -36,7 +36,8 @@ from calibration.identify.simulated_experiments import (
 )
 from calibration.parallel_map import parallel_map
 from rig.config.loader import load
-from rig.identify.estimation import from_runs
+from rig.identify.estimation import from_poses, read_poses
+from rig.identify.initial_setup import rig_of
 from rig.observation.online_estimation import default_parameters
 from runs.report.drawing import save
 
@@ -159,9 +160,8 @@ def _each(rng: np.random.Generator, most: float) -> tuple[float, float, float]:
 def read_and_identified(files: tuple[Path, ...]) -> Array:
     """Archives to numbers: what is done with each group of them in the measurement of throughput."""
     archives = [runs.open(file) for file in files]
-    return np.array(
-        [e.used for e in from_runs(archives, ("law", "rpe_per_bar", "base", "sensor_offsets"), {}).estimates]
-    )
+    free = ("law", "rpe_per_bar", "base", "sensor_offsets")
+    return np.array([e.used for e in from_poses(rig_of(archives[0]), read_poses(archives), free, {}).estimates])
 
 
 def draw(file: Path, seed: int) -> None:

@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 
 import runs
 from calibration.parallel_map import parallel_map
-from rig.identify.estimation import from_runs, poses
+from rig.identify.estimation import from_poses, poses
+from rig.identify.initial_setup import rig_of
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,8 @@ def read(file: Path) -> Array:
 
 def identified(file: Path) -> Array:
     """The estimates from an archive."""
-    return np.array([one.used for one in from_runs([runs.open(file)], FREE, {}).estimates])
+    run = runs.open(file)
+    return np.array([one.used for one in from_poses(rig_of(run), [poses(run)], FREE, {}).estimates])
 
 
 WORK = {"read": read, "identify": identified}

@@ -25,7 +25,6 @@ from model.kernels.dynamic_sensitivities import dynamic_sensitivities
 from model.kernels.lanes import SensitivityWorkspace, apply_tip_load
 from model.kernels.shooting import TOLERANCE_AT_REST, TOLERANCE_IN_MOTION, workspace_for
 from model.kernels.static_sensitivities import static_sensitivities
-from model.loads import Loads
 from model.perturbed_arms import PerturbedArms, lane_rows, lane_tip_loads
 from model.pressures import pressures
 from model.statics import steps_along
@@ -70,23 +69,15 @@ class TipGradient:
     by_pressure: Array
 
 
-def tip_gradient(arm: Arm, pressure_pa: ArrayLike, loads: Loads | None = None, nodes: int | None = None) -> TipGradient:
+def tip_gradient(arm: Arm, pressure_pa: ArrayLike) -> TipGradient:
     """The tip at rest and its gradient by the section's material and the pressures. Raises as `statics` does."""
-    pressure, nodes = pressures(arm, pressure_pa), steps_along(arm, nodes)
+    pressure, nodes = pressures(arm, pressure_pa), steps_along(arm, None)
     names = _parameters(arm)
     if arm.by_pressure:
         stack = PerturbedArms.of(arm, _varied(arm, pressure), nodes, pressure[None])
     else:
         stack = _kept.stack(arm, nodes)
     tip_loads = np.zeros((1, len(stack.lanes.works), 12, layout.LANES))
-    if loads is not None:
-        load, loaded = stack.first.load(arm, loads, nodes)
-        # The cached arms have no load.
-        stack = stack.own(slice(None))
-        stack = replace(
-            stack, lanes=stack.lanes._replace(loaded=loaded or stack.lanes.loaded), load=load, loaded=loaded
-        )
-        tip_loads = tip_loads + np.concatenate([loads.tip(), loads.eccentric_force()])[:, None]
     rows = pressure[:, None] + _shifts(len(names), len(pressure))
     tips, _ = _solve(stack, rows, tip_loads, nodes, _kept.workspace(len(stack.steps), nodes))
     if not tips.good[0]:

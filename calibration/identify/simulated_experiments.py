@@ -116,9 +116,9 @@ def scaled_errors(planned: Poses, share: Array) -> Poses:
     )
 
 
-def plan_slow(run_id: str, pressure_pa: Array, period_s: float, errors: MeasurementErrors | None = None) -> Poses:
+def plan_slow(run_id: str, pressure_pa: Array, period_s: float) -> Poses:
     """A slow experiment whose pressures (K, N), period_s apart, are all measured: each pose with the course to it."""
-    still = plan(run_id, pressure_pa, None, 0.0, errors)
+    still = plan(run_id, pressure_pa)
     count = len(pressure_pa)
     course = PressureCourse(period_s, pressure_pa, np.zeros(count), np.zeros((count, 6)), np.arange(count))
     time_s = np.asarray(period_s * np.arange(count), np.float64)

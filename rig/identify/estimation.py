@@ -23,7 +23,6 @@ from rig.config.loader import RigFile
 from rig.config.parameters_overlay import read as read_parameters
 from rig.config.schema import RigConfig
 from rig.config.sections import Placement
-from rig.identify.initial_setup import rig_of
 from rig.observation.online_estimation import default_parameters, section_priors
 from runs.run import Run
 
@@ -64,16 +63,6 @@ def read_poses(
         found.append(poses(run, quasi_static))
         progress(len(found), len(archives))
     return found
-
-
-def from_runs(archives: Sequence[Run], free: Sequence[str], priors: Mapping[str, Prior]) -> Fit:
-    """Identify an arm from whole runs as `from_poses` does, starting from the first run's rig.
-
-    Raises:
-        NoDataError: the first run has no rig, or a run has no usable data.
-    """
-    config = rig_of(archives[0])
-    return from_poses(config, read_poses(archives), free, priors)
 
 
 def from_poses(

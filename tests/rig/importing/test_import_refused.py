@@ -15,7 +15,7 @@ from calibration.identify.data import poses_of
 from calibration.identify.errors import NoDataError
 from protocols import BadInputError
 from rig.config import loader
-from rig.identify import estimation
+from rig.identify.initial_setup import rig_of
 from runs.records import DetectionStatus
 from runs.report.page import write
 from tests.support.budget import examples
@@ -250,7 +250,7 @@ class TestMapping:
 
     def test_identification_reports_an_archive_without_rig(self, bring: Bring) -> None:
         with pytest.raises(NoDataError, match="holds no rig; name one in the import's mapping"):
-            estimation.from_runs([bring("0,0.1,1,2,3\n1,0.2,1,2,3\n", SMALL)], (), {})
+            rig_of(bring("0,0.1,1,2,3\n1,0.2,1,2,3\n", SMALL))
 
     def test_a_file_without_a_tip_is_an_archive_of_pressures(self, bring: Bring, tmp_path: Path) -> None:
         run = bring("0,0.1\n1,0.2\n", SMALL.split("tip:")[0])
