@@ -57,7 +57,7 @@ def adjust(cameras: Sequence[PointObservations], start: Sequence[DLT], points_st
     points = given + points_std_m * solved.x[coefficients:].reshape(-1, 3)
     found = []
     for i, (camera, uv, at) in enumerate(zip(cameras, seen, rows, strict=True)):
-        here = slice(11 * i, 11 * i + 11)
-        made = DLT(solved.x[here], np.asarray(covariance[here, here]), np.zeros((0, 2)), camera.lens)
+        own = slice(11 * i, 11 * i + 11)
+        made = DLT(solved.x[own], np.asarray(covariance[own, own]), np.zeros((0, 2)), camera.lens)
         found.append(DLT(made.coefficients, made.covariance, uv - made.project(points[at]), camera.lens))
     return tuple(found)

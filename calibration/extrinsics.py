@@ -269,7 +269,7 @@ def _refine(cameras: Sequence[CameraSightings], start: ExtrinsicCalibration) -> 
     def both(x: Floats) -> tuple[Floats, Floats]:
         rest, slope = np.empty(ends[-1]), np.zeros((ends[-1], size))
         for r, (i, k, corners) in enumerate(rows):
-            here = slice(ends[r], ends[r + 1])
+            own = slice(ends[r], ends[r + 1])
             at = 6 * (len(names) - 1 + k)
             v = x[at : at + 6]
             c = x[6 * (i - 1) : 6 * i] if i else np.zeros(6)
@@ -278,10 +278,10 @@ def _refine(cameras: Sequence[CameraSightings], start: ExtrinsicCalibration) -> 
             place = np.asarray(turn, np.float64).ravel(), np.asarray(shift, np.float64).ravel()
             points = start.board.corners_m[corners.which]
             seen, jac = cameras[i].lens.project_with_jacobian(points, *place)
-            rest[here] = (seen - corners.px).ravel()
-            slope[here, at : at + 6] = jac @ np.block([[drdr1, drdt1], [dtdr1, dtdt1]])
+            rest[own] = (seen - corners.px).ravel()
+            slope[own, at : at + 6] = jac @ np.block([[drdr1, drdt1], [dtdr1, dtdt1]])
             if i:
-                slope[here, 6 * (i - 1) : 6 * i] = jac @ np.block([[drdr2, drdt2], [dtdr2, dtdt2]])
+                slope[own, 6 * (i - 1) : 6 * i] = jac @ np.block([[drdr2, drdt2], [dtdr2, dtdt2]])
         return rest, slope
 
     x0 = np.concatenate(

@@ -154,9 +154,9 @@ def _drawn(
     found = []
     for own, (point, turn) in zip(poses.sections, sections, strict=True):
         at = poses.columns(section_kind(own.name))
-        here = replace(own, point_m=np.where(own.seen[:, None], point + error[:, at], np.nan))
+        section = replace(own, point_m=np.where(own.seen[:, None], point + error[:, at], np.nan))
         if own.orientation is not None:
             by = error[:, at.stop : at.stop + 3]
-            here = replace(here, orientation=turned_by(own.orientation, turn, by, own.oriented))
-        found.append(here)
+            section = replace(section, orientation=turned_by(own.orientation, turn, by, own.oriented))
+        found.append(section)
     return replace(drawn, sections=tuple(found))

@@ -238,17 +238,17 @@ def _pressure_samples(run: Run) -> _Samples:
     samples = run.pressure
     scans = np.maximum(samples.scans, 1)
     late_s = (scans - 1) / (2 * scans * run.header.control_hz)
-    foot, doubt = np.full(run.header.actuators, -np.inf), np.zeros(run.header.actuators)
+    foot, offset_std = np.full(run.header.actuators, -np.inf), np.zeros(run.header.actuators)
     for quantity in run.header.quantities:
         for n in range(run.header.actuators):
             if quantity.name == f"sensor_{n + 1}_offset" and np.isfinite(quantity.uncertainty):
                 foot[n] = quantity.value[0]
                 # Uniform distribution over the sensor's accuracy.
-                doubt[n] = quantity.uncertainty * PA_PER_BAR / np.sqrt(12)
+                offset_std[n] = quantity.uncertainty * PA_PER_BAR / np.sqrt(12)
     scan_bar = noise_std(samples.measured_bar).max() * np.sqrt(np.median(scans))
     at_foot = samples.measured_bar <= foot + 1e-9
     at_foot |= uniform_filter1d(samples.measured_bar, _CLIP_WINDOW, axis=0) <= foot + _CLIP_STD * scan_bar
-    return _Samples(samples.time_s - late_s, samples.measured_bar * PA_PER_BAR, at_foot, doubt)
+    return _Samples(samples.time_s - late_s, samples.measured_bar * PA_PER_BAR, at_foot, offset_std)
 
 
 def _repeats(clipped: NDArray[np.bool_]) -> Array:

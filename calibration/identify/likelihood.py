@@ -276,10 +276,10 @@ def score_covariance(
     for first, last in reversed(list(itertools.pairwise(edges))):
         band = slice(first, last)
         numbers = free[band].sum(axis=0) + _PRIOR_COUNT
-        here = (power[band].sum(axis=0) + _PRIOR_COUNT * growth * before) / numbers
+        now = (power[band].sum(axis=0) + _PRIOR_COUNT * growth * before) / numbers
         chance = 1 + math.sqrt(2 / numbers.sum() + 2 / known)
-        growth = float(np.clip(here.mean() / before.mean() / chance, 1.0, _MAX_GROWTH))
-        before, known = here, numbers.sum()
+        growth = float(np.clip(now.mean() / before.mean() / chance, 1.0, _MAX_GROWTH))
+        before, known = now, numbers.sum()
         # Mean of the inverse-gamma posterior of a variance from few numbers.
         level[band] = before * numbers / (numbers - 2)
     if free.any():

@@ -97,10 +97,10 @@ class RecursiveEstimator:
                                 for p, x in zip(self._parameters, first, strict=True)])  # fmt: skip
         stated = [_PRIOR_SPANS * s for s in self._span[: len(self._free)]]
         stated += [p.uncertainty(0.0) for p in self._parameters[len(self._free) :]]
-        doubts = [(known[p.name].std if p.name in known else std) / s
+        stds = [(known[p.name].std if p.name in known else std) / s
                   for p, s, std in zip(self._parameters, self._span, stated, strict=True)]  # fmt: skip
         self._z = np.zeros(len(self._parameters))
-        self._covariance = np.diag(np.square(doubts))
+        self._covariance = np.diag(np.square(stds))
         self._floor, self._repeats = floor_m, repeats
         self._solved: dict[tuple[object, ...], tuple[Array, Array] | None] = {}
 

@@ -13,7 +13,7 @@ def compared(rows: tuple[PaperComparison, ...]) -> Table:
     """Return the paper's results beside the computed ones."""
     table = ColumnTable("item", "what", "paper", "here", "by", "why different")
     for row in rows:
-        table.add_row(row.item, row.what, row.paper, row.here, row.origin, row.why)
+        table.add_row(row.item, row.what, row.paper, row.computed, row.origin, row.why)
     return table
 
 

@@ -66,8 +66,8 @@ class CalibrationOverlay(ABC, Generic[File]):
 
     def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Problems:
         """Yield the reasons why the file does not belong to the rig; lenses: those of all files, by camera."""
-        for here, camera in self.cameras():
-            yield from _other_camera(config, self.calibration, here, camera)
+        for path, camera in self.cameras():
+            yield from _other_camera(config, self.calibration, path, camera)
 
 
 class LensOverlay(CalibrationOverlay[CameraFile]):
@@ -184,36 +184,36 @@ class PressureOverlay(CalibrationOverlay[PressureFile]):
     def _other_sensors(self, config: RigConfig) -> Problems:
         sensors = {s.actuator: s for s in config.sensors}
         for i, scale in enumerate(self.found.sensors):
-            here: YamlPath = ("sensors", i)
+            path: YamlPath = ("sensors", i)
             if scale.actuator not in sensors:
-                yield self.calibration.problem((*here, "actuator"), scale.actuator, f"an actuator of rig {config.name}")
+                yield self.calibration.problem((*path, "actuator"), scale.actuator, f"an actuator of rig {config.name}")
                 continue
             sensor = sensors[scale.actuator]
             yield from _other_channel(
-                config, self.calibration, here, scale, sensor, f"the sensor of actuator {scale.actuator}"
+                config, self.calibration, path, scale, sensor, f"the sensor of actuator {scale.actuator}"
             )
             if sensor.unit != "V":
                 expected = f"a sensor in volts; that of actuator {scale.actuator} gives {sensor.unit}"
-                yield self.calibration.problem((*here, "actuator"), scale.actuator, expected)
+                yield self.calibration.problem((*path, "actuator"), scale.actuator, expected)
             elif tuple(scale.span_V) != tuple(sensor.span_V):
                 expected = f"{list(sensor.span_V)}, as the sensor of rig {config.name}"
-                yield self.calibration.problem((*here, "span_V"), list(scale.span_V), expected)
+                yield self.calibration.problem((*path, "span_V"), list(scale.span_V), expected)
 
     def _other_valves(self, config: RigConfig) -> Problems:
         for i, sweep in enumerate(self.found.valves):
-            here: YamlPath = ("valves", i)
+            path: YamlPath = ("valves", i)
             if sweep.valve > len(config.valves):
-                yield self.calibration.problem((*here, "valve"), sweep.valve, f"a valve from 1 to {len(config.valves)}")
+                yield self.calibration.problem((*path, "valve"), sweep.valve, f"a valve from 1 to {len(config.valves)}")
                 continue
             valve = config.valves[sweep.valve - 1]
             if (metering := valve.metering) is None:
                 expected = f"a valve that meters flow; valve {sweep.valve} of rig {config.name} regulates by itself"
-                yield self.calibration.problem((*here, "valve"), sweep.valve, expected)
+                yield self.calibration.problem((*path, "valve"), sweep.valve, expected)
                 continue
-            yield from _other_channel(config, self.calibration, here, sweep, valve, f"valve {sweep.valve}")
+            yield from _other_channel(config, self.calibration, path, sweep, valve, f"valve {sweep.valve}")
             if not metering.low_v < sweep.closed_V < metering.high_v:
                 expected = f"a voltage inside range_V of the valve, {metering.low_v:g} to {metering.high_v:g} V"
-                yield self.calibration.problem((*here, "closed_V"), sweep.closed_V, expected)
+                yield self.calibration.problem((*path, "closed_V"), sweep.closed_V, expected)
 
 
 class GravityOverlay(CalibrationOverlay[GravityFile]):
@@ -264,12 +264,12 @@ def _place_camera(data: dict[str, Any], config: RigConfig, name: str, found: Pla
 
 
 def _other_camera(
-    config: RigConfig, calibration: LoadedCalibration, here: YamlPath, identity: CameraIdentity
+    config: RigConfig, calibration: LoadedCalibration, path: YamlPath, identity: CameraIdentity
 ) -> Problems:
     if identity.name not in config.cameras:
         known = ", ".join(config.cameras) or "it has none"
         expected = f"a camera of rig {config.name}: {known}"
-        problem = calibration.problem((*here, "name"), identity.name, expected)
+        problem = calibration.problem((*path, "name"), identity.name, expected)
         yield Problem(**{**problem.__dict__, "suggestion": closest(identity.name, config.cameras)})
         return
     camera = config.cameras[identity.name]
@@ -278,17 +278,17 @@ def _other_camera(
         has, wants = getattr(identity, key), getattr(camera, key)
         if has != wants:
             expected = f"{wants}, as {where}: a calibration holds at its own resolution only"
-            yield calibration.problem((*here, key), has, expected)
+            yield calibration.problem((*path, key), has, expected)
     for key in ("driver", "device"):
         has, wants = getattr(identity, key), getattr(camera, key)
         if has is not None and has != wants:
-            yield calibration.problem((*here, key), has, f"{wants}, as {where}: this is another camera's calibration")
+            yield calibration.problem((*path, key), has, f"{wants}, as {where}: this is another camera's calibration")
 
 
 def _other_channel(
     config: RigConfig,
     calibration: LoadedCalibration,
-    here: YamlPath,
+    path: YamlPath,
     part: SensorCalibration | ValveCalibration,
     stated: Sensor | ValveSection,
     what: str,
@@ -299,7 +299,7 @@ def _other_channel(
         has, wants = getattr(part.card, key), getattr(identity, key)
         if has != wants:
             expected = f"{wants}, the card of {what} in rig {config.name}: this was measured through another card"
-            yield calibration.problem((*here, "card", key), has, expected)
+            yield calibration.problem((*path, "card", key), has, expected)
     if part.channel != stated.channel:
         expected = f"{stated.channel}, the channel of {what} in rig {config.name}"
-        yield calibration.problem((*here, "channel"), part.channel, expected)
+        yield calibration.problem((*path, "channel"), part.channel, expected)

@@ -182,10 +182,10 @@ def _valves(valves: Valves) -> Iterator[ValidationFault]:
         yield from _below(("valves", index), valve.faults())
 
 
-def _below(here: tuple[str | int, ...], faults: Iterable[ValidationFault]) -> Iterator[ValidationFault]:
+def _below(path: tuple[str | int, ...], faults: Iterable[ValidationFault]) -> Iterator[ValidationFault]:
     """Move faults of a section to its place in the file."""
     for fault in faults:
-        yield replace(fault, path=(*here, *fault.path))
+        yield replace(fault, path=(*path, *fault.path))
 
 
 def _sensors(sensors: Sensors) -> Iterator[ValidationFault]:
@@ -243,18 +243,18 @@ def _cameras(cameras: Cameras) -> Iterator[ValidationFault]:
     yield from _twice("cameras", {name: (camera.driver, camera.device) for name, camera in _named(cameras)})
     rates = {name: camera.rate_hz for name, camera in _named(cameras)}
     for name, camera in _named(cameras):
-        here: tuple[str | int, ...] = ("cameras", name)
+        path: tuple[str | int, ...] = ("cameras", name)
         first = next(iter(rates))
         if camera.rate_hz != rates[first]:
             yield ValidationFault(
-                (*here, "rate_hz"), f"the rate of camera '{first}', {rates[first]:g} Hz: they see together"
+                (*path, "rate_hz"), f"the rate of camera '{first}', {rates[first]:g} Hz: they see together"
             )
         if camera.planar_motion is not None and not any(camera.planar_motion.normal):
-            yield ValidationFault((*here, "planar_motion", "normal"), "a direction, such as [0, 1, 0]")
+            yield ValidationFault((*path, "planar_motion", "normal"), "a direction, such as [0, 1, 0]")
         longest = 1000 / camera.rate_hz
         if camera.exposure_ms > longest:
             yield ValidationFault(
-                (*here, "exposure_ms"), f"at most the time between frames, {longest:g} ms at {camera.rate_hz:g} Hz"
+                (*path, "exposure_ms"), f"at most the time between frames, {longest:g} ms at {camera.rate_hz:g} Hz"
             )
         for key, centre, size in (
             ("cx_px", camera.lens.cx_px, camera.width_px),
@@ -265,13 +265,13 @@ def _cameras(cameras: Cameras) -> Iterator[ValidationFault]:
                 expected = (
                     f"a centre near the middle of the picture, {low:g} to {high:g} px of {size} px: was the lens "
                 )
-                yield ValidationFault((*here, "lens", key), expected + "calibrated at another resolution?")
+                yield ValidationFault((*path, "lens", key), expected + "calibrated at another resolution?")
         for key, focal in (("fx_px", camera.lens.fx_px), ("fy_px", camera.lens.fy_px)):
             size = camera.width_px if key == "fx_px" else camera.height_px
             low, high = size * FOCAL_SHARES[0], size * FOCAL_SHARES[1]
             if not low <= focal <= high:
                 expected = f"a focal length in pixels, {low:g} to {high:g} px for a picture of {size} px: is it in mm?"
-                yield ValidationFault((*here, "lens", key), expected)
+                yield ValidationFault((*path, "lens", key), expected)
 
 
 def _least_cameras(cameras: Cameras, limits: Limits) -> Iterator[ValidationFault]:
@@ -379,8 +379,8 @@ def _simulated_arm(arm: ArmConfig, simulator: Simulator | None) -> Iterator[Vali
         yield from _below(("simulator", "arm_effects", index), effect.actuator_faults(count))
     if simulator.geometry is None:
         return
-    here = ("simulator", "geometry")
-    yield from _below(here, _geometry(simulator.geometry))
+    path = ("simulator", "geometry")
+    yield from _below(path, _geometry(simulator.geometry))
     if len(simulator.geometry.actuator_angles_deg) != count:
         expected = f"{count} angles, as many as arm, geometry, actuator_angles_deg has"
-        yield ValidationFault((*here, "actuator_angles_deg"), expected)
+        yield ValidationFault((*path, "actuator_angles_deg"), expected)

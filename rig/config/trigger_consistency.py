@@ -34,56 +34,56 @@ def check(
         return
     first, lead = next(iter(triggers.items()))
     for name, camera in known.items():
-        here: Path = ("cameras", name)
+        path: Path = ("cameras", name)
         trigger = camera.trigger
         if trigger is None:
-            yield ValidationFault((*here, "trigger"), f"a trigger, because camera '{first}' has one: they see together")
+            yield ValidationFault((*path, "trigger"), f"a trigger, because camera '{first}' has one: they see together")
             continue
-        yield from _output((*here, "trigger"), trigger, camera, cards)
-        yield from _timing(here, trigger, camera, control)
+        yield from _output((*path, "trigger"), trigger, camera, cards)
+        yield from _timing(path, trigger, camera, control)
         for key, own, other in (("card", trigger.card, lead.card), ("width_ms", trigger.width_ms, lead.width_ms)):
             if own != other:
                 expected = f"that of camera '{first}', {'one control period' if other is None else other}"
-                yield ValidationFault((*here, "trigger", key), f"{expected}: one pulse triggers all cameras")
+                yield ValidationFault((*path, "trigger", key), f"{expected}: one pulse triggers all cameras")
         if limits.no_tip_s < LEAST_FRAMES / camera.rate_hz:
             expected = f"at least {LEAST_FRAMES} frames of the triggered camera '{name}', "
             yield ValidationFault(("limits", "no_tip_s"), f"{expected}{LEAST_FRAMES / camera.rate_hz:g} s")
 
 
 def _output(
-    here: Path, trigger: CameraTrigger, camera: CameraConfig, cards: Mapping[str, CardConfig | None]
+    path: Path, trigger: CameraTrigger, camera: CameraConfig, cards: Mapping[str, CardConfig | None]
 ) -> Iterator[ValidationFault]:
     """Check that the card has the digital output."""
     if trigger.card not in cards:
         expected = f"one of the cards: {', '.join(cards)}"
-        yield ValidationFault((*here, "card"), expected, closest(trigger.card, cards))
+        yield ValidationFault((*path, "card"), expected, closest(trigger.card, cards))
         return
     card = cards[trigger.card]
     if card is None:
         return
     if not card.writes_digital:
         expected = f"a card whose driver writes digital outputs: driver {card.driver} writes none"
-        yield ValidationFault((*here, "card"), expected)
+        yield ValidationFault((*path, "card"), expected)
     elif camera.is_mock != card.is_mock:
         kind = "simulated" if camera.is_mock else "real"
-        yield ValidationFault((*here, "card"), f"a {kind} card, because the camera is {kind}")
+        yield ValidationFault((*path, "card"), f"a {kind} card, because the camera is {kind}")
     elif trigger.channel >= card.digital_outputs:
         count = card.digital_outputs
         expected = "a card with `digital_outputs`" if count == 0 else f"a channel from 0 to {count - 1}"
-        yield ValidationFault((*here, "channel"), f"{expected}: card '{trigger.card}' has {count or 'no'} DO channels")
+        yield ValidationFault((*path, "channel"), f"{expected}: card '{trigger.card}' has {count or 'no'} DO channels")
 
 
-def _timing(here: Path, trigger: CameraTrigger, camera: CameraConfig, control: Control) -> Iterator[ValidationFault]:
+def _timing(path: Path, trigger: CameraTrigger, camera: CameraConfig, control: Control) -> Iterator[ValidationFault]:
     """Check that period and width of the pulses are whole numbers of control periods."""
     cycles = control.rate_hz / camera.rate_hz
     if cycles < 2 - WHOLE:
         expected = f"at most half of control, rate_hz, {control.rate_hz / 2:g} Hz: control gives the trigger pulses"
-        yield ValidationFault((*here, "rate_hz"), expected)
+        yield ValidationFault((*path, "rate_hz"), expected)
         return
     if abs(cycles - round(cycles)) > WHOLE * cycles:
         near = " or ".join(f"{control.rate_hz / n:.6g}" for n in (int(cycles) + 1, int(cycles)) if n >= 2)
         expected = f"a rate that divides control, rate_hz, such as {near} Hz: control gives the trigger pulses"
-        yield ValidationFault((*here, "rate_hz"), expected)
+        yield ValidationFault((*path, "rate_hz"), expected)
         return
     if trigger.width_ms is None:
         return
@@ -91,4 +91,4 @@ def _timing(here: Path, trigger: CameraTrigger, camera: CameraConfig, control: C
     if round(width) < 1 or abs(width - round(width)) > WHOLE * width or round(width) >= round(cycles):
         longest = (round(cycles) - 1) * period_ms
         expected = f"whole control periods of {period_ms:g} ms, at most {longest:g} ms: less than a frame period"
-        yield ValidationFault((*here, "trigger", "width_ms"), expected)
+        yield ValidationFault((*path, "trigger", "width_ms"), expected)

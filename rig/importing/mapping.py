@@ -107,8 +107,8 @@ class Mapping(Section):
         used: dict[int | str, tuple[str | int, ...]] = {}
         for path, columns in self._groups():
             # Actuators on one valve share a sensor, and so a column.
-            here = set(columns) if path[0] in ("pressures", "setpoints", "valves") else columns
-            for column in here:
+            distinct = set(columns) if path[0] in ("pressures", "setpoints", "valves") else columns
+            for column in distinct:
                 place = (*path, "columns", columns.index(column)) if len(columns) > 1 else (*path, "column")
                 if column in used:
                     yield ValidationFault(

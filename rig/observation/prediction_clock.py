@@ -14,7 +14,7 @@ class PredictionClock:
     def __init__(self, config: RigConfig) -> None:
         self._period_ns = round(1e9 / config.observation_hz)
         self._start_ns = time.monotonic_ns()
-        self._period = self._given = 0
+        self._period = self._count = 0
 
     def await_all(self, timeout_s: float) -> None:
         """Return at once: there is no camera to wait for."""
@@ -25,8 +25,8 @@ class PredictionClock:
         self._period = max(self._period, passed) + 1
         due_ns = self._start_ns + self._period * self._period_ns
         time.sleep(max(0, due_ns - time.monotonic_ns()) * 1e-9)
-        self._given += 1
-        return FrameSet(self._given, (), due_ns)
+        self._count += 1
+        return FrameSet(self._count, (), due_ns)
 
     def close(self) -> None:
         """Release nothing."""

@@ -12,7 +12,7 @@ ResultOrigin = Literal["text", "model", "simulated", "measured"]
 
 @dataclass(frozen=True)
 class PaperComparison:
-    """One line of the comparison: the printed value, and the one computed `here`.
+    """One line of the comparison: the value that the paper prints, and the computed one.
 
     `paper` is empty where the paper shows a curve without numbers.
     """
@@ -20,7 +20,7 @@ class PaperComparison:
     item: str
     what: str
     paper: str
-    here: str
+    computed: str
     origin: ResultOrigin
     why: str
 

@@ -60,11 +60,10 @@ def published_strain(pressure_pa: Array, force_n: Array) -> Array:
 def compared(data: Elongations) -> Iterator[PaperComparison]:
     """The numbers of 5.2, printed and found again."""
     found, printed = data.found, model.Material.paper()
-    here = data.origin
     text, printed_e = published_modulus(), f"{PUBLISHED_MODULUS_PA / 1e3:.1f}"
-    other = "another arm" if here == "measured" else "the mock's arm differs from the published one on purpose"
+    other = "another arm" if data.origin == "measured" else "the mock's arm differs from the published one on purpose"
     share = "the slope of a line depends on its range: here each tube carries a third of the weight, up to 3.9 N"
-    quiet = "the mock's camera and arm are quieter" if here == "simulated" else other
+    quiet = "the mock's camera and arm are quieter" if data.origin == "simulated" else other
     yield PaperComparison(
         "5.2.2", "E from eq 32 [kPa]", printed_e, f"{text.through_origin_pa / 1e3:.1f}", "text",
         f"eq 32 lost its constant in print: {1 + text.constant:.5f} instead of 1 would explain it",
@@ -77,14 +76,14 @@ def compared(data: Elongations) -> Iterator[PaperComparison]:
         ("a2 of eq 32 [1/N2]", f"{printed.a2_per_n2:.7f}", f"{soft.a2_per_n2:.7f}", other),
         ("R2 of eq 32", "0.99943", f"{soft.r2:.5f}", quiet),
     ):  # fmt: skip
-        yield PaperComparison("Fig 10", name, paper, ours, here, why)
+        yield PaperComparison("Fig 10", name, paper, ours, data.origin, why)
     rpe = found.rpe_measured
     yield PaperComparison(
-        "Fig 9", "a of eq 30 [1/bar]", f"{printed.rpe_per_bar:.5f}", f"{rpe.slope:.5f}", here,
+        "Fig 9", "a of eq 30 [1/bar]", f"{printed.rpe_per_bar:.5f}", f"{rpe.slope:.5f}", data.origin,
         f"{other}; here it is what eq 32 leaves of the elongation, not the tube's theory",
     )  # fmt: skip
     yield PaperComparison(
-        "Fig 9", "R2 of eq 30", "0.99633", f"{rpe.r2:.5f}", here,
+        "Fig 9", "R2 of eq 30", "0.99633", f"{rpe.r2:.5f}", data.origin,
         "the paper fits a line to its tube's curve, which bends; the mock's radial effect is a line",
     )  # fmt: skip
     reach = _reach_pa() / PA_PER_BAR

@@ -90,9 +90,9 @@ def compared(cases: tuple[SinusoidalRun, SinusoidalRun]) -> Iterator[PaperCompar
     for number, (case, printed) in enumerate(zip(cases, TABLE5_MM, strict=True), 1):
         why = mock if case.origin == "simulated" else "another arm, another camera"
         for window, rows in (("whole sinusoid", case.whole), (f"first {WINDOW_S:g} s", case.second)):
-            for axis, paper, here in zip("zx", printed, case.rmse_mm(rows), strict=True):
+            for axis, paper, computed in zip("zx", printed, case.rmse_mm(rows), strict=True):
                 name = f"case {number}, RMSE in {axis}, {window} [mm]"
-                yield PaperComparison("Table 5", name, f"{paper:.4f}", f"{here:.4f}", case.origin, why)
+                yield PaperComparison("Table 5", name, f"{paper:.4f}", f"{computed:.4f}", case.origin, why)
 
 
 def errors_of_methods(
@@ -116,7 +116,7 @@ def table4(cases: tuple[SinusoidalRun, SinusoidalRun], errors_mm: ErrorsMm) -> I
     """The error columns of Table 4."""
     how = origin(*(case.run for case in cases))
     for (space, steps), errors in errors_mm.items():
-        for (label, *_), here, printed in zip(SCHEMES, errors, TABLE4_MM[space, steps], strict=True):
+        for (label, *_), computed, printed in zip(SCHEMES, errors, TABLE4_MM[space, steps], strict=True):
             why = (
                 "over one second no method differs by more than its own discretisation; E_i by the secant rule"
                 if printed is not None
@@ -124,7 +124,7 @@ def table4(cases: tuple[SinusoidalRun, SinusoidalRun], errors_mm: ErrorsMm) -> I
             )
             paper = "unstable" if printed is None else f"{printed:.4f}"
             name = f"average RMSE, {space}, N = {steps}, {label} [mm]"
-            yield PaperComparison("Table 4", name, paper, f"{here:.4f}", how, why)
+            yield PaperComparison("Table 4", name, paper, f"{computed:.4f}", how, why)
 
 
 def verdict(cases: tuple[SinusoidalRun, SinusoidalRun], errors_mm: ErrorsMm) -> str:

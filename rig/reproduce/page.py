@@ -69,7 +69,7 @@ def _page(rows: Sequence[PaperComparison], drawings: Sequence[PaperFigure], rema
 
 def _table(rows: Sequence[PaperComparison]) -> str:
     cells = (
-        [*map(escape, (row.item, row.what, row.paper, row.here, row.origin, row.why))]
+        [*map(escape, (row.item, row.what, row.paper, row.computed, row.origin, row.why))]
         for row in sorted(rows, key=lambda row: row.item == _LONG)  # its many lines would hide the others
     )
     return html_table(("item", "what", "paper", "here", "by", "why different"), cells, kind="paper")

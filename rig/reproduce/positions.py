@@ -75,9 +75,9 @@ def compared(data: RestPositions) -> Iterator[PaperComparison]:
     known = "the mock's arm follows eq 32 at every point and differs by a few per cent from the model's numbers"
     why = known if data.origin == "simulated" else "another arm, another camera"
     for (variant, name, *_), printed in zip(MODELS, PRINTED, strict=True):
-        here = data.error_percent(variant)
+        computed = data.error_percent(variant)
         yield PaperComparison(
-            "Table 3", f"mean error, {name} [%]", f"{printed:.2f}", f"{here:.2f}", data.origin,
+            "Table 3", f"mean error, {name} [%]", f"{printed:.2f}", f"{computed:.2f}", data.origin,
             f"{why}; normalised by the tip's way from rest, as the print does not say by what",
         )  # fmt: skip
     for case, measured_m in zip("ab", data.measured_m, strict=True):

@@ -132,8 +132,8 @@ def run_times(methods: tuple[Table4Row, ...]) -> tuple[PaperComparison, ...]:
         why = "another processor, compiled kernels"
         if method.printed_s is None:
             why = f"with 1 mbar of sensor noise it held {method.held_s:.1f} s here; within one second nothing grows far"
-        here = f"{method.faithful_s:.4f} (live solver {method.ours_s:.4f})"
-        rows.append(PaperComparison("Table 4", f"run time of 1 s, {name} [s]", paper, here, "model", why))
+        computed = f"{method.faithful_s:.4f} (live solver {method.ours_s:.4f})"
+        rows.append(PaperComparison("Table 4", f"run time of 1 s, {name} [s]", paper, computed, "model", why))
     return tuple(rows)
 
 

@@ -14,15 +14,15 @@ _NAMES = ("homogeneous", "homogeneous with RPE", "inhomogeneous with RPE")
 Errors = Sequence[float | None]
 
 
-def table3(printed: Sequence[float], here: Sequence[float], origin: ResultOrigin) -> str:
+def table3(printed: Sequence[float], computed: Sequence[float], origin: ResultOrigin) -> str:
     """Return whether the three errors [%] agree with the printed ones."""
-    off = [value / paper - 1 for value, paper in zip(here, printed, strict=True)]
-    numbers = f"{_listed(here)} % here ({origin}), {_listed(printed)} % printed"
+    off = [value / paper - 1 for value, paper in zip(computed, printed, strict=True)]
+    numbers = f"{_listed(computed)} % here ({origin}), {_listed(printed)} % printed"
     missed = [f"{name} by {100 * one:+.0f} %" for name, one in zip(_NAMES, off, strict=True) if abs(one) > AGREES]
     if not missed:
         return f"Table 3 agrees within {100 * AGREES:g} %: {numbers}"
     text = f"Table 3 is not reproduced: {numbers}; {', '.join(missed)}"
-    if len(missed) < len(here):
+    if len(missed) < len(computed):
         text += ". The table counts as reproduced only if all values agree"
     if origin == "simulated":
         text += "; the simulated arm follows the inhomogeneous model, so its small error is no evidence for the model"
@@ -32,12 +32,12 @@ def table3(printed: Sequence[float], here: Sequence[float], origin: ResultOrigin
 def table4(
     labels: Sequence[str],
     printed: Mapping[tuple[Space, int], Errors],
-    here: Mapping[tuple[Space, int], Errors],
+    computed: Mapping[tuple[Space, int], Errors],
     origin: ResultOrigin,
 ) -> str:
     """Return whether the methods rank as printed by their errors [mm], for each rule along the arm and its N."""
     parts = []
-    for (space, steps), errors in here.items():
+    for (space, steps), errors in computed.items():
         paper = _ranking(printed[space, steps])
         # What the paper calls unstable has no printed rank.
         ours = _ranking([e if p is not None else None for e, p in zip(errors, printed[space, steps], strict=True)])
@@ -50,10 +50,10 @@ def table4(
                 f"{where}: the ranking is contradicted: {labels[best]} is best in the paper and number "
                 f"{ours.index(best) + 1} of {len(ours)} here, where {labels[ours[0]]} is best"
             )
-    for space in dict.fromkeys(space for space, _ in here):
-        grids = sorted(steps for name, steps in here if name == space)
+    for space in dict.fromkeys(space for space, _ in computed):
+        grids = sorted(steps for name, steps in computed if name == space)
         if len(grids) > 1:
-            change = [_mean(table[space, grids[-1]]) - _mean(table[space, grids[0]]) for table in (printed, here)]
+            change = [_mean(table[space, grids[-1]]) - _mean(table[space, grids[0]]) for table in (printed, computed)]
             same = "agrees" if abs(change[1] - change[0]) <= 0.5 * abs(change[0]) else "does not agree"
             parts.append(
                 f"{space}: the change from N = {grids[0]} to {grids[-1]} {same}: {change[1]:+.3f} mm here, "

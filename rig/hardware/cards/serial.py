@@ -84,7 +84,7 @@ class SerialCard:
         self._last_ns = 0
         self._lost = 0
         self._refused = 0
-        self._told = 0
+        self._reported = 0
         self._seen_us = 0.0
         self._awaits_rate = True
         self._quiet_since_ns = 0
@@ -180,7 +180,7 @@ class SerialCard:
             time.sleep(WAIT_S)
             self._receive()
         self._awaits_rate = False
-        self._scans, self._lost, self._told = [], 0, self._damaged
+        self._scans, self._lost, self._reported = [], 0, self._damaged
 
     def read(self) -> Scans:
         """Samples since the last call.
@@ -192,7 +192,7 @@ class SerialCard:
         self._check_alive()
         scans, self._scans = self._scans, []
         lost, self._lost = self._lost, 0
-        damaged, self._told = self._damaged - self._told, self._damaged
+        damaged, self._reported = self._damaged - self._reported, self._damaged
         inputs = [channel.number for channel in self._setup.inputs]
         t_ns = np.array([t for t, _ in scans], np.int64)
         bar = np.array([[pressures[i] for i in inputs] for _, pressures in scans]).reshape(len(scans), len(inputs))

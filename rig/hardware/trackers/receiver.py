@@ -26,7 +26,7 @@ REMEMBERED = 1024
 FURTHEST = 10_000
 """A sequence number that is farther ahead is not that of the next messages."""
 RESTART_MESSAGES = 10
-"""Messages in a row that continue each other, but not those before: the sender was started anew."""
+"""Messages in a row that continue each other, but not those before: the sender was restarted."""
 _LENGTHS = 3.0
 _SPEED_SPAN_S = 0.5
 """The tip's speed comes from poses at most this far apart."""
@@ -76,7 +76,7 @@ class TrackerReceiver:
         self._newest: int | None = None
         self._first = 0
         self._recent: OrderedDict[int, int] = OrderedDict()
-        self._anew: list[tuple[int, int, int]] = []
+        self._restarted: list[tuple[int, int, int]] = []
         self._given_ns: int | None = None
         self._index = -1
         self._before: tuple[int, Floats] | None = None
@@ -137,7 +137,7 @@ class TrackerReceiver:
         """Whether a message is the next one of its sender; counts those that were lost before it."""
         number, newest = message.sequence, self._newest
         if newest is None or newest < number <= newest + FURTHEST:
-            self._anew = []
+            self._restarted = []
             self._index += 1 if newest is None else number - newest
             self._counts["lost"] += 0 if newest is None else number - newest - 1
             self._newest = number
@@ -150,7 +150,7 @@ class TrackerReceiver:
             self._counts["lost"] -= 1 if self._counts["lost"] else 0
             self._reject("reordered")
         else:
-            self._start_anew(message, arrived_ns)
+            self._follow_restart(message, arrived_ns)
         return False
 
     def _remember(self, number: int, sent_ns: int) -> None:
@@ -158,24 +158,24 @@ class TrackerReceiver:
         if len(self._recent) > REMEMBERED:
             self._recent.popitem(last=False)
 
-    def _start_anew(self, message: Datagram, arrived_ns: int) -> None:
-        """Follow a sender that was started anew, once several of its messages continue each other."""
+    def _follow_restart(self, message: Datagram, arrived_ns: int) -> None:
+        """Follow a sender that was restarted, once several of its messages continue each other."""
         self._reject("implausible")
-        here = message.sequence, message.sent_ns, arrived_ns
-        if self._anew and not (self._anew[-1][0] < here[0] <= self._anew[-1][0] + REMEMBERED):
-            self._anew = []
-        self._anew.append(here)
-        if len(self._anew) < RESTART_MESSAGES:
+        heard = message.sequence, message.sent_ns, arrived_ns
+        if self._restarted and not (self._restarted[-1][0] < heard[0] <= self._restarted[-1][0] + REMEMBERED):
+            self._restarted = []
+        self._restarted.append(heard)
+        if len(self._restarted) < RESTART_MESSAGES:
             return
         self._first = self._steps() + 1
         self._counts["clock_steps"] = self._first
         self._clock = SenderClock(self._largest_drift)
-        for _, sent_ns, at_ns in self._anew:
+        for _, sent_ns, at_ns in self._restarted:
             self._clock.add(sent_ns, at_ns)
-        self._newest, self._before = here[0], None
-        self._recent = OrderedDict((number, sent_ns) for number, sent_ns, _ in self._anew)
+        self._newest, self._before = heard[0], None
+        self._recent = OrderedDict((number, sent_ns) for number, sent_ns, _ in self._restarted)
         self._index += 1
-        self._anew = []
+        self._restarted = []
 
     def _tip(self, message: Datagram) -> tuple[RigidTransform, Floats]:
         """The tip in the rod-base frame with its covariance (6, 6); NaN where the tracker sees nothing."""
