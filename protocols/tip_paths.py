@@ -73,13 +73,14 @@ class PiecewisePath(TipPath):
     """Points (k, 3) [m] at ascending times (k,) from 0; between them straight lines.
 
     Each line is traversed at a constant speed, or, with `smooth`, at rest at both ends (quintic). `repeats` is how
-    often the whole is traversed; then the first and the last point must be equal.
+    often the whole is traversed; then the first and the last point must be equal. `centre` (3,) is that of its shape.
     """
 
     times_s: Array
     points_m: Array
     smooth: bool
     repeats: float | None = None
+    centre: Array | None = None
 
     @property
     def duration_s(self) -> float:  # type: ignore[override]
@@ -112,7 +113,9 @@ class PiecewisePath(TipPath):
         return found
 
     def centre_m(self) -> Array:
-        """The middle of the box around the points."""
+        """The centre of the shape, or the middle of the box around the points."""
+        if self.centre is not None:
+            return self.centre
         return np.asarray((self.points_m.max(axis=0) + self.points_m.min(axis=0)) / 2)
 
     def _place(self, t_s: Array) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:

@@ -127,7 +127,7 @@ class Star(_Closed):
             angle, radius = math.pi * k / self.points, M_PER_MM * (inner if k % 2 else self.radius_mm)
             corners.append(centre + radius * (math.cos(angle) * first + math.sin(angle) * second))
         times = period_s * np.linspace(0.0, 1.0, 2 * self.points + 1)
-        return PiecewisePath(times, closed_polyline(corners), smooth=True, repeats=periods)
+        return PiecewisePath(times, closed_polyline(corners), smooth=True, repeats=periods, centre=centre)
 
 
 class Points(TipShape):

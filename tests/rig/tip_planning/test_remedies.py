@@ -102,3 +102,12 @@ def test_what_is_named_as_possible_is_accepted(
 def test_a_lead_in_that_is_long_already_is_not_named_again(tmp_path: Path) -> None:
     step = {"csv": {"file": "path.csv", "speed_mm_per_s": 300.0}, "lead_in_s": 5.0}
     assert "lead_in_s" not in fault(step, LETTER_N, tmp_path)
+
+
+def test_the_size_of_a_star_is_about_the_centre_that_its_step_states(tmp_path: Path) -> None:
+    star = {"centre_mm": [-19.751, 12.57, 187.115], "normal": [-0.36, -0.008, 1.0], "radius_mm": 60.0}
+    step = {"star": star | {"period_s": 3.065, "periods": 1.0}}
+    expected = fault(step, LETTER_N, tmp_path)
+    assert "in the same time about (x -19.75, y 12.57, z 187.12) mm" in expected
+    ((words, changed, rows),) = remedied(step, LETTER_N, expected)
+    assert fault(changed, rows, tmp_path) == "", f"{words}: {expected}"
