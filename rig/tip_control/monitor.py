@@ -37,8 +37,13 @@ class TipControlMonitor:
         count = f"{sum(refused.values())} of {plans.total} plans of the tip controller were refused"
         return f"{self._loss}; {count}: {refusals(refused)}".removeprefix("; ")
 
-    def events(self, t_ns: int, protocol_s: float, source: SetPointSource, failure: str) -> Iterator[Event]:
-        """What has changed since the last call; `failure` says why there is no controller any more, else empty."""
+    def events(
+        self, t_ns: int, protocol_s: float, source: SetPointSource, failure: str, *, responds: bool = True
+    ) -> Iterator[Event]:
+        """What has changed since the last call; `failure` says why there is no controller any more, else empty.
+
+        `responds`: the controller, if it has a process of its own, is not hung or stopped.
+        """
         if failure and not self._failure:
             self._failure = failure
             yield Event(t_ns, Level.WARNING, SOURCE, f"{failure}; the run continues without it")
@@ -51,7 +56,9 @@ class TipControlMonitor:
             self._since_s = protocol_s
             yield Event(t_ns, Level.WARNING, SOURCE, f"no plan for {LONGEST_S:g} s: the set-points are held")
         elif source is SetPointSource.LOST:
-            self._lost(protocol_s, f"no plan that could be followed for {LOST_S:g} s")
+            no_plan = "no plan that could be followed" if responds else "its process does not respond: no plan"
+            since_s = self._since_s if before is SetPointSource.HELD else protocol_s
+            self._lost(since_s, f"{no_plan} for {LOST_S:g} s")
             message = f"no plan for {LOST_S:g} s: the set-points return to those of the protocol (feed-forward)"
             yield Event(t_ns, Level.WARNING, SOURCE, message)
         elif source is SetPointSource.PLAN and before in _UNCONTROLLED:

@@ -122,7 +122,7 @@ def test_a_run_without_its_controller_goes_on_with_the_protocol_and_ends_with_st
         archive = ended(run, 1)
         assert archive.message in run.output
     assert archive.status is Status.FINISHED
-    reason = "tip_controller process died" if number is signal.SIGKILL else "no plan that could be followed"
+    reason = "tip_controller process died" if number is signal.SIGKILL else "its process does not respond"
     assert reason in archive.message
     assert "the set-points return to those of the protocol" in messages(archive)
     assert archive.pressure.protocol_s[-1] == pytest.approx(6.0)

@@ -39,6 +39,15 @@ def test_a_controller_without_plans_is_the_message_of_the_run() -> None:
     assert "no plan that could be followed for 1 s" in monitor.message(PlanCounts())
 
 
+def test_a_controller_that_stops_was_lost_when_its_last_plan_ended() -> None:
+    monitor = TipControlMonitor()
+    list(monitor.events(0, 1.0, SetPointSource.PLAN, ""))
+    list(monitor.events(1, 2.3, SetPointSource.HELD, ""))
+    list(monitor.events(2, 3.0, SetPointSource.LOST, "", responds=False))
+    reason = "its process does not respond: no plan for 1 s"
+    assert monitor.message(PlanCounts()) == f"the tip lost its controller at 2.30 s of the protocol: {reason}"
+
+
 def counted(*statuses: SolveStatus) -> PlanCounts:
     counts = PlanCounts()
     counts.add(np.array(statuses))
