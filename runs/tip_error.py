@@ -2,7 +2,7 @@
 
 The error is split into three parts. *Lag*: the share along the path that a delay explains, the delay that fits best
 (least squares) times the reference's speed. *Contour*: across the path. *Noise*: what changes from frame to frame, by
-second differences, which a smooth error does not have.
+second differences of three frames without a gap, which a smooth error does not have.
 """
 
 from __future__ import annotations
@@ -66,7 +66,11 @@ def tip_error(run: ArchiveReader) -> TipErrorSummary | None:
 
     def split(tip_mm: Floats) -> TipError:
         off = np.where(free, 0.0, tip_mm - np.where(free, 0.0, target))
-        return _split(off, velocity, path & np.isfinite(tip_mm).all(axis=1), reference.motion, reference.period)
+        known = path & np.isfinite(tip_mm).all(axis=1)
+        whole = _whole(off, known, reference.motion, reference.period)
+        if whole.frames < LEAST_FRAMES:
+            return whole
+        return _with_parts(whole, off[known], velocity[known], run.tip.frame[known])
 
     predicted = np.where(free, 0.0, reference.predicted_mm - np.where(free, 0.0, target))[path]
     truth = None if run.simulated is None else split(run.simulated.tip_mm)
@@ -83,29 +87,23 @@ def _velocity(time_s: Floats, target_mm: Floats, motion: NDArray[np.int64]) -> F
     return velocity
 
 
-def _split(
-    off_mm: Floats,
-    velocity: Floats,
-    path: NDArray[np.bool_],
-    motion: NDArray[np.int64],
-    period: NDArray[np.int64],
-) -> TipError:
+def _whole(off_mm: Floats, path: NDArray[np.bool_], motion: NDArray[np.int64], period: NDArray[np.int64]) -> TipError:
+    """The errors over the whole path and over each of its periods."""
     frames = int(path.sum())
     if not frames:
         return TipError()
-    off, rate = off_mm[path], velocity[path]
+    off = off_mm[path]
     passes = sorted({(int(m), int(p)) for m, p in zip(motion[path], period[path], strict=True)})
-    whole = TipError(
+    return TipError(
         frames=frames,
         rms_mm=_rms(off),
         max_mm=float(np.linalg.norm(off, axis=1).max()),
         periods_mm=tuple(_rms(off_mm[path & (motion == m) & (period == p)]) for m, p in passes),
     )
-    return whole if frames < LEAST_FRAMES else _with_parts(whole, off, rate)
 
 
-def _with_parts(whole: TipError, off: Floats, rate: Floats) -> TipError:
-    """The error with its lag, contour and noise, of errors [mm] and reference velocities [mm/s] (n, 3)."""
+def _with_parts(whole: TipError, off: Floats, rate: Floats, frame: NDArray[np.int64]) -> TipError:
+    """The error with its lag, contour and noise, of errors [mm] and reference velocities [mm/s] (n, 3) of frames."""
     speed = np.linalg.norm(rate, axis=1)
     moving = speed > MOVING_MM_S
     squares = float((speed[moving] ** 2).sum())
@@ -113,7 +111,7 @@ def _with_parts(whole: TipError, off: Floats, rate: Floats) -> TipError:
     along = np.zeros(len(off))
     along[moving] = (off[moving] * rate[moving]).sum(axis=1) / speed[moving]
     across = np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0.0))
-    changes = off[2:] - 2 * off[1:-1] + off[:-2]
+    changes = (off[2:] - 2 * off[1:-1] + off[:-2])[frame[2:] - frame[:-2] == 2]
     return replace(
         whole,
         lag_ms=1e3 * lag_s,

@@ -38,7 +38,11 @@ class MadeRun:
         if free is not None:
             target[:, free] = np.nan
             tip[:, free] += 7
-        values = {"time_s": t, "measured_mm": tip + noise_mm * rng.standard_normal(tip.shape)}
+        values = {
+            "time_s": t,
+            "frame": np.arange(len(t)),
+            "measured_mm": tip + noise_mm * rng.standard_normal(tip.shape),
+        }
         self.tip = Tip(values)
         self.simulated = Simulated({"time_s": t, "tip_mm": tip})
         ones = np.ones(len(t), int)
@@ -72,6 +76,17 @@ def test_noise_is_that_of_the_measurement_and_not_of_the_truth() -> None:
     assert found.measured.noise_mm == pytest.approx(0.05 * np.sqrt(3), rel=0.1)
     assert found.truth.noise_mm < 0.01
     assert found.predicted_mm == pytest.approx(0.01 * np.sqrt(3))
+
+
+def test_a_gap_between_frames_is_no_noise() -> None:
+    made = MadeRun(0.01, 20.3, 0.05)
+    lost = np.random.default_rng(2).uniform(size=len(made.tip.time_s)) < 0.5
+    made.tip.measured_mm[lost] = np.nan
+    found = error_of(made)
+    assert found.measured.frames < 0.6 * 240
+    assert found.measured.noise_mm == pytest.approx(0.05 * np.sqrt(3), rel=0.25)
+    made.tip.measured_mm[np.arange(len(lost)) % 2 == 0] = np.nan
+    assert np.isnan(error_of(made).measured.noise_mm)
 
 
 def test_the_lead_in_does_not_count_and_each_period_has_its_error() -> None:
