@@ -12,6 +12,7 @@ from rig.config.schema import RigConfig
 from rig.driver_contract.check import BrokenContractError, Check
 from rig.driver_contract.time_stamps import rate_and_age
 from rig.hardware.trackers.base import TrackerReading
+from rig.hardware.trackers.datagram import LARGEST_STD
 from rig.hardware.trackers.opening import open_tracker
 
 READINGS = 50
@@ -50,6 +51,8 @@ def poses(subject: TrackerSubject) -> str:
             raise BrokenContractError("a rotation is not orthogonal")
         if reading.covariance.shape != (6, 6) or np.linalg.eigvalsh(reading.covariance)[0] <= 0:
             raise BrokenContractError("a covariance is not positive definite")
+        if not np.diag(reading.covariance).max() <= LARGEST_STD**2:
+            raise BrokenContractError(f"a standard deviation is above {LARGEST_STD:g} m or rad")
     std_mm = [np.sqrt(np.trace(reading.covariance[:3, :3])) * 1e3 for reading in seen]
     return f"{len(seen)} of {len(readings)} readings have a pose" + (f", to {np.median(std_mm):.2f} mm" if seen else "")
 

@@ -114,7 +114,7 @@ class RealSenseCamera:
             # Wall-clock milliseconds, brought to this process's monotonic clock; a recording's lie in the past.
             age_ns = time.time_ns() - round(frame.get_timestamp() * 1e6)
             if 0 <= age_ns < 1_000_000_000:
-                end_ns = arrived - age_ns
+                end_ns = time.monotonic_ns() - age_ns
         return Frame(int(frame.get_frame_number()), end_ns - self._half_exposure_ns, image)
 
     def close(self) -> None:

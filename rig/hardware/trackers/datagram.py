@@ -22,6 +22,10 @@ UNIT_TOLERANCE = 1e-3
 """Largest difference of the quaternion's norm from 1."""
 
 
+LARGEST_M, LARGEST_STD = 1e3, 1e2
+"""Farthest coordinate [m], and largest standard deviation [m, rad] of a pose that says anything."""
+
+
 class DatagramError(Exception):
     """The bytes are no datagram of this version, or were damaged."""
 
@@ -43,8 +47,12 @@ class Datagram:
         """False for numbers that no pose has."""
         if not self.sees:
             return True
-        numbers = (self.position_m, self.quaternion, self.covariance)
-        if not all(np.isfinite(part).all() for part in numbers):
+        bounds = (
+            (self.position_m, LARGEST_M),
+            (self.quaternion, 1 + UNIT_TOLERANCE),
+            (self.covariance, LARGEST_STD**2),
+        )
+        if not all(np.all(np.abs(numbers) <= bound) for numbers, bound in bounds):  # NaN is within no bound
             return False
         unit = abs(float(np.linalg.norm(self.quaternion)) - 1) <= UNIT_TOLERANCE
         smallest = float(np.linalg.eigvalsh(self.covariance)[0])

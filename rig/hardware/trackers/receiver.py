@@ -105,14 +105,15 @@ class TrackerReceiver:
         except DatagramError:
             self._reject("malformed")
             return None
+        # Its number first: a message whose pose is not used has come, and is not lost.
+        if not self._follows(message, arrived_ns):
+            return None
         if not message.plausible:
             self._reject("implausible")
             return None
         tip, covariance = self._tip(message)
         if message.sees and np.linalg.norm(tip.translation_m) > self._reach_m:
             self._reject("implausible")
-            return None
-        if not self._follows(message, arrived_ns):
             return None
         if not self._clock.add(message.sent_ns, arrived_ns):
             self._counts["clock_steps"] = self._steps()

@@ -88,12 +88,15 @@ class UdpTracker:
 
 
 def _arrival_ns(ancillary: list[tuple[int, int, bytes]]) -> int:
-    """Time of arrival on CLOCK_MONOTONIC: the kernel's, which is on CLOCK_REALTIME, else the time of reading."""
-    now_ns = time.monotonic_ns()
+    """Time of arrival on CLOCK_MONOTONIC: the kernel's, which is on CLOCK_REALTIME, else the time of reading.
+
+    CLOCK_MONOTONIC is read last: if this process is stopped between the two clocks, the time is too late, which the
+    estimate of the sender's clock bears as a long delay. A time that is too early would shift it.
+    """
     for level, kind, data in ancillary:
         if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(data) >= _TIMESPEC:
             seconds, nanoseconds = (int.from_bytes(data[i : i + 8], "little", signed=True) for i in (0, 8))
             age_ns = time.time_ns() - (seconds * 1_000_000_000 + nanoseconds)
             # CLOCK_REALTIME may be set between arrival and reading.
-            return now_ns - age_ns if 0 <= age_ns < 1_000_000_000 else now_ns
-    return now_ns
+            return time.monotonic_ns() - (age_ns if 0 <= age_ns < 1_000_000_000 else 0)
+    return time.monotonic_ns()

@@ -117,16 +117,40 @@ def test_a_message_that_comes_after_the_limit_is_late() -> None:
         (replace(message(100), quaternion=np.array([0.5, 0, 0, 0])), "implausible"),
         (replace(message(100), covariance=-COVARIANCE), "implausible"),
         (message(100, x_m=5.0), "implausible"),
+        (message(100, x_m=1e308), "implausible"),
+        (replace(message(100), quaternion=np.array([1e308, 1e308, 0, 0])), "implausible"),
+        (replace(message(100), covariance=np.full((6, 6), 1e308)), "implausible"),
+        (replace(message(100), covariance=np.diag([1e300, 1, 1, 1, 1, 1])), "implausible"),
         (replace(message(100), sequence=2**40), "implausible"),
         (replace(message(100), sent_ns=10**15), "implausible"),
     ],
-    ids=["not finite", "no rotation", "no covariance", "out of reach", "sequence", "clock"],
+    ids=[
+        "not finite",
+        "no rotation",
+        "no covariance",
+        "out of reach",
+        "position beyond all numbers",
+        "quaternion beyond all numbers",
+        "covariance beyond all numbers",
+        "variance beyond all lengths",
+        "sequence",
+        "clock",
+    ],
 )
 def test_a_forged_message_is_not_used_and_disturbs_nothing(forged: Datagram, reason: str) -> None:
     line = Line()
     assert line.receiver.receive(encode(forged), HERE, 100 * PERIOD_NS + DELAY_NS) is None
     assert line.counts == {reason: 1}
     assert line.send(message(101)) is not None
+
+
+def test_a_message_that_came_is_not_lost_whatever_its_numbers_are() -> None:
+    line = Line()
+    for number, x_m in ((100, np.nan), (101, 5.0), (102, 0.01)):
+        line.send(message(number, x_m))
+    assert line.counts == {"implausible": 2}
+    line.send(message(101, np.nan))
+    assert line.counts == {"implausible": 2, "doubled": 1}
 
 
 def test_only_the_stated_sender_is_used() -> None:

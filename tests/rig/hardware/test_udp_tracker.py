@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import struct
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager
@@ -13,6 +14,7 @@ import pytest
 from rig.config import loader
 from rig.config.schema import RigConfig
 from rig.config.tracker_sections import UdpTrackerConfig
+from rig.hardware.trackers import udp
 from rig.hardware.trackers.base import Tracker, TrackerError, TrackerReading
 from rig.hardware.trackers.datagram import Datagram, encode
 from rig.hardware.trackers.opening import open_tracker
@@ -164,3 +166,28 @@ def test_a_port_that_is_taken_has_a_clear_message() -> None:
     port = free_port()
     with closing(open_tracker(rig(port=port), "pose")), pytest.raises(TrackerError, match=f"127.0.0.1:{port}"):
         open_tracker(rig(port=port), "pose")
+
+
+class Clocks:
+    """Both clocks of the machine, which show the same time; the process stops for some time before every look."""
+
+    def __init__(self, stops_ns: int) -> None:
+        self.now_ns, self._stops_ns = 10**12, stops_ns
+
+    def read(self) -> int:
+        self.now_ns += self._stops_ns
+        return self.now_ns
+
+
+def test_a_reader_that_is_stopped_between_two_clocks_makes_no_message_arrive_too_early(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The estimate follows the earliest arrivals: a late one has no effect on it."""
+    clocks = Clocks(16_000_000)
+    arrived_ns = clocks.now_ns
+    monkeypatch.setattr(time, "monotonic_ns", clocks.read)
+    monkeypatch.setattr(time, "time_ns", clocks.read)
+    stamp = struct.pack("<qq", *divmod(arrived_ns, 10**9))
+    found_ns = udp._arrival_ns([(socket.SOL_SOCKET, udp._SO_TIMESTAMPNS, stamp)])
+    monkeypatch.undo()
+    assert found_ns >= arrived_ns
