@@ -58,21 +58,23 @@ class UdpTracker:
             ) from error
 
     def read(self, timeout_s: float) -> TrackerReading | None:
-        """Wait for the next reading; None without one within the time-out."""
-        until = time.monotonic() + timeout_s
+        """Wait for the next reading; None without one within the time-out.
+
+        A late reader also gets what has arrived by then, behind messages that give no reading.
+        """
+        until_ns = time.monotonic_ns() + round(timeout_s * 1e9)
         while True:
-            self._socket.settimeout(max(until - time.monotonic(), 1e-6))
+            self._socket.settimeout(max((until_ns - time.monotonic_ns()) * 1e-9, 1e-6))
             try:
                 data, ancillary, _, sender = self._socket.recvmsg(BYTES + 1, 64)
             except TimeoutError:
                 return None
             except OSError as error:
                 raise TrackerError(f"the socket of the tracker failed: {error}") from error
-            reading = self._receiver.receive(data, sender, _arrival_ns(ancillary))
-            if reading is not None:
+            arrived_ns = _arrival_ns(ancillary)
+            reading = self._receiver.receive(data, sender, arrived_ns)
+            if reading is not None or arrived_ns > until_ns:
                 return reading
-            if time.monotonic() > until:
-                return None
 
     def counts(self) -> tuple[int, ...]:
         """`DATAGRAM_COUNTS` since the tracker was opened."""

@@ -191,3 +191,15 @@ def test_a_reader_that_is_stopped_between_two_clocks_makes_no_message_arrive_too
     found_ns = udp._arrival_ns([(socket.SOL_SOCKET, udp._SO_TIMESTAMPNS, stamp)])
     monkeypatch.undo()
     assert found_ns >= arrived_ns
+
+
+def test_a_reader_that_comes_late_reads_on_to_the_pose_behind_messages_that_are_not_used(line: Sender) -> None:
+    """Otherwise it takes a tracker that has sent for a silent one."""
+    line.send(range(MESSAGES), ahead_ns=0)
+    assert line.readings
+    for _ in range(50):
+        line._udp.sendto(b"noise", ("127.0.0.1", line._port))
+    line.raw(MESSAGES, OFFSET_NS + time.monotonic_ns())
+    reading = line.tracker.read(0.0)
+    assert reading is not None
+    assert reading.index == MESSAGES
