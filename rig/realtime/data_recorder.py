@@ -96,6 +96,11 @@ class DataRecorder:
         for picture in memory.pictures.read(list(self._config.cameras), self._config.recording.encoding):
             self._write(journal.picture, picture)
 
+    def finish(self) -> None:
+        """Record the rest, and report the losses that are not reported yet."""
+        self.drain()
+        self.report(*self._health.rest(time.monotonic_ns()))
+
     def counters(self) -> dict[str, int]:
         """Losses of the run by name."""
         memory = self._memory

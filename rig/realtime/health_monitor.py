@@ -27,6 +27,8 @@ STALL_S = 0.5
 SUSPENSION_S = 0.1
 CONTROL_STALL_S = 0.1
 DISK_S = 2.0
+REPEATED_S = 10.0
+"""Shortest time between two warnings about losses of the same kind."""
 
 _CAUSES = {
     DetectionStatus.NO_BOARD: "no board in the picture: light, lens cap, something before the camera?",
@@ -77,6 +79,27 @@ class _Condition:
             yield _recovered(self, t_ns, source, recovery)
 
 
+@dataclass
+class _Losses:
+    """Losses that may come again and again: reported at once, then at most once in `REPEATED_S`, with their number."""
+
+    words: str
+    pending: int = 0
+    told_ns: int | None = None
+
+    def events(self, t_ns: int, number: int) -> Iterator[Event]:
+        """Take the number of losses since the last call; report what is due."""
+        self.pending += number
+        if self.told_ns is None or t_ns - self.told_ns >= REPEATED_S * 1e9:
+            yield from self.rest(t_ns)
+
+    def rest(self, t_ns: int) -> Iterator[Event]:
+        """Report what has not been reported."""
+        if self.pending:
+            yield _warning(t_ns, "card", f"{self.pending} {self.words}")
+            self.told_ns, self.pending = t_ns, 0
+
+
 class HealthMonitor:
     """Monitors the recorded rows and reports when a condition begins and when it ends."""
 
@@ -94,6 +117,8 @@ class HealthMonitor:
         self._sections = [(name, _Condition(0.3)) for name in config.sections]
         self._triggered = {name: 0 for name, camera in config.cameras.items() if camera.trigger is not None}
         self._disk = _Condition(DISK_S)
+        self._lost_scans = _Losses("scans were lost: the card's buffer overran, or what it sent was damaged")
+        self._damaged_lines = _Losses("damaged lines between computer and card were dropped")
         self._refused, self._not_solved = _Condition(0.3), _Condition(0.3)
         self._checked_ns = 0
         self._suspended_ns: int | None = None
@@ -270,16 +295,17 @@ class HealthMonitor:
             )
 
     def lost(self, t_ns: int, scans: int) -> Iterator[Event]:
-        """Event of scans that the cards have dropped since the last call."""
-        if scans:
-            yield _warning(
-                t_ns, "card", f"{scans} scans were lost: the card's buffer overran, or what it sent was damaged"
-            )
+        """Event of scans that the cards have dropped since the last call; called also without any."""
+        return self._lost_scans.events(t_ns, scans)
 
     def damaged(self, t_ns: int, lines: int) -> Iterator[Event]:
-        """Event of damaged lines between computer and cards since the last call."""
-        if lines:
-            yield _warning(t_ns, "card", f"{lines} damaged lines between computer and card were dropped")
+        """Event of damaged lines between computer and cards since the last call; called also without any."""
+        return self._damaged_lines.events(t_ns, lines)
+
+    def rest(self, t_ns: int) -> Iterator[Event]:
+        """Events of the losses that are not reported yet, at the end of a run."""
+        yield from self._lost_scans.rest(t_ns)
+        yield from self._damaged_lines.rest(t_ns)
 
     def supervisor_stall(self, t_ns: int) -> Iterator[Event]:
         """Report when the last call was long ago; called in every cycle of the supervisor."""

@@ -104,7 +104,7 @@ class Supervisor:
             self.shutdown.make_safe(self.timing)
         # The last frame is still being measured, and the live page may have shown it already: it belongs in the record.
         self.processes.await_exit("observer", LAST_FRAME_TIMEOUT_S)
-        self.record.drain()
+        self.record.finish()
         outcome = self._outcome(status, message, steal_time_ms() - stolen)
         self.memory.publish_stage("supervisor", Stage.DONE, f"{outcome.status}: {outcome.message}".removesuffix(": "))
         return outcome

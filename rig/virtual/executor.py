@@ -337,6 +337,7 @@ class _VirtualRun:
             *self._health_monitor.observations(observations),
             *self._health_monitor.plans(plans),
             *self._health_monitor.lost(self._plant.t_ns, lost),
+            *(() if in_flight else self._health_monitor.rest(self._plant.t_ns)),
         ):
             self._report(event)
 

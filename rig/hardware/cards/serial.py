@@ -288,7 +288,7 @@ class SerialCard:
             self._clock = ScanClock(float(self._period_ns), now_ns - self._period_ns)
         before = -1 if self._status is None else self._status.count
         if answer.count <= before:
-            raise CardError(f"{self.description} has restarted")
+            raise CardError(f"{self.description} has restarted, or repeats: sample {answer.count} after {before}")
         if len(answer.measured_pa) != self._controller.channels:
             raise CardError(f"{self.description} sends {len(answer.measured_pa)} pressures")
         missed = answer.count - before - 1

@@ -7,6 +7,7 @@ in whole pascals.
 from __future__ import annotations
 
 import binascii
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -15,6 +16,7 @@ VERSION = 1
 SEQUENCES = 1 << 16
 LONGEST = 256
 """Bytes without a line feed after which the rest is dropped."""
+_NUMBER = re.compile(r"-?[0-9]{1,10}")
 
 
 class ControllerState(IntEnum):
@@ -78,18 +80,26 @@ def decoded(line: bytes) -> Answer | None:
             return None
         kind, *words = body.decode("ascii").split(" ")
         if kind == "I":
-            name, version, *numbers = words
-            return Identity(*map(int, numbers)) if (name, int(version)) == ("softrig", VERSION) else None
-        numbers_ = [int(word) for word in words]
+            name, *words = words
+            version, *limits = map(_number, words)
+            return Identity(*limits) if (name, version) == ("softrig", VERSION) else None
+        numbers = [_number(word) for word in words]
         if kind == "S":
-            count, t_us, state, rejected, *pressures = numbers_
+            count, t_us, state, rejected, *pressures = numbers
             return SerialSample(count, t_us, ControllerState(state), rejected, tuple(pressures))
         if kind == "A":
-            sequence, state, *pressures = numbers_
+            sequence, state, *pressures = numbers
             return Acknowledgement(sequence, ControllerState(state), tuple(pressures))
     except (ValueError, TypeError):
         return None
     return None
+
+
+def _number(word: str) -> int:
+    """The number of a word; `int` would also take signs, underscores and any number of digits."""
+    if not _NUMBER.fullmatch(word):
+        raise ValueError(f"{word!r} is no whole number of at most ten digits")
+    return int(word)
 
 
 class LineReader:

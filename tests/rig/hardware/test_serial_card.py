@@ -387,6 +387,11 @@ def test_another_version_of_the_protocol_is_refused(
         SerialCard(setup(device))
 
 
+@pytest.mark.parametrize("pascals", ["1_0", "+7", " 7", "1" + "0" * 40, "99999999999", "1e5", "nan", ""])
+def test_a_word_that_is_no_whole_number_of_at_most_ten_digits_damages_its_line(pascals: str) -> None:
+    assert decoded(encoded(f"S 1 4000 1 0 -100 {pascals}").rstrip(b"\n")) is None
+
+
 def test_lines_with_a_flipped_bit_are_dropped_and_counted() -> None:
     line = encoded("S 0 1000 0 0 1 2 3 4").rstrip(b"\n")
     assert decoded(line) is not None

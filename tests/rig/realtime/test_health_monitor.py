@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rig.config.loader
-from rig.realtime.health_monitor import HealthMonitor
+from rig.realtime.health_monitor import REPEATED_S, HealthMonitor
 from runs.records import DetectionStatus, Event, Level, observation_dtype, sample_dtype
 
 FRAME_NS, CYCLE_NS = 33_333_333, 5_000_000
@@ -118,3 +118,26 @@ def test_a_stalled_disk_is_reported_once_and_its_end_once(monitor: HealthMonitor
         "is another program writing to it?; the run continues",
         "the disk takes the record again, after 3.90 s",
     ]
+
+
+def test_losses_that_repeat_are_one_warning_at_once_and_then_one_with_their_number() -> None:
+    monitor = HealthMonitor(rig.config.loader.load("mock"))
+    said = [
+        [event.message for event in monitor.damaged(k * 100_000_000, 3)] for k in range(round(2 * REPEATED_S / 0.1))
+    ]
+    told = [(k, *messages) for k, messages in enumerate(said) if messages]
+    first, second = "3 damaged lines between", f"{3 * round(REPEATED_S / 0.1)} damaged lines between"
+    assert [(k, message.startswith(begin)) for (k, message), begin in zip(told, (first, second), strict=True)] == [
+        (0, True),
+        (round(REPEATED_S / 0.1), True),
+    ]
+    (rest,) = monitor.rest(10**12)
+    assert rest.message.startswith(f"{3 * round(REPEATED_S / 0.1) - 3} damaged lines")
+    assert not list(monitor.rest(10**12))
+
+
+def test_a_loss_long_after_another_is_reported_at_once() -> None:
+    monitor = HealthMonitor(rig.config.loader.load("mock"))
+    assert len(list(monitor.lost(0, 5))) == 1
+    assert not list(monitor.lost(round(REPEATED_S * 1e9), 0))
+    assert len(list(monitor.lost(round(REPEATED_S * 1e9), 1))) == 1
