@@ -1,7 +1,8 @@
-"""The console of every screen: it prints control characters visibly and obeys no markup."""
+"""The console of every screen: it prints control characters visibly, obeys no markup, and keeps numbers whole."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,21 +12,47 @@ from rich.text import Text
 
 from runs.printable_text import printable
 
+_UNITS = (
+    "mm mm/s mm2 m m/s s ms us ns min h bar bar/s mbar Pa kPa MPa deg degrees rad px pixels % V mA A Hz kHz "
+    "g kg N mN K ppm kB MB GB /bar /N /N^2 1/bar"
+)
+# Between a number and its unit, and between an uncertainty and what belongs to it.
+_KEPT = re.compile(rf"(?<=\d) (?=(?:{'|'.join(map(re.escape, _UNITS.split()))})(?![\w/^]))|(?<=\+-) (?=\d)")
+_GLUE = "\ue000"
+"""Stands for such a space during the layout: as wide, and no place for the end of a line."""
+
+
+def _glued(text: str) -> str:
+    return _KEPT.sub(_GLUE, text)
+
 
 class PrintableConsole(Console):
-    """A console that escapes control characters and bidirectional marks, and interprets no markup or emoji codes."""
+    """A console that escapes control characters and bidirectional marks, and interprets no markup or emoji codes.
+
+    No line ends between a number and its unit. What is printed with `soft_wrap` is one line in a file; a terminal, which
+    would break it anywhere, gets lines that end between words.
+    """
 
     def __init__(self, stderr: bool = False, width: int | None = None) -> None:
         super().__init__(highlight=False, markup=False, emoji=False, stderr=stderr, width=width)
 
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print; words longer than a terminal's line, as paths, stay whole."""
+        if options.get("soft_wrap") and self.is_terminal:
+            options |= {"soft_wrap": False, "overflow": "ignore", "crop": False}
+        super().print(*objects, **options)
+
     def render_str(self, text: str, **options: Any) -> Text:
         """Escape a string before the layout, so that column widths match the output."""
-        return super().render_str(printable(text), **options)
+        return super().render_str(_glued(printable(text)), **options)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
         """Render anything; control codes of the console itself stay."""
+        if isinstance(renderable, Text):
+            renderable = renderable.copy()
+            renderable.plain = _glued(renderable.plain)
         for part in super().render(renderable, options):
-            yield part if part.control else part._replace(text=printable(part.text))
+            yield part if part.control else part._replace(text=printable(part.text.replace(_GLUE, " ")))
 
 
 def console(stderr: bool = False) -> Console:

@@ -22,6 +22,9 @@ from runs.run import Run
 from runs.summary import Summary
 
 STYLES = ("-", (0, (6, 1.5)), (0, (6, 1.5, 1, 1.5)))
+WIDEST, NARROWEST = 3.6, 1.0
+MOST_WIDTHS = 4
+"""Runs whose lines are told apart where they coincide; lines of more runs would hide the scale of what they show."""
 
 
 def section(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
@@ -47,9 +50,10 @@ def comparison_figures(runs: Sequence[Run]) -> tuple[FigureSpecification, ...]:
     """Return the figures that compare runs."""
     size = (9, 3.4 + 0.16 * len(runs))
     where = "Each in its plane of motion, or over x where it keeps to none."
+    beneath = " Wide lines lie beneath: those of the first run are the widest." if 1 < len(runs) <= MOST_WIDTHS else ""
     return (
-        FigureSpecification("tips", "Tips", tips, size, f"Lines: measured. Dotted: model. {where}"),
-        FigureSpecification("errors", "Errors over the protocol", errors, size, "Measured to model."),
+        FigureSpecification("tips", "Tips", tips, size, f"Lines: measured. Dotted: model. {where}{beneath}"),
+        FigureSpecification("errors", "Errors over the protocol", errors, size, f"Measured to model.{beneath}"),
         *_reference_distances(runs),
         *_tip_differences(runs),
     )
@@ -203,16 +207,16 @@ def tips(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> N
     """Measured and modelled tips of every run."""
     axes = figure.subplots()
     names = set()
-    for run, summary, colour, style in _coloured(runs, summaries):
+    for run, summary, line in _lines(runs, summaries):
         project, name = across(run, summary)
         names.add(name)
         tip, _ = tip_with_gaps(run.tip)
         measured, model = (points[path_indices(points)] for points in (tip.measured_mm, tip.model_mm))
         if summary.frames_measured:
-            axes.plot(*project(measured).T, color=colour, ls=style, lw=1.2, label=run.header.run_id)
+            axes.plot(*project(measured).T, **line, label=run.header.run_id)
         else:
-            axes.plot([], [], color=colour, ls=style, label=run.header.run_id)
-        axes.plot(*project(model).T, color=colour, lw=0.9, ls=":")
+            axes.plot([], [], **line, label=run.header.run_id)
+        axes.plot(*project(model).T, **line | {"ls": ":"})
     axes.set_aspect("equal", adjustable="datalim")
     axes.invert_yaxis()
     axes.set_xlabel(f"{' / '.join(sorted(names))} [mm]")
@@ -223,11 +227,10 @@ def tips(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> N
 def errors(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> None:
     """Error of every run over protocol time, so that runs that waited differently still lie on one another."""
     axes = figure.subplots()
-    for run, summary, colour, style in _coloured(runs, summaries):
+    for run, summary, line in _lines(runs, summaries):
         if summary.frames_measured:
             tip, _ = tip_with_gaps(run.tip)
-            line = decimated(tip.protocol_s, tip.error_mm)
-            axes.plot(*line, color=colour, ls=style, lw=1.0, label=run.header.run_id)
+            axes.plot(*decimated(tip.protocol_s, tip.error_mm), **line, label=run.header.run_id)
     axes.set_xlabel("protocol time [s]")
     axes.set_ylabel("error [mm]")
     axes.set_ylim(bottom=0)
@@ -237,18 +240,23 @@ def errors(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) ->
 def reference_distances(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> None:
     """Distance of every run's tip from its reference over protocol time."""
     axes = figure.subplots()
-    for run, _, colour, style in _coloured(runs, summaries):
+    for run, _, line in _lines(runs, summaries):
         if run.reference is not None:
             learned = f", learned from {len(run.header.learned_from)}" if run.header.learned_from else ""
             label = f"{run.header.run_id} ({run.header.tip_controller}{learned})"
-            axes.plot(*decimated(*distance_mm(run)), color=colour, ls=style, lw=0.9, label=label)
+            axes.plot(*decimated(*distance_mm(run)), **line, label=label)
     axes.set_xlabel("protocol time [s]")
     axes.set_ylabel("distance [mm]")
     axes.set_ylim(bottom=0)
     legend(axes, columns=2)
 
 
-def _coloured(runs: Sequence[Run], summaries: Sequence[Summary]) -> Iterator[tuple[Run, Summary, str, Any]]:
-    """Yield each run with its colour and line: every pair is another, up to three times the colours."""
+def _lines(runs: Sequence[Run], summaries: Sequence[Summary]) -> Iterator[tuple[Run, Summary, dict[str, Any]]]:
+    """Yield each run with its line: colour and dashes are another pair, up to three times the colours.
+
+    A later line is narrower, so that an earlier one shows at its sides where both coincide.
+    """
+    step = (WIDEST - NARROWEST) / (len(runs) - 1) if 1 < len(runs) <= MOST_WIDTHS else 0.0
     for i, (run, summary) in enumerate(zip(runs, summaries, strict=True)):
-        yield run, summary, RUNS[i % len(RUNS)], STYLES[i // len(RUNS) % len(STYLES)]
+        style, width = STYLES[i // len(RUNS) % len(STYLES)], NARROWEST + step * (len(runs) - 1 - i)
+        yield run, summary, {"color": RUNS[i % len(RUNS)], "ls": style, "lw": width}

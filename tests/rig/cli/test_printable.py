@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import pytest
 from rich.text import Text
 
 import tests.support.synthetic_runs as made_up
+from rig.cli.column_table import ColumnTable
 from rig.cli.console import PrintableConsole
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
@@ -163,3 +165,42 @@ def test_texts_in_a_csv_are_no_formulas(folder: Path, tmp_path: Path, rig: Rig) 
     assert (rows[1]["source"], rows[1]["message"]) == ("'-1+1", "'@sum")
     with (tmp_path / "odd-tip.csv").open(newline="") as file:
         assert float(next(csv.DictReader(file))["measured_x_mm"]) < 0
+
+
+class Terminal(io.StringIO):
+    """A stream that is a terminal."""
+
+    def isatty(self) -> bool:
+        """Answer as a terminal does."""
+        return True
+
+
+def printed(shown: str | Text | ColumnTable, width: int, stream: io.StringIO, soft_wrap: bool = False) -> list[str]:
+    """The lines that a console of that width writes to a stream."""
+    screen = PrintableConsole(width=width)
+    screen.file = stream
+    screen.print(shown, soft_wrap=soft_wrap)
+    return [line.rstrip() for line in stream.getvalue().splitlines()]
+
+
+@pytest.mark.parametrize("kind", ["text", "styled", "cell"])
+def test_no_line_ends_between_a_number_and_its_unit(kind: str) -> None:
+    words = "the tip is 12.3 +- 0.4 mm away after 30 s at -0.25 bar, a rate of 1 bar/s and 95 % of 1500 frames"
+    table = ColumnTable("name", "found")
+    table.add_row("tip", words)
+    shown = {"text": words, "styled": Text(words), "cell": table}[kind]
+    for width in range(30, 81):
+        lines = printed(shown, width, io.StringIO())
+        assert "1500" in lines[-1] or "frames" in lines[-1]
+        assert not [line for line in lines if line.endswith((" 0.4", " 30", "-0.25", "of 1", " 95", "+-"))], width
+
+
+@pytest.mark.parametrize("shown", ["a line of words that is longer", Text("a line of words that is longer")])
+def test_a_terminal_breaks_no_word_and_a_file_gets_the_line_whole(shown: str | Text) -> None:
+    assert printed(shown, 18, Terminal(), soft_wrap=True) == ["a line of words", "that is longer"]
+    assert printed(shown, 18, io.StringIO(), soft_wrap=True) == ["a line of words that is longer"]
+
+
+def test_a_path_longer_than_the_terminal_keeps_to_one_line() -> None:
+    path = "data/20260102-030405-ramp-a.h5"
+    assert path in printed(f"archive  {path}", 20, Terminal(), soft_wrap=True)

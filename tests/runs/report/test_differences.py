@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
+import matplotlib.colors
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 import runs
 from runs.archive.writer import finalise
 from runs.records import Quantity
-from runs.report import page
+from runs.report import comparison, page
+from runs.report.colours import RUNS
 from runs.report.differences import of_equal_steps, tips_at_equal_times
 from runs.report.settings import differing
 from runs.run import Run
@@ -52,6 +57,22 @@ def test_tips_are_compared_at_equal_protocol_times(pair: list[Run]) -> None:
     time_s, tips = tips_at_equal_times(pair)
     assert len(time_s) > 10
     np.testing.assert_allclose(tips[0], tips[1])
+
+
+@pytest.mark.parametrize("draw", [comparison.tips, comparison.errors])
+def test_the_curves_of_equal_runs_are_all_visible(pair: list[Run], draw: Callable[..., None]) -> None:
+    figure = Figure(figsize=(9, 4), dpi=200)
+    draw(figure, pair, [run.summary for run in pair])
+    for axes in figure.axes:
+        axes.get_legend().remove()
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3].astype(int)
+    counts = [
+        (np.abs(pixels - np.multiply(255, matplotlib.colors.to_rgb(colour))).max(axis=-1) < 30).sum()
+        for colour in RUNS[:2]
+    ]
+    assert min(counts) > 0.3 * max(counts)
 
 
 def test_tips_of_other_steps_have_no_distance(pair: list[Run]) -> None:
