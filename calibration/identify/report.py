@@ -69,11 +69,12 @@ def write(
 
 
 def _tiles(fit: Fit, left_out: Sequence[Prediction]) -> str:
+    free = [e for e in fit.estimates if not e.nuisance]
     tiles = [
         (f"{1e3 * fit.rms_m:.3f} <small>mm</small>", "rms distance, measured to model"),
         (f"{1e3 * fit.discrepancy_m:.3f} <small>mm</small>", "per axis that no stated error explains"),
         *_orientation_tile(fit),
-        (f"{sum(e.identified for e in fit.estimates)} <small>of {len(fit.estimates)}</small>", "parameters identified"),
+        (f"{sum(e.identified for e in free)} <small>of {len(free)}</small>", "free parameters identified"),
         (f"{fit.agreeing_starts} <small>of {fit.starts}</small>", "searches that ended here"),
     ]
     tiles += [(f"{1e3 * p.rms_m:.3f} <small>mm</small>", f"rms on {escape(p.run_id)}, left out") for p in left_out]
@@ -87,7 +88,7 @@ def _tiles(fit: Fit, left_out: Sequence[Prediction]) -> str:
 def _orientation_tile(fit: Fit) -> list[tuple[str, str]]:
     if not any(run.oriented for run in fit.runs):
         return []
-    return [(f"{math.degrees(fit.rms_rad):.2f} <small>deg</small>", "rms angle, measured to model orientation")]
+    return [(f"{math.degrees(fit.rms_rad):.3g} <small>deg</small>", "rms angle, measured to model orientation")]
 
 
 def _notes(fit: Fit, shown: Findings, simulated: bool) -> str:
@@ -160,7 +161,7 @@ def _runs(fit: Fit, left_out: Sequence[Prediction]) -> str:
             f"{1e3 * run.rms_before_m:.3f}",
             f"{1e3 * run.rms_m:.3f}",
             str(run.oriented),
-            f"{run.rms_deg:.2f}" if run.oriented else "",
+            f"{run.rms_deg:.3g}" if run.oriented else "",
             run.source,
         ]
         for run in fit.runs
@@ -188,7 +189,7 @@ def _sections(fit: Fit, left_out: Sequence[Prediction]) -> str:
             str(one.frames),
             f"{1e3 * one.rms_m:.3f}",
             str(one.oriented),
-            f"{one.rms_deg:.2f}" if one.oriented else "",
+            f"{one.rms_deg:.3g}" if one.oriented else "",
         ]
         for run, sections in (*((r.run_id, r.sections) for r in fit.runs), *((p.run_id, p.sections) for p in left_out))
         for one in sections

@@ -118,7 +118,7 @@ def dlt(done: DLTCalibration, *, as_json: bool) -> None:
         names = " - ".join(pair["cameras"])
         std = "?" if pair["baseline_std_mm"] is None else f"{pair['baseline_std_mm']:.2g}"
         baseline = f"baseline {pair['baseline_mm']:.3f} +- {std} mm"
-        screen.print(f"{names}: {baseline}, {pair['angle_deg']:.2f} deg", soft_wrap=True)
+        screen.print(f"{names}: {baseline}, {pair['angle_deg']:.3g} deg", soft_wrap=True)
     screen.print(_worst_points(found))
     if found.test_error is not None:
         screen.print(_test_words(found), soft_wrap=True)

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
+from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.text import Text
@@ -26,11 +27,24 @@ def _glued(text: str) -> str:
     return _KEPT.sub(_GLUE, text)
 
 
+def _parts(line: Text, width: int) -> list[Text]:
+    """The line in parts of at most `width` columns that end between words; a longer word is a part of its own."""
+    ends, start = [], 0
+    for word in re.finditer(r"\S+", line.plain):
+        if line.plain[start : word.start()].strip() and cell_len(line.plain[start : word.end()]) > width:
+            start = word.start()
+            ends.append(start)
+    parts = list(line.divide(ends))
+    for part in parts[:-1]:
+        part.rstrip()
+    return parts
+
+
 class PrintableConsole(Console):
     """A console that escapes control characters and bidirectional marks, and interprets no markup or emoji codes.
 
-    No line ends between a number and its unit. What is printed with `soft_wrap` is one line in a file; a terminal, which
-    would break it anywhere, gets lines that end between words.
+    No line ends between a number and its unit. What is printed with `soft_wrap` is one line in a file; a terminal,
+    which would break it anywhere, gets lines that end between words.
     """
 
     def __init__(self, stderr: bool = False, width: int | None = None) -> None:
@@ -39,8 +53,17 @@ class PrintableConsole(Console):
     def print(self, *objects: Any, **options: Any) -> None:
         """Print; words longer than a terminal's line, as paths, stay whole."""
         if options.get("soft_wrap") and self.is_terminal:
-            options |= {"soft_wrap": False, "overflow": "ignore", "crop": False}
+            objects = tuple(self._wrapped(one) for one in objects)
         super().print(*objects, **options)
+
+    def _wrapped(self, given: Any) -> Any:
+        """A text of lines that fit the terminal; anything else as it is."""
+        if not isinstance(given, str | Text) or (isinstance(given, Text) and given.no_wrap):
+            return given
+        text = self.render_str(given) if isinstance(given, str) else given.copy()
+        text.plain = _glued(text.plain)
+        lines = [part for line in text.split("\n", allow_blank=True) for part in _parts(line, self.width)]
+        return Text("\n").join(lines)
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Escape a string before the layout, so that column widths match the output."""

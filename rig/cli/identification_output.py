@@ -211,7 +211,7 @@ def _residuals(run: RunFit) -> None:
     where = "in the frames used" if run.moving else "on the plateaus"
     text = f"{text}; before: {before} {where}"
     if run.oriented:
-        text += f"; orientation of the tip used in {run.oriented} of {run.frames} frames: rms {run.rms_deg:.2f} deg"
+        text += f"; orientation of the tip used in {run.oriented} of {run.frames} frames: rms {run.rms_deg:.3g} deg"
     console().print(text, soft_wrap=True)
     if run.sections:
         console().print(f"{run.run_id}: sections used: {_sections(run.sections)}", soft_wrap=True)
@@ -222,7 +222,7 @@ def _sections(sections: Sequence[SectionFit]) -> str:
     words = []
     for one in sections:
         text = f"{one.name} at {1e3 * one.at_m:g} mm in {one.frames} frames, rms {1e3 * one.rms_m:.3f} mm"
-        words.append(f"{text} and {one.rms_deg:.2f} deg" if one.oriented else text)
+        words.append(f"{text} and {one.rms_deg:.3g} deg" if one.oriented else text)
     return "; ".join(words)
 
 
