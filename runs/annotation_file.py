@@ -46,6 +46,7 @@ def read(archive: Path) -> Annotations:
         ArchiveError: the file cannot be read, or a line of it is not an annotation.
     """
     path = path_of(archive)
+    _refuse_irregular(path)
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except FileNotFoundError:
@@ -83,6 +84,7 @@ def append(archive: Path, kind: str, text: str) -> None:
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     line = (json.dumps({"time": now, kind: text}) + "\n").encode()
     path = path_of(archive)
+    _refuse_irregular(path)
     try:
         file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
         try:
@@ -93,3 +95,9 @@ def append(archive: Path, kind: str, text: str) -> None:
             os.close(file)
     except OSError as error:
         raise ArchiveError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def _refuse_irregular(path: Path) -> None:
+    """Refuse what is there and no file: a named pipe would keep its reader waiting."""
+    if os.path.lexists(path) and not path.is_file():
+        raise ArchiveError(f"{path}: this is not a regular file")

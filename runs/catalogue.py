@@ -196,6 +196,8 @@ def _read(path: Path) -> Entry:
 
 
 def _load(path: Path) -> dict[str, _CachedEntry]:
+    if not path.is_file():  # a named pipe would keep its reader waiting
+        return {}
     with suppress(OSError, ValueError, RecursionError):
         index = _INDEX.validate_json(path.read_bytes(), strict=True)
         if index.form == _FORM:

@@ -103,7 +103,7 @@ def _recover(path: Path) -> RecoveryOutcome:
 
 def _leftovers(folder: Path) -> Iterator[RecoveryOutcome]:
     """Remove archives that were never finished, unless someone holds the journal or HDF5 the file."""
-    for path in sorted(folder.glob(f"*{archive.PART}")):
+    for path in _files(folder, archive.PART):
         source = path.with_name(path.name.removesuffix(archive.PART) + journal.SUFFIX)
         if not _locked(source) and not _locked(path):
             path.unlink(missing_ok=True)
@@ -111,7 +111,12 @@ def _leftovers(folder: Path) -> Iterator[RecoveryOutcome]:
 
 
 def _journals(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.glob(f"*{journal.SUFFIX}") if not path.name.endswith(foxglove.SUFFIX))
+    return [path for path in _files(folder, journal.SUFFIX) if not path.name.endswith(foxglove.SUFFIX)]
+
+
+def _files(folder: Path, suffix: str) -> list[Path]:
+    """Return the files of a folder whose names end so; a named pipe would keep its reader waiting."""
+    return sorted(path for path in folder.glob(f"*{suffix}") if path.is_file())
 
 
 def _archive_of(path: Path) -> Path:
@@ -120,6 +125,8 @@ def _archive_of(path: Path) -> Path:
 
 def _locked(path: Path) -> bool:
     """Return whether a living process holds a lock on a file."""
+    if not path.is_file():
+        return False
     try:
         handle = os.open(path, os.O_RDONLY)
     except OSError:
