@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import select
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, NoReturn
 
 import typer
@@ -13,22 +16,42 @@ from rig.cli.help_formatter import HelpGroup
 class PlainErrors(HelpGroup):
     """Command group that prints expected errors as one message with an exit status, without a traceback."""
 
+    def make_context(self, *args: Any, **kwargs: Any) -> Any:
+        """Read the options before the command; `--help` and `--version` print here."""
+        with _errors_as_messages():
+            return super().make_context(*args, **kwargs)
+
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""
-        try:
+        with _errors_as_messages():
             return super().invoke(ctx)
-        except (typer.Exit, typer.Abort):
+
+
+@contextmanager
+def _errors_as_messages() -> Iterator[None]:
+    try:
+        yield
+    except (typer.Exit, typer.Abort):
+        raise
+    except typer.BadParameter as error:
+        error.message = _with_value(error)
+        raise
+    except KeyboardInterrupt:
+        fail("interrupted", INTERRUPTED)
+    except Exception as error:
+        status = _status(error)
+        # The reader of the output has left (`rig runs | head -1`); click ends the command without a message.
+        if status is None or (isinstance(error, BrokenPipeError) and _reader_is_gone()):
             raise
-        except typer.BadParameter as error:
-            error.message = _with_value(error)
-            raise
-        except KeyboardInterrupt:
-            fail("interrupted", INTERRUPTED)
-        except Exception as error:
-            status = _status(error)
-            if status is None:
-                raise
-            fail(_message(error), status)
+        fail(_message(error), status)
+
+
+def _reader_is_gone() -> bool:
+    """Return whether standard output or standard error is a pipe that nobody reads; other pipes may be broken, too."""
+    streams = select.poll()
+    for fd in (1, 2):
+        streams.register(fd, 0)
+    return any(event & select.POLLERR for _, event in streams.poll(0))
 
 
 EXPECTED_ERRORS = {
