@@ -19,7 +19,9 @@ class PageLog(logging.Handler):
         if source in self._seen:
             return
         self._seen.add(source)
-        message = record.getMessage().partition("\n")[0]
+        lines = record.getMessage().strip().splitlines() or [""]
+        # uvicorn logs a failed start as the text of a traceback, which ends with the reason.
+        message = lines[-1] if lines[0].startswith("Traceback") else lines[0]
         if record.exc_info and record.exc_info[1]:
             error = record.exc_info[1]
             message += f" ({type(error).__name__}: {error})"
