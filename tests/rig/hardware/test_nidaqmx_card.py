@@ -98,8 +98,8 @@ def test_scans_that_the_buffer_could_not_hold_are_counted(device: str, monkeypat
     late = card.read()
     assert len(late.t_ns) == 0
     assert late.lost >= 99
-    time.sleep(0.01)
-    assert len(card.read().t_ns) > 0
+    # On a busy machine two reads can lie further apart than the buffer lasts.
+    assert any(len(card.read().t_ns) for _ in range(10_000))
     card.close()
 
 

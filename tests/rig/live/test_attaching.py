@@ -77,6 +77,6 @@ def test_without_a_running_experiment_there_is_one_sentence() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "rig", "live", "--pid", "1", "--port", "0"], capture_output=True, text=True, check=False
     )
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert "process 1 runs no experiment of yours" in done.stderr
     assert "Traceback" not in done.stderr

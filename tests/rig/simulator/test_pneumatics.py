@@ -249,7 +249,7 @@ def test_a_full_buffer_loses_scans_and_says_how_many() -> None:
 
 def test_a_voltage_that_is_no_number_is_refused() -> None:
     plant = plant_of(mock_rig(), (5.0, 5.0))
-    with pytest.raises(CardError, match="nan V cannot be written"):
+    with pytest.raises(CardError, match="nan cannot be written"):
         plant.card("daq").write(np.array([math.nan, 5.0]))
 
 
