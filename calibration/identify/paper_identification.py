@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,7 +40,6 @@ class RegressionLine:
     """strain = slope * x through the origin, and how well it fits."""
 
     slope: float
-    slope_std: float
     r2: float
 
 
@@ -127,9 +125,7 @@ def line(x: Array, strain: Array) -> RegressionLine:
     if len(x) < 2:
         raise NoDataError("one elongation makes no line: take the arm to two levels at least")
     slope = float((x @ strain) / (x @ x))
-    rest = strain - slope * x
-    std = math.sqrt(float(rest @ rest) / max(len(x) - 1, 1) / float(x @ x))
-    return RegressionLine(slope, std, _r2(strain, rest))
+    return RegressionLine(slope, _r2(strain, strain - slope * x))
 
 
 def softening(force_n: Array, strain: Array) -> Softening:

@@ -35,7 +35,6 @@ class PciCard:
     """A card on the PCI bus, its `driver`, and the `modules` of this kernel that support it."""
 
     slot: str
-    vendor: str
     device: str
     driver: str
     modules: tuple[str, ...]
@@ -70,7 +69,7 @@ def pci_cards(vendor: str, release: str, root: Path = Path("/")) -> tuple[PciCar
         if of == vendor:
             driver = (folder / "driver").resolve().name if (folder / "driver").exists() else ""
             modules = tuple(dict.fromkeys(module for pattern, module in aliases if fnmatchcase(alias, pattern)))
-            cards.append(PciCard(folder.name, of, device, driver, modules))
+            cards.append(PciCard(folder.name, device, driver, modules))
     return tuple(cards)
 
 
