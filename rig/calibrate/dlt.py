@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,19 +26,19 @@ _WAYS = ("control points (.csv)", "views of a board")
 
 @dataclass(frozen=True)
 class DLTCalibrationRequest:
-    """Options of the procedure."""
+    """Options of the procedure, all as the command gives them."""
 
-    given: tuple[str, ...] = ()
-    corners: str = ""
-    square_mm: float = 0.0
-    calibrations: tuple[Path, ...] = ()
-    rig: str | None = None
-    size: str = ""
-    points_std_mm: float = 0.0
-    world_view: str = ""
-    base: str = ""
-    every: int = 1
-    output: OutputFile = field(default_factory=OutputFile)
+    given: tuple[str, ...]
+    corners: str
+    square_mm: float
+    calibrations: tuple[Path, ...]
+    rig: str | None
+    size: str
+    points_std_mm: float
+    world_view: str
+    base: str
+    every: int
+    output: OutputFile
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,20 +30,20 @@ _VOLUME_DOUBT = 0.1
 
 @dataclass(frozen=True)
 class PressureCalibrationRequest:
-    """Options of the procedure."""
+    """Options of the procedure, all as the command gives them."""
 
     rig: str
-    readings: Path | None = None
-    sensors: bool = True
-    valves: bool = True
-    fast: bool = False
-    gauge: str = ""
-    gauge_std_bar: float = 0.002
-    volume_ml: float | None = None
-    volume_std_ml: float | None = None
-    yes: bool = False
-    seed: int = 0
-    output: OutputFile = field(default_factory=OutputFile)
+    readings: Path | None
+    sensors: bool
+    valves: bool
+    fast: bool
+    gauge: str
+    gauge_std_bar: float
+    volume_ml: float | None
+    volume_std_ml: float | None
+    yes: bool
+    seed: int
+    output: OutputFile
 
     @property
     def by_gauge(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -38,17 +38,17 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class ToolCalibrationRequest:
-    """Options of the procedure."""
+    """Options of the procedure, all as the command gives them."""
 
     rig: str
-    camera: str | None = None
-    straight: Path | None = None
-    turned: Path | None = None
-    capture: bool = False
-    tip_std_mm: float = 0.1
-    tip_std_deg: float = 0.2
-    seed: int = 0
-    output: OutputFile = field(default_factory=OutputFile)
+    camera: str | None
+    straight: Path | None
+    turned: Path | None
+    capture: bool
+    tip_std_mm: float
+    tip_std_deg: float
+    seed: int
+    output: OutputFile
 
 
 @dataclass(frozen=True)
