@@ -26,12 +26,14 @@ Array = NDArray[np.float64]
 
 STEP_S = 0.01
 """Longest time between two pressures of a solution."""
-LONGEST_STEP_S = 0.05
-"""The same for a path that is slowed down."""
+LONGEST_STEP_S, MOST_STEPS = 0.05, 6000
+"""The same for a path that is slowed down, and its number of times above which they are farther apart than STEP_S."""
 SETTLED_S = 1.5
 """Time after which a periodic path has periodic pressures."""
 BETWEEN = (0.25, 0.382, 0.5, 0.618, 0.75)
 """Shares of a time step at which a path is compared with the straight line between its targets."""
+NEAR = 1.5
+"""Excess over the tolerance up to which the solution with the least rms error is tried, too."""
 RATE_SHARE = 0.995
 """Share of the rate limit that a solution uses: its times are rounded."""
 MAP_SAMPLES, MAP_ACCURACY_M = 50, 5e-5
@@ -82,17 +84,16 @@ class PathFollower:
         self._loads = TipLoad(config)
         self._maps: dict[float, StaticMap | None] = {}
 
-    def follow(self, request: TipRequest, path: TipPath, slowed: float = 1.0, enough_m: float = 0.0) -> PathSolution:
-        """The pressures of `path`, whether within the tolerance or not; `slowed` is its share of the stated speed.
+    def follow(self, request: TipRequest, path: TipPath, step_s: float = STEP_S, enough_m: float = 0.0) -> PathSolution:
+        """The pressures of `path`, whether within the tolerance or not, at times at most `step_s` apart.
 
         With `enough_m` it answers only whether the largest error can be at most that: it ends as soon as that is known.
 
         Raises:
             ArithmeticError, NotConverged: there is no solution.
         """
-        longest = min(max(STEP_S / slowed, STEP_S), LONGEST_STEP_S)
         whole = path.period_s or path.duration_s
-        dt_s = whole / max(1, math.ceil(whole / longest - 1e-9))
+        dt_s = whole / max(1, math.ceil(whole / step_s - 1e-9))
         weight_kg = request.weight_kg
         inverse = PathInverse(
             self.arm, self.drive, dt_s, self._loads.carrying(weight_kg), weight_kg, self._static_map(weight_kg)
@@ -141,8 +142,12 @@ class PathFollower:
         path: TipPath = ScaledPath(request.path, speed, size)
         if path.period_s is not None and path.period_s + SETTLED_S < path.duration_s:
             path = TruncatedPath(path, path.period_s + SETTLED_S)
+        coarse_s = min(STEP_S / speed, (request.lead_in_s + path.duration_s) / MOST_STEPS, LONGEST_STEP_S)
+        step_s, tolerance_m = max(coarse_s, STEP_S), request.tolerance_m
         try:
-            worst = float(self.follow(request, path, speed, request.tolerance_m).error_m.max())
+            worst = float(self.follow(request, path, step_s, tolerance_m).error_m.max())
+            if tolerance_m < worst < NEAR * tolerance_m:
+                worst = min(worst, float(self.follow(request, path, step_s).error_m.max()))
         except NO_SOLUTION:
             return math.inf
         return worst if math.isfinite(worst) else math.inf
