@@ -224,6 +224,9 @@ class SerialCard:
         """The set-points that hold [bar]; NaN where the newest command is not acknowledged within a short wait.
 
         A damaged line is no write by another program. `read` ends a run whose commands stay without acknowledgement.
+
+        Raises:
+            CardError: the controller has gone, or has vented by itself what the newest command drives.
         """
         self._receive()
         until_ns, again_ns = self._written_ns + round(CONFIRMED_S * 1e9), self._written_ns + round(REPEATED_S * 1e9)
@@ -234,8 +237,11 @@ class SerialCard:
             time.sleep(WAIT_S)
             self._receive()
         outputs = [channel.number for channel in self._setup.outputs]
+        vented = (self._controller.vent_pa,) * self._controller.channels
         if self._status is not None and self._status.state is ControllerState.SILENT:
-            held = (self._controller.vent_pa,) * self._controller.channels
+            if self._setpoint_pa not in (None, vented):
+                self._check_alive()
+            held = vented
         elif self._applied is None or not self._confirmed:
             return np.full(len(outputs), np.nan)
         else:

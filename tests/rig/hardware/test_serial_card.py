@@ -156,6 +156,10 @@ def test_a_program_that_has_stalled_learns_that_the_controller_vented(strict_boa
         card.write(np.array([0.5, 0.5]))
         with pytest.raises(CardError, match="vented by itself: no command reached it for 50 ms"):
             wait_until(lambda: card.read() is None)
+        # Control reads back in every cycle, too: the vented channels are not the write of another program.
+        with pytest.raises(CardError, match="vented by itself"):
+            card.readback()
+        card.write(np.zeros(2))
         assert card.readback().tolist() == [0.0, 0.0]
 
 
