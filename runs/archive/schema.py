@@ -16,8 +16,7 @@ import numpy as np
 
 from runs.archive import checksum, layout
 from runs.archive.fields import QUANTITY_GROUPS, ComputedColumn, Field, Group
-from runs.columns.conversions import LARGEST
-from runs.columns.declaration import OLDEST_LAYOUT
+from runs.columns.declaration import LARGEST, OLDEST_LAYOUT
 from runs.journal.journal import Journal
 from runs.journal.row_kinds import ROW_KINDS
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows

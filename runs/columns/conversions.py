@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from runs.columns.declaration import Column, Values
+from runs.columns.declaration import LARGEST, Column, Values
 
 PA_PER_BAR = 1e5
 MM_PER_M = 1e3
-LARGEST = 1e12
-"""Numbers are at most as large as this in their units, unless their field says otherwise; none is infinite."""
 LARGEST_S = 1e9
 """The same of times in seconds: 30 years."""
 LARGEST_NS = 1 << 62

@@ -15,6 +15,10 @@ OLDEST_LAYOUT = 2
 """The oldest layout of archives that is read. Increased when a field moves or changes its meaning."""
 
 
+LARGEST = 1e12
+"""Numbers are at most as large as this in their units, unless their field says otherwise; none is infinite."""
+
+
 def _same(values: Values) -> Values:
     return values
 
@@ -67,8 +71,17 @@ class Column:
         return self.missing if np.dtype(self.dtype).kind == "f" else 0
 
     def stored(self, rows: NDArray[np.void]) -> Values:
-        """Return the values that the archive stores of records (n,)."""
-        return self.convert(rows[self.record]) if self.of is None else self.of(rows)
+        """Return the values that the archive stores of records (n,); a number beyond the limits is none (NaN).
+
+        A broken driver may give any number, and the archive of its run has to be readable.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = self.convert(rows[self.record]) if self.of is None else self.of(rows)
+        if self.finite or values.dtype.kind != "f":
+            return values
+        low, high = self.limits or (-LARGEST, LARGEST)
+        beyond = (values < low) | (values > high)
+        return np.where(beyond, np.nan, values) if beyond.any() else values
 
 
 class Table:
