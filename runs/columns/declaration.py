@@ -71,7 +71,7 @@ class Column:
         return self.missing if np.dtype(self.dtype).kind == "f" else 0
 
     def stored(self, rows: NDArray[np.void]) -> Values:
-        """Return the values that the archive stores of records (n,); a number beyond the limits is none (NaN).
+        """Return the values that the archive stores of records (n,); one beyond `LARGEST` is none (NaN).
 
         A broken driver may give any number, and the archive of its run has to be readable.
         """
@@ -79,8 +79,7 @@ class Column:
             values = self.convert(rows[self.record]) if self.of is None else self.of(rows)
         if self.finite or values.dtype.kind != "f":
             return values
-        low, high = self.limits or (-LARGEST, LARGEST)
-        beyond = (values < low) | (values > high)
+        beyond = np.abs(values) > LARGEST
         return np.where(beyond, np.nan, values) if beyond.any() else values
 
 
