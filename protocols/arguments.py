@@ -8,10 +8,12 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from numbers import Integral, Real
 from pathlib import Path
+from typing import TypeVar
 
 from protocols.problems import Problem, bad_input, raise_all
 from protocols.source_positions import shortened
 
+T = TypeVar("T")
 LARGEST = 2**63 - 1
 TEXT = "text without NUL and lone surrogates"
 
@@ -45,6 +47,13 @@ def settings(given: object) -> dict[str, float]:
         if value is None or not isinstance(name, str)
     )
     return {name: value for name, value in numbers.items() if value is not None}
+
+
+def of_type(option: str, value: object, kind: type[T], expected: str) -> T:
+    """The value, which is of that type; or `BadInputError`."""
+    if isinstance(value, kind):
+        return value
+    raise bad_input(option, shown(value), expected)
 
 
 def storable(value: object) -> bool:

@@ -92,6 +92,9 @@ def from_steps(title: str, steps: Sequence[Mapping[str, Any]], folder: Path = Pa
     Raises:
         BadInputError: every problem, with its line in the text of the protocol.
     """
+    listed = list(steps) if isinstance(steps, Sequence) and not isinstance(steps, str | bytes) else [None]
+    if not all(isinstance(step, Mapping) for step in listed):
+        raise bad_input("steps", arguments.shown(steps), "a list of mappings, each a step")
     text = f"{_flow({'title': title})}\nsteps:\n" + "".join(f"  - {_flow(step)}\n" for step in steps)
     path = folder / "steps.yaml"
     return _loaded(yaml_document.parse(text, str(path)), path, {})

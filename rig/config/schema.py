@@ -10,6 +10,7 @@ from typing import Annotated
 from pydantic import Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
+from protocols import arguments
 from protocols.validation import faults
 from rig.config import consistency
 from rig.config.arm_sections import ArmConfig
@@ -142,3 +143,8 @@ class RigConfig(Section):
             return self
         cameras = {n: c.model_copy(update={"lens": built.lenses.get(n, c.lens)}) for n, c in self.cameras.items()}
         return self.model_copy(update={"cameras": cameras, "valves": built.valves, "sensors": built.sensors})
+
+
+def checked_config(option: str, config: object) -> RigConfig:
+    """The configuration of a rig that is given from Python; or `BadInputError`."""
+    return arguments.of_type(option, config, RigConfig, "the configuration of a rig, as rig.open(..).config")

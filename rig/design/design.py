@@ -30,9 +30,9 @@ from calibration.identify.simulated_experiments import MeasurementErrors, drawn_
 from protocols import BadInputError, Problem, Protocol, arguments
 from protocols.problems import bad_input, closest, raise_all
 from rig.config.arm_model import model_arm
-from rig.config.schema import RigConfig
+from rig.config.schema import RigConfig, checked_config
 from rig.design.blocks import BLOCK_S, Block, blocks, rest_bar
-from rig.design.expected_poses import errors_text, expected_poses
+from rig.design.expected_poses import errors_text, expected_poses, stated_errors
 from rig.experiment.preflight import check
 from rig.identify.estimation import rig_uncertainties, sensor_priors
 from rig.observation.online_estimation import default_parameters
@@ -87,7 +87,7 @@ def design(
         BadInputError: an unknown criterion, or a duration that is too short or above the rig's limit.
     """
     _check_inputs(config, free, duration_s, criterion, seed)
-    errors = errors or MeasurementErrors()
+    errors = stated_errors(errors)
     chosen = tuple(free) or free_parameters(config)
     candidates = blocks(config)
     if not candidates:
@@ -118,8 +118,7 @@ def design(
 
 
 def _check_inputs(config: RigConfig, free: object, duration_s: float, criterion: str, seed: int) -> None:
-    if not isinstance(config, RigConfig):
-        raise bad_input("design", arguments.shown(config), "the configuration of a rig, as rig.open(..).config")
+    checked_config("design", config)
     arguments.names("--free", free)
     raise_all(arguments.whole_number_problems("--seed", seed, 0))
     if not isinstance(criterion, str) or criterion not in CRITERIA:

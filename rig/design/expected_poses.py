@@ -13,7 +13,7 @@ from calibration.identify.data import SETTLE_S, at_rest, in_motion
 from calibration.identify.errors import NoDataError
 from calibration.identify.poses import Poses
 from calibration.identify.simulated_experiments import MeasurementErrors, plan, scaled_errors
-from protocols import BadInputError, Problem, SetPointTrajectory
+from protocols import BadInputError, Problem, SetPointTrajectory, arguments
 from rig.config.schema import RigConfig
 from rig.observation.online_estimation import section_lengths_m
 from runs.interpolation import interpolated
@@ -53,6 +53,13 @@ def expected_poses(name: str, trajectory: SetPointTrajectory, config: RigConfig,
     return plan(name, pressure, weight, 1 / rate_hz, errors, section_lengths_m(config))
 
 
+def stated_errors(errors: object) -> MeasurementErrors:
+    """The errors of measurement that are given, else the default ones; or `BadInputError`."""
+    given = MeasurementErrors() if errors is None else errors
+    expected = "errors of measurement, as rig.design.expected_poses.errors_of_run(run)"
+    return arguments.of_type("errors", given, MeasurementErrors, expected)
+
+
 def errors_of_run(run: Run) -> MeasurementErrors:
     """The errors of tips, orientations, sections and pressures in a run, as an identification reads them.
 
@@ -60,7 +67,9 @@ def errors_of_run(run: Run) -> MeasurementErrors:
 
     Raises:
         NoDataError: the run has no tips with uncertainties, or no pressures.
+        BadInputError: it is no run.
     """
+    arguments.of_type("--errors-of", run, Run, "an archive, as runs.open(..)")
     motion = in_motion(run)
     seen, tilted = motion.has_tip, motion.has_orientation
     x, y, z = _median_std(motion.covariance_m2[seen]).tolist()

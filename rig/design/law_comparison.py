@@ -18,8 +18,8 @@ from calibration.identify.tip_predictor import Predictor
 from protocols import BadInputError, Protocol, arguments
 from protocols.problems import bad_input, raise_all
 from rig.config.arm_model import model_arm
-from rig.config.schema import RigConfig
-from rig.design.expected_poses import errors_text, expected_poses
+from rig.config.schema import RigConfig, checked_config
+from rig.design.expected_poses import errors_text, expected_poses, stated_errors
 from rig.design.levels import ends_s, in_order, level_s, levels, steps
 from rig.experiment.preflight import check
 from rig.identify.estimation import rig_uncertainties, sensor_priors
@@ -71,8 +71,8 @@ def design_comparison(
         BadInputError: an unknown law, one law twice, laws that no pressures separate, or a duration that is too short
             or above the rig's limit.
     """
-    if not isinstance(config, RigConfig):
-        raise bad_input("design", arguments.shown(config), "the configuration of a rig, as rig.open(..).config")
+    checked_config("design", config)
+    errors = replace(stated_errors(errors), rotation_rad=None)
     raise_all(arguments.whole_number_problems("--seed", seed, 0))
     start = Setup(model_arm(config))
     candidates = laws_named(laws, start, "--compare")
@@ -85,7 +85,6 @@ def design_comparison(
         raise bad_input("--duration-s", stated, expected)
     # A comparison of laws is by the tips alone, as their distance here.
     config = config.model_copy(update={"sections": {}})
-    errors = replace(errors or MeasurementErrors(), rotation_rad=None)
     grid = levels(config)
     every = protocols.from_steps("every level", steps(config, grid)).expand(config.actuators)
     planned = expected_poses("levels", every, config, errors)

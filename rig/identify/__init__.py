@@ -37,7 +37,16 @@ def identify(
     from rig.identify.from_archives import check_arguments, from_data, open_runs, read_data
     from runs.run import paths_of
 
-    check_arguments(free=free, priors=priors, per_run=per_run)
+    check_arguments(
+        free=free,
+        priors=priors,
+        per_run=per_run,
+        quasi_static=quasi_static,
+        every=every,
+        split_s=split_s,
+        starts=starts,
+        texts={"--start": start},
+    )
     opened = open_runs(paths_of(runs), paths_of(leave_out), one_arm=start is not None)
     data = read_data(opened, start=start, quasi_static=quasi_static, every=every, split_s=split_s)
     return from_data(data, free=free, priors=priors or {}, per_run=per_run, starts=starts)
@@ -66,9 +75,11 @@ def compare(
     from rig.identify.from_archives import check_arguments, open_runs
     from runs.run import paths_of
 
-    check_arguments(free=free, priors=priors, scheduler=scheduler)
+    check_arguments(free=free, priors=priors, quasi_static=quasi_static, texts={"--scheduler": scheduler})
+    folder = None if store is None else arguments.folder("--store", store)
+    if between is not None:
+        arguments.names("--between", between)
     seen = open_runs(paths_of(runs)).seen
     start, data = initial_setup.setup_of(seen[0]), read_poses(seen, quasi_static)
     config = initial_setup.rig_of(seen[0]) if between else None
-    folder = None if store is None else arguments.folder("--store", store)
     return model_comparison.compare(start, data, free, priors or {}, scheduler, folder, between=between, config=config)

@@ -123,8 +123,7 @@ def from_data(
         UnknownParameter: a name is unknown, or a prior or `per_run` names a parameter without effect on the data.
         BadInputError: a prior or the number of starts is invalid.
     """
-    if starts is not None:
-        raise_all(arguments.whole_number_problems("--starts", starts, 1))
+    _check_starts(starts)
     fit = estimation.from_poses(data.rig.config, data.seen, free, priors, starts, progress, per_run)
     baseline = None
     if not fit.worse_than_start:
@@ -133,10 +132,22 @@ def from_data(
     return Identification(data.rig, fit, baseline, tuple(data.held_out), data.opened.notes)
 
 
-def check_arguments(*, free: object, priors: object, per_run: object = (), scheduler: object = None) -> None:
-    """Refuse what is no list of names, no mapping of names to priors, or no address."""
-    if scheduler is not None:
-        raise_all(arguments.text_problems({"--scheduler": scheduler}))
+def check_arguments(
+    *,
+    free: object,
+    priors: object,
+    quasi_static: object,
+    per_run: object = (),
+    every: object = 1,
+    split_s: object = None,
+    starts: object = None,
+    texts: Mapping[str, object] | None = None,
+) -> None:
+    """Refuse arguments of a wrong type before a run is read; `texts` by option, None where one is not given."""
+    raise_all(arguments.flag_problems({"--quasi-static": quasi_static}))
+    raise_all(arguments.text_problems({o: text for o, text in (texts or {}).items() if text is not None}))
+    _check_numbers(bool(quasi_static), every, split_s)
+    _check_starts(starts)
     arguments.names("--free", free)
     arguments.names("--per-run", per_run)
     given = {} if priors is None else priors
@@ -147,11 +158,17 @@ def check_arguments(*, free: object, priors: object, per_run: object = (), sched
         raise bad_input("--prior", arguments.shown(priors), expected)
 
 
-def _check_numbers(quasi_static: bool, every: int, split_s: float | None) -> None:
+def _check_starts(starts: object) -> None:
+    if starts is not None:
+        raise_all(arguments.whole_number_problems("--starts", starts, 1))
+
+
+def _check_numbers(quasi_static: bool, every: object, split_s: object) -> None:
     problems = arguments.whole_number_problems("--every", every, 1)
-    if not problems and every > 1 and not quasi_static:
+    if not problems and every != 1 and not quasi_static:
         problems.append(Problem("--every", 0, 0, "", str(every), "needs --quasi-static"))
-    if split_s is not None and not (arguments.finite(split_s) is not None and split_s >= 0):
+    seconds = arguments.finite(split_s)
+    if split_s is not None and (seconds is None or seconds < 0):
         problems.append(Problem("--split-s", 0, 0, "", arguments.shown(split_s), "a time of at least 0 s"))
     raise_all(problems)
 

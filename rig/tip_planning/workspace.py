@@ -12,7 +12,7 @@ from scipy.interpolate import make_interp_spline
 
 from model.inverse.reachable import reachable_tips
 from rig.config.arm_model import model_arm
-from rig.config.schema import RigConfig
+from rig.config.schema import RigConfig, checked_config
 from rig.config.sections import Variant
 from rig.tip_planning.path_follower import drive_of
 from runs.report import drawing
@@ -81,8 +81,9 @@ def workspace(config: RigConfig, variant: Variant | None = None) -> TipWorkspace
 
     Raises:
         ArithmeticError: the arm has no stable equilibrium within its limits.
+        BadInputError: it is no configuration.
     """
-    drive = drive_of(config)
+    drive = drive_of(checked_config("workspace", config))
     levels = LEVELS.get(drive.valves, MOST_VALVES_LEVELS)
     _, tips = reachable_tips(model_arm(config, variant), drive, levels)
     tips = 1e3 * tips

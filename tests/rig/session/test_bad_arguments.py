@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import protocols
 import rig
 import runs
 import tests.support.synthetic_runs as made_up
 from protocols import BadInputError
 from rig.config import loader
 from rig.design.design import design
+from rig.design.expected_poses import errors_of_run
 from rig.design.law_comparison import design_comparison
 from rig.identify import compare, identify
 from rig.importing import import_table
+from rig.tip_planning.workspace import workspace
 from runs.annotations import AnnotationError, add_note, add_tags
 from runs.archive.checked import ArchiveError
 from runs.archive.writer import finalise
@@ -218,7 +222,7 @@ def test_wrong_arguments_of_a_design_are_refused() -> None:
     config = rig.open("mock").config
     wrong: list[dict[str, Any]] = [
         {"config": "mock"}, {"free": "law"}, {"free": [3]}, {"duration_s": "a"}, {"duration_s": float("nan")},
-        {"criterion": 3}, {"criterion": ["d"]}, {"seed": -1}, {"seed": "a"},
+        {"criterion": 3}, {"criterion": ["d"]}, {"seed": -1}, {"seed": "a"}, {"errors": 3}, {"errors": []},
     ]  # fmt: skip
     for arguments in wrong:
         with pytest.raises(BadInputError):
@@ -226,11 +230,41 @@ def test_wrong_arguments_of_a_design_are_refused() -> None:
     laws = ("homogeneous", "homogeneous+rpe")
     worse: list[dict[str, Any]] = [
         {"config": 3}, {"laws": 3}, {"laws": laws[:1]}, {"duration_s": None}, {"duration_s": float("nan")},
-        {"seed": 0.5},
+        {"seed": 0.5}, {"errors": "x"}, {"errors": {}},
     ]  # fmt: skip
     for arguments in worse:
         with pytest.raises(BadInputError):
             design_comparison(**{"config": config, "laws": laws, **arguments})
+    for no_steps in (3, None, "x", [3]):
+        with pytest.raises(BadInputError, match="a list of mappings"):
+            protocols.from_steps("title", no_steps)  # type: ignore[arg-type]
+    for no_config in (3, "mock", None):
+        with pytest.raises(BadInputError, match="the configuration of a rig"):
+            workspace(no_config)  # type: ignore[arg-type]
+    for no_run in (3, "last", None):
+        with pytest.raises(BadInputError, match="an archive"):
+            errors_of_run(no_run)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("function", [identify, compare])
+@pytest.mark.parametrize("flag", ["x", 1, None])
+def test_a_flag_of_an_identification_is_true_or_false(function: Callable[..., object], flag: Any) -> None:
+    with pytest.raises(BadInputError, match=r"(?s)--quasi-static.*True or False"):
+        function([], quasi_static=flag)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ({"every": 0}, "--every"),
+        ({"split_s": "x"}, "--split-s"),
+        ({"starts": "x"}, "--starts"),
+        ({"start": 3}, "--start"),
+    ],
+)
+def test_options_of_an_identification_come_before_its_runs(arguments: dict[str, Any], expected: str) -> None:
+    with pytest.raises(BadInputError, match=expected):
+        identify(["no-such-run"], **arguments)
 
 
 @pytest.mark.parametrize("group", ["none", 3, None, "../x"])
