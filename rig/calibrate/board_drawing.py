@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from protocols import arguments
+from protocols.problems import bad_input, raise_all
 from rig.config.board_sections import BoardPattern
 from runs.overwriting import naming
 
@@ -70,6 +72,10 @@ def write(section: BoardPattern, name: str, path: Path) -> BoardPage:
     import matplotlib
     from matplotlib.figure import Figure
 
+    if not isinstance(section, BoardPattern):
+        raise bad_input("board", arguments.shown(section), "the board of a rig, as rig.open(..).config.board")
+    raise_all(arguments.text_problems({"rig": name}))
+    path = arguments.path("--to", path)
     page = page_of(section)
     figure = Figure(figsize=(page.size_mm[0] / _MM_PER_INCH, page.size_mm[1] / _MM_PER_INCH), facecolor="white")
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))

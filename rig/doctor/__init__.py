@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from protocols import arguments
 from rig.config.finding import Finding
-from rig.config.schema import RigConfig
+from rig.config.schema import RigConfig, checked_config
 from rig.doctor import boards, cameras, cards, devices, machine
 
 
@@ -14,6 +15,9 @@ def examine(folder: Path, config: RigConfig | None = None) -> tuple[Finding, ...
 
     Writes to no device; in `folder`, where archives go, a file without a name shows how fast the disk takes it.
     """
+    folder = arguments.path("--out", folder)
+    if config is not None:
+        checked_config("doctor", config)
     return (
         machine.python(),
         *cards.cards(),

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from model.units import PA_PER_BAR
 from model.variants import VARIANTS
+from protocols import arguments
 from protocols.problems import bad_input
 from rig.config import loader
 from rig.config.loader import RigFile
@@ -50,6 +51,7 @@ def replay(
         ArchiveError: the run has no pictures.
         BadInputError: the rig is invalid, has another number of actuators, or measures another tip force than the run.
     """
+    arguments.of_type("RUN", run, Run, "an archive, as runs.open(..)")
     if not len(run.frames.index):
         raise ArchiveError(f"{run.path} holds no pictures: there is nothing to replay")
     rig_file, chosen = replay_rig(run, rig, variant, parameters, calibrations)

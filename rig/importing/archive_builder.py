@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.gravity import GravityDirection
 from model.units import PA_PER_BAR
-from protocols.arguments import text_problems
+from protocols import arguments
 from protocols.problems import BadInputError, raise_all
 from protocols.source_positions import Document
 from rig.config import loader
@@ -77,11 +77,12 @@ def import_table(
     Raises:
         BadInputError: every problem of the mapping and the data.
     """
-    raise_all(text_problems({"--operator": operator, "--note": notes}))
+    raise_all(arguments.text_problems({"--operator": operator, "--note": notes}))
+    data, mapping_file = arguments.path("DATA", data), arguments.path("--mapping", mapping_file)
+    folder = arguments.folder("--out", folder)
     mapping, document = load(mapping_file)
     columns = ColumnReader(read_table(data, mapping.file))
     found = _read(data, columns, mapping, document)
-    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     source = f"{data.name}, SHA-256 {sha256_of(data)}"
     header = replace(

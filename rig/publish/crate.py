@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from protocols import arguments
 from rig.config.calibration_files import sha256_of
-from rig.publish.description import LICENCES, Creator, Description
+from rig.publish.description import LICENCES, Creator, Description, checked_runs
 from rig.publish.field_list import field_list
 from runs import annotation_file
 from runs.archive.layout import utc
@@ -41,7 +42,12 @@ def write(runs: Sequence[Run], description: Description, target: Path, *, replac
 
     Raises:
         WouldOverwriteError: the file exists, and `replace` is False.
+        BadInputError: an argument is of another type.
     """
+    checked_runs(runs)
+    expected = "a description, as rig.publish.description.describe(runs)"
+    arguments.of_type("description", description, Description, expected)
+    target = arguments.path("--to", target)
     refuse_existing([target], replace=replace)
     files = [run.path for run in runs]
     files += [notes for run in runs if (notes := annotation_file.path_of(run.path)).exists()]

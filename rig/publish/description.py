@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from urllib.parse import quote
 
-from protocols.problems import BadInputError, Problem, closest
+from protocols import arguments
+from protocols.problems import BadInputError, Problem, bad_input, closest, raise_all
 from runs.run import Run
 
 LICENCES = {
@@ -56,7 +57,10 @@ def describe(runs: Sequence[Run], title: str = "", creators: Sequence[str] = (),
     Raises:
         BadInputError: everything that is missing or cannot be used.
     """
+    checked_runs(runs)
+    raise_all(arguments.text_problems({"--title": title, "--licence": licence}))
     problems: list[Problem] = []
+    creators = arguments.names("--creator", creators)
     if not title and len(runs) > 1:
         problems.append(Problem("--title", 0, 0, "", "", "a title for these runs together"))
     people = [_creator(text, problems) for text in creators] or _operators(runs, problems)
@@ -74,6 +78,12 @@ def describe(runs: Sequence[Run], title: str = "", creators: Sequence[str] = (),
     if problems:
         raise BadInputError(problems)
     return Description(title or runs[0].header.title, _each_once(people), chosen)
+
+
+def checked_runs(runs: object) -> None:
+    """Refuse what is no list of open archives."""
+    if not isinstance(runs, Sequence) or not runs or not all(isinstance(run, Run) for run in runs):
+        raise bad_input("RUN", arguments.shown(runs), "a list of archives, as [runs.open(..)]")
 
 
 def _each_once(people: Sequence[Creator]) -> tuple[Creator, ...]:

@@ -15,12 +15,17 @@ import rig
 import runs
 import tests.support.synthetic_runs as made_up
 from protocols import BadInputError
+from rig.calibrate import board_drawing
 from rig.config import loader
 from rig.design.design import design
 from rig.design.expected_poses import errors_of_run
 from rig.design.law_comparison import design_comparison
+from rig.doctor import examine
+from rig.experiment.replay import replay
 from rig.identify import compare, identify
 from rig.importing import import_table
+from rig.publish import crate
+from rig.publish.description import describe
 from rig.tip_planning.workspace import workspace
 from runs.annotations import AnnotationError, add_note, add_tags
 from runs.archive.checked import ArchiveError
@@ -265,6 +270,30 @@ def test_a_flag_of_an_identification_is_true_or_false(function: Callable[..., ob
 def test_options_of_an_identification_come_before_its_runs(arguments: dict[str, Any], expected: str) -> None:
     with pytest.raises(BadInputError, match=expected):
         identify(["no-such-run"], **arguments)
+
+
+@pytest.mark.parametrize("wrong", [3, None, [3]])
+def test_what_is_no_archive_is_not_published_or_replayed(wrong: Any, tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match="a list of archives"):
+        describe(wrong)
+    with pytest.raises(BadInputError, match="a list of archives"):
+        crate.write(wrong, wrong, tmp_path / "crate.zip")
+    with pytest.raises(BadInputError, match="an archive, as"):
+        replay(wrong)
+
+
+@pytest.mark.parametrize("wrong", [3, None, ["x"]])
+def test_what_is_no_path_no_board_and_no_rig_is_refused(wrong: Any, tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match="a path"):
+        import_table(wrong, tmp_path / "mapping.yaml")
+    with pytest.raises(BadInputError, match="a path"):
+        import_table(tmp_path / "table.csv", wrong)
+    with pytest.raises(BadInputError, match="a path"):
+        examine(wrong)
+    with pytest.raises(BadInputError, match="the configuration of a rig"):
+        examine(tmp_path, wrong or "mock")
+    with pytest.raises(BadInputError, match="the board of a rig"):
+        board_drawing.write(wrong, "mock", tmp_path / "board.pdf")
 
 
 @pytest.mark.parametrize("group", ["none", 3, None, "../x"])
