@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from calibration.identify.memory_parameters import ALL_NAMES
@@ -70,6 +71,13 @@ class Scale:
 def _unit(name: str, unit: str) -> tuple[str, float]:
     """The unit of the bench, and how many of it the parameter's unit is."""
     return _OF_PARAMETER.get(name) or _UNITS.get(unit, (unit, 1.0))
+
+
+def units_note(units: Mapping[str, str]) -> str:
+    """A sentence for parameters, their SI units by name, if a name ends with another unit than its number has."""
+    if not any(name.endswith(f"_{unit.lower()}") and _unit(name, unit)[0] != unit for name, unit in units.items()):
+        return ""
+    return "Each number has its own unit beside it. A name ends with the SI unit that it has in a parameter file."
 
 
 def rounded(name: str, unit: str, value: float, digits: int = 4) -> str:

@@ -12,7 +12,7 @@ from calibration.identify import figures
 from calibration.identify.bootstrap import Bootstrap
 from calibration.identify.findings import Findings, findings
 from calibration.identify.held_out_prediction import Prediction
-from calibration.identify.notation import Scale, interval, quantity, rounded
+from calibration.identify.notation import Scale, interval, quantity, rounded, units_note
 from calibration.identify.profile_likelihood import LikelihoodProfile
 from calibration.identify.residual_dependence import Dependence
 from calibration.identify.results import Estimate, Fit
@@ -129,7 +129,8 @@ def _parameters(
         if truth:
             cells.append(rounded(e.name, e.unit, truth[e.name], 5) if e.name in truth and not e.run else "")
         rows.append(cells)
-    return f'<h2>Parameters</h2>\n<div class="scroll">{_table(heads, rows)}</div>'
+    note = units_note({e.name: e.unit for e in fit.estimates})
+    return f'<h2>Parameters</h2>\n<div class="scroll">{_table(heads, rows)}</div>{f"<p>{note}</p>" if note else ""}'
 
 
 def _value_cells(e: Estimate, fixed: bool) -> list[str]:

@@ -11,7 +11,7 @@ from calibration.identify.bootstrap import Bootstrap
 from calibration.identify.findings import Findings, findings
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.model_comparison import ComparisonRow
-from calibration.identify.notation import Scale, interval, quantity, rounded
+from calibration.identify.notation import Scale, interval, quantity, rounded, units_note
 from calibration.identify.parameters_document import Baseline, content, section_facts
 from calibration.identify.profile_likelihood import LikelihoodProfile
 from calibration.identify.residual_dependence import Dependence
@@ -112,6 +112,8 @@ def _estimates(fit: Fit, dependences: Sequence[Dependence]) -> None:
             ends = f"{scale.interval(e.interval)}{scale.suffix}"
             table.add_row(e.name, scale.with_uncertainty(e.value, e.std), ends, _expected(e), e.run)
     screen.print(table)
+    if note := units_note({e.name: e.unit for e, _ in free}):
+        screen.print(note, soft_wrap=True)
     for words in undetermined:
         screen.print(Text(words, "yellow"), soft_wrap=True)
     _held(fit)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from calibration.identify.notation import Scale, quantity
+from calibration.identify.notation import Scale, quantity, units_note
 
 
 @pytest.mark.parametrize(
@@ -36,3 +36,9 @@ def test_the_ends_of_an_interval_have_the_digits_of_the_value() -> None:
 def test_an_interval_between_bounds_that_are_closer_than_the_uncertainty_is_not_rounded_to_nothing() -> None:
     assert Scale.of("shear_ratio", "1", 0.42, 50.0).interval((0.01, 5.0)) == "0.0 .. 5.0"
     assert Scale.of("shear_ratio", "1", 0.42, 50.0).interval((0.02, 0.47)) == "0.02 .. 0.47"
+
+
+def test_a_note_explains_names_that_end_with_another_unit_than_their_numbers_have() -> None:
+    assert "SI unit" in units_note({"youngs_modulus_pa": "Pa", "shear_ratio": "1"})
+    assert "SI unit" in units_note({"damping_s": "s"})
+    assert units_note({"shear_ratio": "1", "law": "1/bar"}) == ""
