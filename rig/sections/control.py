@@ -10,6 +10,9 @@ from pydantic.json_schema import SkipJsonSchema
 from rig.sections.base import Section
 from rig.sections.quantities import Count, NonNegative, Positive
 
+Patience = Annotated[float, Field(gt=0, le=60, allow_inf_nan=False, strict=True)]
+"""How long something dangerous may last; more than a minute is a number of milliseconds."""
+
 
 class Limits(Section):
     """Limits of set-points and measured values."""
@@ -21,17 +24,21 @@ class Limits(Section):
         default=0.0, description="lowest set-point and, with the margin, lowest pressure; below 0 with a vacuum supply"
     )
     pressure_margin_bar: NonNegative = 0.05
-    rate_bar_per_s: Positive = Field(description="fastest set-point change of a continuous segment")
-    rate_margin_bar_per_s: NonNegative = Field(default=1.0, description="with it, fastest change a sensor may show")
-    tracking_bar: Positive = Field(description="largest error once the set-point has been constant for tracking_s")
-    tracking_s: Positive
-    frozen_s: Positive = Field(description="a sensor whose reading has not moved by one count for so long is dead")
-    stale_s: Positive = Field(description="longest time without a sample")
-    no_tip_s: Positive = Field(description="longest time without a camera frame, or without a prediction of the model")
+    rate_bar_per_s: Positive = Field(le=100, description="fastest set-point change of a continuous segment")
+    rate_margin_bar_per_s: NonNegative = Field(
+        default=1.0, le=1000, description="with it, fastest change a sensor may show"
+    )
+    tracking_bar: Positive = Field(
+        le=10, description="largest error once the set-point has been constant for tracking_s"
+    )
+    tracking_s: Patience
+    frozen_s: Patience = Field(description="a sensor whose reading has not moved by one count for so long is dead")
+    stale_s: Patience = Field(description="longest time without a sample")
+    no_tip_s: Patience = Field(description="longest time without a camera frame, or without a prediction of the model")
     least_cameras: Count = Field(
         default=1, description="cameras that must deliver, if there are any; with fewer the run ends"
     )
-    hung_s: Positive | SkipJsonSchema[None] = Field(
+    hung_s: Patience | SkipJsonSchema[None] = Field(
         default=None,
         description="longest silence of control before the watchdog takes the valves; default: by what is at stake",
     )
@@ -43,5 +50,5 @@ class Control(Section):
 
     rate_hz: Positive = Field(default=200.0, le=1000)
     bandwidth_hz: Positive = Field(description="closed loop, of the proportional action")
-    integral_s: Positive = Field(description="integration time")
-    volume_ml: Positive = Field(description="one chamber and its tube at rest, for the feed-forward")
+    integral_s: Positive = Field(le=100, description="integration time")
+    volume_ml: Positive = Field(le=10_000, description="one chamber and its tube at rest, for the feed-forward")

@@ -104,7 +104,7 @@ class FlowValve(VoltageValve):
     closed_V: Volt = 5.0
     fills: Literal["above", "below"] = "above"
     dead_zone_V: NonNegative
-    full_flow_l_min: Positive = Field(description="normal litres per minute fully open at 6 -> 5 bar gauge")
+    full_flow_l_min: Positive = Field(le=100_000, description="normal litres per minute fully open at 6 -> 5 bar gauge")
     flow_curve_V: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="volts from closed")
     flow_curve_percent: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="of full flow")
     supply_bar: Bar = Field(description="gauge pressure at the supply port")
