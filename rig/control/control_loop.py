@@ -182,6 +182,7 @@ class ControlLoop:
             pressure_pa=self._pressure_pa,
             stalled_ns=self._stalled_ns(now_ns, lateness_ns + missed * self.period_ns),
             time_stopped=self._time_may_stop,
+            late_ns=self._simulator_late_ns if self._time_may_stop else 0,
             stops_closed=self._stops_closed,
             stream=None if self._stream is None else self._stream.silence,
         )

@@ -94,16 +94,18 @@ def step(
 ) -> tuple[ControlState, ControlOutput]:
     """Return the valve outputs for a sample, the set-points (N,) [Pa] and their rates of change (N,) [Pa/s].
 
-    Without a new scan the valves keep their outputs for three periods; then flow-metering valves are closed, and
-    finally the samples count as stale. After a stall of this program each reference restarts at the measured pressure
-    and returns to the set-point within the rate limit.
+    Without a new scan the valves keep their outputs for three periods of the bench's time; then flow-metering valves
+    are closed, and finally the samples count as stale. After a stall of this program each reference restarts at the
+    measured pressure and returns to the set-point within the rate limit.
     """
     if state.trip is None:
         state = _step(settings, state, sample, setpoint_pa.tolist(), rate_pa_s.tolist())
     if state.trip is not None:
         ending = settings.vent_output if state.trip.vent else settings.safe_output
         return state, ControlOutput(np.array(ending), state.trip)
-    unmeasured = sample.t_ns - sample.scan_t_ns > UNMEASURED_PERIODS * settings.period_s * 1e9
+    # A bench whose time stands still needs no new scan: valves closed then would stay closed in all the time it has.
+    bench_t_ns = sample.t_ns - sample.late_ns
+    unmeasured = bench_t_ns - sample.scan_t_ns > UNMEASURED_PERIODS * settings.period_s * 1e9
     outputs = []
     for valve, safe, closed in zip(state.valves, settings.safe_output, settings.closed_output, strict=True):
         output = safe if math.isnan(valve.output) else valve.output

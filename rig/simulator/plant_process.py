@@ -166,16 +166,15 @@ def _catch_up(plant: Plant, devices: Sequence[SimulatedCard]) -> None:
 def advance_while_driven(plant: Plant, devices: Sequence[SimulatedCard], waits_ns: int) -> None:
     """As `_catch_up`, but without the time in which the plant or the process that drives its valves was delayed.
 
-    `waits_ns` before the present are always simulated: a plant that runs too seldom is slow, but not frozen.
+    `waits_ns` after each write, or before the present, are always simulated: a bench that runs too seldom is slow, but
+    not frozen.
     """
     now = time.monotonic_ns()
     steered_ns = max((device.newest_write_ns() for device in devices if device.driven()), default=now) + waits_ns
-    if steered_ns < now:
-        _simulate(plant, devices, steered_ns)
-        return
-    if now - plant.t_ns > waits_ns:
-        plant.skip(now - waits_ns)
-    _simulate(plant, devices, now)
+    until_ns = min(now, steered_ns)
+    if until_ns - plant.t_ns > waits_ns:
+        plant.skip(until_ns - waits_ns)
+    _simulate(plant, devices, until_ns)
 
 
 def _simulate(plant: Plant, devices: Sequence[SimulatedCard], until_ns: int) -> None:

@@ -37,7 +37,8 @@ class Sample(NamedTuple):
     `pressure_pa` (N,) come from the scans since the last cycle, or repeat the last values if there were none.
     `stops_closed` (E,): whether the contact of each emergency stop is closed now.
     `stalled_ns`: duration of a stall of this program just now, else 0. `time_stopped`: the bench is a simulation whose
-    time stopped during the stall. `stream`: the silence of another program that sends the set-points.
+    time stopped during the stall; `late_ns`: how far its time is behind `t_ns`, 0 for hardware. `stream`: the silence
+    of another program that sends the set-points.
     """
 
     t_ns: int
@@ -46,6 +47,7 @@ class Sample(NamedTuple):
     pressure_pa: NDArray[np.float64]
     stalled_ns: int = 0
     time_stopped: bool = False
+    late_ns: int = 0
     stops_closed: tuple[bool, ...] = ()
     stream: StreamSilence | None = None
 
