@@ -7,9 +7,12 @@ import os
 import signal
 import sys
 import threading
+import time
+import traceback
+from types import CodeType
 
 _REPEAT_S = 0.01
-"""Delay of a repeated SIGINT."""
+"""Delay of a repeated SIGINT, and between two looks whether it may be repeated."""
 _NEW_OBJECTS = 50_000
 """Objects that are allocated between two collections of garbage."""
 
@@ -40,14 +43,21 @@ def _repeat_ignored_interrupts() -> None:
 
     def hook(ignored: sys.UnraisableHookArgs) -> None:
         if issubclass(ignored.exc_type, KeyboardInterrupt):
-            main_thread = threading.main_thread().ident
-            assert main_thread is not None
             # Not at once: that exception would be raised in this hook, and ignored too.
-            threading.Timer(_REPEAT_S, signal.pthread_kill, (main_thread, signal.SIGINT)).start()
+            threading.Timer(_REPEAT_S, _interrupt_outside, (hook.__code__,)).start()
         else:
             report(ignored)
 
     sys.unraisablehook = hook
+
+
+def _interrupt_outside(function: CodeType) -> None:
+    """Send SIGINT to the main thread once it is not in a function, however long a busy machine keeps it there."""
+    main_thread = threading.main_thread().ident
+    assert main_thread is not None
+    while any(frame.f_code is function for frame, _ in traceback.walk_stack(sys._current_frames()[main_thread])):
+        time.sleep(_REPEAT_S)
+    signal.pthread_kill(main_thread, signal.SIGINT)
 
 
 def main() -> None:
