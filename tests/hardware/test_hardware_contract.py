@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rig.config.loader import load
-from rig.driver_contract import card_checks, other_process
+from rig.driver_contract import card_checks, device_time, other_process
 from rig.driver_contract.card_checks import CARD_CHECKS
 from rig.driver_contract.card_subject import CardSubject
 from rig.driver_contract.check import Check, CheckVerdict
@@ -26,9 +26,11 @@ def test_the_comedi_driver_keeps_the_contract(check: Check[CardSubject], monkeyp
     monkeypatch.setattr(other_process, "START_S", EMULATED_S)
     monkeypatch.setattr(card_checks, "FREED_S", EMULATED_S)
     monkeypatch.setattr("rig.driver_contract.check.LONGEST_S", 3 * EMULATED_S)
-    monkeypatch.setattr(card_checks, "MOST_SLOW", EMULATED_SLOW)
+    monkeypatch.setattr(device_time, "MOST_SLOW", EMULATED_SLOW)
     subject = CardSubject(load(LOOPED), "daq", Path(LOOPED), settled_s=EMULATED_S)
     result = check.result("daq", subject)
     subject.make_safe()
-    expected = CheckVerdict.SKIPPED if check.name in SKIPPED else CheckVerdict.PASS
-    assert result.verdict is expected, result
+    expected = {CheckVerdict.SKIPPED} if check.name in SKIPPED else {CheckVerdict.PASS}
+    if check.name == "durations":  # an emulator that stalls counts as a busy machine
+        expected.add(CheckVerdict.NOT_JUDGED)
+    assert result.verdict in expected, result

@@ -6,7 +6,6 @@ import errno
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -32,15 +31,10 @@ def test_a_niceness_is_given_to_a_running_process_and_one_that_is_refused_leaves
 def test_the_session_of_a_process_that_leads_one_gets_the_same_niceness() -> None:
     command = [sys.executable, "-c", "input()"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True) as child:
-        session = Path(f"/proc/{child.pid}/autogroup")
-        # Of all ordinary users together the kernel accepts one change within 0.1 s.
-        for _ in range(20):
-            set_niceness(child.pid, 7)
-            if session.read_text(encoding="ascii").split()[-1] == "7":
-                break
-            time.sleep(0.11)
-        else:
-            pytest.fail("the session has another niceness")
+        # An ordinary user can only raise it, and `nice make test` has some already.
+        niceness = min(19, os.nice(0) + 3)
+        set_niceness(child.pid, niceness)
+        assert Path(f"/proc/{child.pid}/autogroup").read_text(encoding="ascii").split()[-1] == str(niceness)
         child.communicate(b"\n")
 
 
