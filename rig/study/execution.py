@@ -21,6 +21,7 @@ from rig.experiment.run import RunRequest
 from rig.study.plan import StopRules
 from rig.study.study import Study, archived, finished
 from runs.catalogue import Entry
+from runs.data_folder import free_id
 from runs.file_lock import lock
 from runs.overwriting import naming
 from runs.records import Status, StudyRole
@@ -97,7 +98,8 @@ def run_virtual(
             part = scratch / made.name
             with naming(part):
                 part.write_bytes(made.content)
-            part.replace(study.folder / made.name)
+            # Runs in folders of their own that start in one second have one name, for example after an interruption.
+            part.replace(study.folder / f"{free_id(study.folder, part.stem)}{part.suffix}")
             progress(count, len(study.runs))
             rules.check()
 

@@ -9,7 +9,9 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from datetime import datetime, tzinfo
 from pathlib import Path
+from typing import Self
 
 import pytest
 
@@ -149,6 +151,25 @@ def test_the_journal_of_a_killed_run_is_recovered_by_the_next_command_which_says
     assert Run(data / f"{journal.stem}.h5").status == status
     assert len(list(data.glob("*.h5"))) == count
     assert not [path for path in (data / ".dwell.study").iterdir() if path.is_dir()]
+
+
+def test_two_runs_that_start_in_one_second_leave_two_files(plan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class StandingClock(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> Self:
+            return cls(2026, 11, 27, 12, tzinfo=tz)
+
+    monkeypatch.setattr("rig.experiment.run.datetime", StandingClock)
+    plan.write_text("title: t\nprotocol: step.yaml\n")
+    study = loaded(plan)
+    with locked(study) as scratch:
+        run_virtual(study, scratch, workers=1)
+    (archive,) = study.folder.glob("*.h5")
+    archive.write_bytes(b"a run that was cut off")
+    with locked(study) as scratch:
+        run_virtual(study, scratch, workers=1)
+    assert archive.read_bytes() == b"a run that was cut off"
+    assert len(list(study.folder.glob("*.h5"))) == 2
 
 
 def test_a_journal_that_a_living_process_writes_stays_where_it_is(plan: Path) -> None:
