@@ -47,7 +47,7 @@ def _errors_as_messages() -> Iterator[None]:
 
 
 def _reader_is_gone() -> bool:
-    """Return whether standard output or standard error is a pipe that nobody reads; other pipes may be broken, too."""
+    """Return whether standard output or standard error is a pipe without a reader; other pipes may be broken, too."""
     streams = select.poll()
     for fd in (1, 2):
         streams.register(fd, 0)

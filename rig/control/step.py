@@ -103,7 +103,8 @@ def step(
     if state.trip is not None:
         ending = settings.vent_output if state.trip.vent else settings.safe_output
         return state, ControlOutput(np.array(ending), state.trip)
-    # A bench whose time stands still needs no new scan: valves closed then would stay closed in all the time it has.
+    # While the time of a simulated bench is stopped there are no new scans. Valves that are closed for that would be
+    # closed in all the time that is simulated.
     bench_t_ns = sample.t_ns - sample.late_ns
     unmeasured = bench_t_ns - sample.scan_t_ns > UNMEASURED_PERIODS * settings.period_s * 1e9
     outputs = []

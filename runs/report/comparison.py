@@ -24,7 +24,7 @@ from runs.summary import Summary
 STYLES = ("-", (0, (6, 1.5)), (0, (6, 1.5, 1, 1.5)))
 WIDEST, NARROWEST = 3.6, 1.0
 MOST_WIDTHS = 4
-"""Runs whose lines are told apart where they coincide; lines of more runs would hide the scale of what they show."""
+"""Runs whose lines are distinct where they coincide; lines of more runs would hide the scale of what they show."""
 
 
 def section(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
