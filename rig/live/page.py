@@ -84,13 +84,13 @@ def _panels() -> None:
                 '<i class="mark tip"></i> measured <i class="mark model"></i> model <i class="mark board"></i> board',
                 sanitize=False,
             ).classes("legend")
-        with _panel("plane", "tip in the plane of motion [mm]"):
+        with _panel("plane", "tip in the plane of motion, r and z [mm]"):
             ui.echart({"series": []}).classes("chart chart-plane")
         with _panel("arm", "arm with sections; drag to turn"):
             _part("canvas", "arm-view", label="the arm's axis and actuators in space")
         with _panel("pressures", "pressures [bar], set-points dashed"):
             ui.echart({"series": []}).classes("chart chart-pressure")
-        with _panel("coordinates", "tip over time [mm], with 95 % band"):
+        with _panel("coordinates", "tip r, z over time [mm], 95 % band"):
             ui.echart({"series": []}).classes("chart chart-tip")
         with _panel("errors", "error [mm] and its running mean"):
             ui.echart({"series": []}).classes("chart chart-error")

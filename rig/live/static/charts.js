@@ -63,8 +63,10 @@ export class Charts {
   colours() {
     if (!this.about) return;
     const ink = css("--ink"), muted = css("--muted"), rule = css("--rule");
+    // ECharts takes a line's height from a Chinese letter, which many machines draw as a small mark.
+    const small = { color: muted, fontSize: 13, lineHeight: 14 };
     const axis = ({ axisLabel, ...more } = {}) => ({
-      type: "value", scale: true, axisLabel: { color: muted, fontSize: 13, hideOverlap: true, ...axisLabel }, nameTextStyle: { color: muted, fontSize: 13 },
+      type: "value", scale: true, axisLabel: { ...small, hideOverlap: true, ...axisLabel }, nameTextStyle: small,
       axisLine: { lineStyle: { color: muted } }, splitLine: { lineStyle: { color: rule } }, ...more,
     });
     const ticks = { showMinLabel: false, showMaxLabel: false, formatter: (v) => Math.round(100 * v) / 100 + " s" };
@@ -99,7 +101,7 @@ export class Charts {
       animation: false, textStyle: { color: ink }, legend: legend(["measured", "model"]),
       grid: [{ left: 54, right: 14, top: 26, bottom: "53%" }, { left: 54, right: 14, top: "58%", bottom: 24 }],
       xAxis: [time({ gridIndex: 0, axisLabel: { show: false } }), time({ gridIndex: 1 })],
-      yAxis: [axis({ gridIndex: 0, name: "in plane", nameLocation: "middle", nameGap: 34, splitNumber: 3 }), axis({ gridIndex: 1, name: "z", nameLocation: "middle", nameGap: 34, splitNumber: 3, inverse: true })],
+      yAxis: [axis({ gridIndex: 0, name: "r", nameLocation: "middle", nameGap: 34, splitNumber: 3 }), axis({ gridIndex: 1, name: "z", nameLocation: "middle", nameGap: 34, splitNumber: 3, inverse: true })],
       series: [...band("r", 0), ...band("z", 1)],
     }, true);
     this.error.setOption({

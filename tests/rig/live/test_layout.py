@@ -65,14 +65,16 @@ HIDDEN = """
 # State, whether the numbers are dimmed, whether there is no banner.
 OLD = """[document.getElementById("state").textContent,
   getComputedStyle(document.getElementById("numbers")).opacity < 1, document.getElementById("banner").hidden]"""
-# The texts of each chart, by the rectangles that they cover on its canvas.
+# The texts of each chart, by the rectangles that they cover on its canvas: a digit is 3/4 as high as its font.
 OVERLAPPING = """
 (async () => {
   const { echarts } = await import("nicegui-echart"), found = [];
   for (const element of document.querySelectorAll(".chart")) {
     const texts = echarts.getInstanceByDom(element).getZr().storage.getDisplayList()
       .filter((shape) => shape.type === "tspan" && !shape.ignore && !shape.invisible).map((shape) => {
-        const box = shape.getBoundingRect().clone();
+        const box = shape.getBoundingRect().clone(), high = 0.75 * parseFloat(shape.style.font.match(/[\\d.]+px/)[0]);
+        box.y -= (high - box.height) / 2;
+        box.height = high;
         if (shape.transform) box.applyTransform(shape.transform);
         return [shape.style.text, box];
       });
