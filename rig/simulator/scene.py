@@ -28,7 +28,7 @@ _NOISE_PLACES = 4096
 _BACKDROPS = 32
 """Noisy pictures of the backdrop, in turn behind the board, whose own noise is that of every picture."""
 _NEAREST_M = 0.01
-_RAYS_SPARE_PX = 40
+_RAYS_SPARE_PX = 80
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+# One object each: what is sent to another process holds it once.
+_NO_POSITIONS, _NO_ROTATIONS = np.empty((0, 3)), np.empty((0, 3, 3))
+
 
 @dataclass(frozen=True)
 class TipPose:
@@ -19,8 +22,8 @@ class TipPose:
     t_ns: int
     position_m: NDArray[np.float64]
     rotation: NDArray[np.float64]
-    section_m: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
-    section_rotation: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3, 3)))
+    section_m: NDArray[np.float64] = field(default_factory=lambda: _NO_POSITIONS)
+    section_rotation: NDArray[np.float64] = field(default_factory=lambda: _NO_ROTATIONS)
 
 
 class PoseSource(Protocol):

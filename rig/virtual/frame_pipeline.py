@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import mmap
 import multiprocessing
 import os
@@ -11,6 +12,7 @@ import traceback
 import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkProcess
@@ -29,8 +31,10 @@ from runs.records import Picture
 
 MOST_IN_FLIGHT = 40
 """Frame sets that fit in the shared memory."""
-_BATCH = 3
+_BATCH = 6
 """Frame sets in one message: a message costs several times what its content does."""
+_PIPE_BYTES = 1 << 20
+"""Room for the pictures of some batches: through a pipe of the usual 64 KiB a batch travels in pieces."""
 
 _LESS_URGENT = 5
 """Rendering waits where processors are short: measuring takes longer and sets the pace."""
@@ -158,10 +162,10 @@ class FramePipeline:
         size = MOST_IN_FLIGHT * cameras * shape[0] * shape[1]
         memory = mmap.mmap(-1, max(1, size))
         pictures = np.frombuffer(memory, np.uint8, size).reshape(MOST_IN_FLIGHT, cameras, *shape)
-        exposures, self._exposures = _FORK.Pipe(duplex=False)
-        samples, self._samples = _FORK.Pipe(duplex=False)
-        frame_sets, rendered = _FORK.Pipe(duplex=False)
-        self._results, results = _FORK.Pipe(duplex=False)
+        exposures, self._exposures = _wide_pipe()
+        samples, self._samples = _wide_pipe()
+        frame_sets, rendered = _wide_pipe()
+        self._results, results = _wide_pipe()
         pipes = (exposures, self._exposures, samples, self._samples, frame_sets, rendered, self._results, results)
 
         def render() -> None:
@@ -177,7 +181,7 @@ class FramePipeline:
         }
         for pipe in (exposures, samples, frame_sets, rendered, results):
             pipe.close()
-        # Reads while this process writes: each pipe holds 64 KiB, and two processes that both write would wait forever.
+        # Reads while this process writes: a pipe has little room, and two processes that both write would wait forever.
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -312,6 +316,14 @@ def _in_memory(head: _RenderedFrame | None, slot: NDArray[np.uint8]) -> Frame | 
 
 def _failure(error: Exception) -> _Failure:
     return _Failure(f"{type(error).__name__}: {error}", "".join(traceback.format_exception(error)))
+
+
+def _wide_pipe() -> tuple[Connection, Connection]:
+    """A pipe, its ends for reading and for writing; as wide as the system allows."""
+    reading, writing = _FORK.Pipe(duplex=False)
+    with suppress(OSError, AttributeError):  # macOS has no such width
+        fcntl.fcntl(writing.fileno(), fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+    return reading, writing
 
 
 def _forked(stage: Callable[[], None], others: Sequence[Connection]) -> ForkProcess:
