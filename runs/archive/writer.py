@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from h5py import h5s, h5t
 
 from runs.archive import checksum, layout
 from runs.archive.checked import ArchiveError as ArchiveError
@@ -187,8 +188,8 @@ class _Dataset:
         single = self._node.shape == ()
         rows = () if single else slice(low, low + len(values))
         if self._kind == "bytes":
-            for index, data in enumerate(values, low):
-                self._node[index] = np.frombuffer(data, np.uint8)
+            for first in range(0, len(values), checksum.PICTURE_ROWS):
+                self._put_pictures(low + first, values[first : first + checksum.PICTURE_ROWS])
             self._part.add(values)
         elif self._kind == "str":
             # HDF5 ends a text at its first NUL.
@@ -201,6 +202,15 @@ class _Dataset:
             if numbers.size:
                 self._node[rows] = numbers
             self._part.add(checksum.little(numbers))
+
+    def _put_pictures(self, low: int, pictures: Sequence[memoryview]) -> None:
+        """Write some pictures in one call; h5py's own assignment would take those of one length for a matrix."""
+        encoded = np.empty(len(pictures), self._node.dtype)
+        for index, data in enumerate(pictures):
+            encoded[index] = np.frombuffer(data, np.uint8)
+        rows = self._node.id.get_space()
+        rows.select_hyperslab((low,), encoded.shape)
+        self._node.id.write(h5s.create_simple(encoded.shape), rows, encoded, h5t.py_create(encoded.dtype))
 
 
 def _fill(datasets: list[_Dataset]) -> None:
