@@ -13,8 +13,8 @@ from types import CodeType
 
 _REPEAT_S = 0.01
 """Delay of a repeated SIGINT, and between two looks whether it may be repeated."""
-_NEW_OBJECTS = 50_000
-"""Objects that are allocated between two collections of garbage."""
+_NEW_OBJECTS = 200_000
+"""Objects that are allocated between two collections of garbage: more than a start-up leaves."""
 
 
 def _stand_in_for_closed() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import io
 import sys
 from contextlib import AbstractContextManager, nullcontext
@@ -56,8 +55,6 @@ from rig.cli.printable_stream import printable_streams
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-GARBAGE_OBJECTS = 50_000
 
 PlainErrors.context_class.formatter_class = HelpFormatter
 app = typer.Typer(
@@ -323,8 +320,6 @@ app.add_typer(calibrate.app, name="calibrate")
 
 def main(arguments: list[str] | None = None) -> None:
     """Entry point."""
-    # Imports, runs and reports create many objects and little cyclic garbage: rarer collection saves 10 % of the time.
-    gc.set_threshold(GARBAGE_OBJECTS, 20, 20)
     # A character that the terminal cannot encode (a µ, without UTF-8) must not end a run.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
