@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import select
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
@@ -15,6 +16,14 @@ from rig.cli.help_formatter import HelpGroup
 
 class PlainErrors(HelpGroup):
     """Command group that prints expected errors as one message with an exit status, without a traceback."""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Complete the line of a shell, which prints before the options are read, or run a command."""
+        try:
+            with _errors_as_messages():
+                return super().main(*args, **kwargs)
+        except typer.Exit as exit_:
+            sys.exit(exit_.exit_code)
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:
         """Read the options before the command; `--help` and `--version` print here."""

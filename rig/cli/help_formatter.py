@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Sequence
 from typing import Any
@@ -24,7 +25,17 @@ class HelpFormatter(_Formatter):  # type: ignore[misc]
 
     def write_dl(self, rows: Sequence[tuple[str, str]], col_max: int = 30, col_spacing: int = 2) -> None:
         """Write names and explanations."""
+        rows = [(self._folded(name), text) for name, text in rows]
         super().write_dl(rows, min(col_max, int(self.width * (1 - TEXT_SHARE)) - 2), col_spacing)
+
+    def _folded(self, name: str) -> str:
+        """Return a name in lines that fit; the values of a choice may part after a bar."""
+        lines = [""]
+        for piece in re.findall(r"[^|]*\|?", name):
+            if lines[-1] and self.current_indent + len(lines[-1] + piece) > self.width:
+                lines.append(" " * self.indent_increment)
+            lines[-1] += piece
+        return f"\n{'':{self.current_indent}}".join(lines)
 
 
 class HelpGroup(typer.core.TyperGroup):

@@ -69,13 +69,20 @@ def test_every_option_is_documented_with_its_commands() -> None:
     assert set(table) <= set(meanings())
 
 
-@pytest.mark.parametrize("columns", [40, 80])
+def commands(command: Any, *names: str) -> Iterator[tuple[str, ...]]:
+    """A command and all its sub-commands, each as the words that call it."""
+    yield names
+    for name, below in getattr(command, "commands", {}).items():
+        yield from commands(below, *names, name)
+
+
+@pytest.mark.parametrize("columns", [40, 60, 80])
 def test_help_fits_the_terminal_and_cuts_no_sentence_off(
     columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", str(columns))
     texts = []
-    for arguments in ((), ("run",), ("identify",), ("identify", "fit"), ("calibrate",), ("calibrate", "dlt")):
+    for arguments in commands(typer.main.get_command(app)):
         with pytest.raises(SystemExit):
             app([*arguments, "--help"], prog_name="rig")
         shown = capsys.readouterr().out
