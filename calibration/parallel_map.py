@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.processors import usable_processors
+from runs.overwriting import replacing
 
 Array = NDArray[np.float64]
 Task = TypeVar("Task")
@@ -237,7 +238,5 @@ def _key(work: Callable[[Task], Array], task: Task) -> str:
 
 def _store(file: Path, result: Array) -> None:
     """Write a result atomically."""
-    part = file.with_suffix(".part")
-    with part.open("wb") as out:
+    with replacing(file) as part, part.open("wb") as out:
         np.save(out, result)
-    part.replace(file)

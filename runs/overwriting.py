@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
+import shutil
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 Made = Callable[[Path], bool]
@@ -34,31 +35,48 @@ def refuse_existing(files: Iterable[Path], *, replace: bool = False, made: Made 
 
 
 @contextmanager
-def naming(file: Path) -> Iterator[None]:
-    """Give an `OSError` without a path, such as that of a full disk, the path of the file that is written."""
+def naming(file: Path, part: Path | None = None) -> Iterator[None]:
+    """Let an `OSError` name the file that is written, or one in this folder.
+
+    The error of a full disk has no path; others have that of the temporary file or folder `part`.
+    """
     try:
         yield
     except OSError as error:
-        if error.errno is not None and error.filename is None:
-            error.filename = str(file)
+        name = Path(file if error.filename is None else error.filename)
+        if part is not None and name.is_relative_to(part):
+            name = file / name.relative_to(part)
+        if error.errno is not None:
+            error.filename, error.filename2 = str(name), None
         raise
 
 
-def write_text(file: Path, text: str) -> None:
-    """Write a file as a whole: under another name first, so that no half of it takes its place.
+@contextmanager
+def replacing(file: Path) -> Iterator[Path]:
+    """A temporary path; the file that is written there takes the place of `file` at the end, and no half of it does.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: it cannot be written; the error names `file`.
     """
     file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_name(f".{file.name}.part")
     try:
-        with naming(file):
-            part.write_text(text, encoding="utf-8")
-        part.replace(file)
-    except OSError:
-        part.unlink(missing_ok=True)
-        raise
+        with naming(file, part):
+            yield part
+            part.replace(file)
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+def write_text(file: Path, text: str) -> None:
+    """Write a text file as a whole.
+
+    Raises:
+        OSError: it cannot be written; the error names `file`.
+    """
+    with replacing(file) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 @contextmanager
@@ -67,15 +85,19 @@ def staged(folder: Path, *, replace: bool = False, made: Made = lambda _: False)
 
     Raises:
         WouldOverwriteError: as `refuse_existing`.
-        OSError: the folder cannot be written.
+        OSError: the folder cannot be written; the error names it, or a file in it.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".writing-") as name:
-        stage = Path(name)
-        with naming(folder):
+    stage = folder / f".writing-{secrets.token_hex(8)}"
+    with naming(folder, stage):
+        stage.mkdir()
+    try:
+        with naming(folder, stage):
             yield stage
-        moves = {file: folder / file.relative_to(stage) for file in sorted(stage.rglob("*")) if file.is_file()}
-        refuse_existing(moves.values(), replace=replace, made=made)
-        for file, target in moves.items():
-            target.parent.mkdir(exist_ok=True)
-            file.replace(target)
+            moves = {file: folder / file.relative_to(stage) for file in sorted(stage.rglob("*")) if file.is_file()}
+            refuse_existing(moves.values(), replace=replace, made=made)
+            for file, target in moves.items():
+                target.parent.mkdir(exist_ok=True)
+                file.replace(target)
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from protocols import arguments
 from protocols.problems import bad_input, raise_all
 from rig.config.board_sections import BoardPattern
-from runs.overwriting import naming
+from runs.overwriting import replacing
 
 if TYPE_CHECKING:
     from calibration.vision.board import PrintedCells
@@ -87,12 +87,14 @@ def write(section: BoardPattern, name: str, path: Path) -> BoardPage:
     _ruler(axes, page)
     for k, line in enumerate(texts(section, page, name)):
         axes.text(_BORDER_MM, _BORDER_MM + 5 * k, line, fontsize=_TEXT_PT, va="top")
-    path.parent.mkdir(parents=True, exist_ok=True)
     # Text stays text, and two files of one board are equal.
-    with naming(path), matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name, "pdf.fonttype": 42}):
+    with (
+        replacing(path) as part,
+        matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name, "pdf.fonttype": 42}),
+    ):
         ending = path.suffix.lower()[1:]
         dated = "Date" if ending == "svg" else "CreationDate"
-        figure.savefig(path, format=ending, metadata={dated: None})
+        figure.savefig(part, format=ending, metadata={dated: None})
     return page
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calibration.camera import CameraCalibration
-from runs.overwriting import naming
+from runs.overwriting import replacing
 
 _USED, _OUT = "#2f6f9f", "#b8443c"
 _LONGEST_SHARE = 0.06
@@ -23,9 +23,8 @@ def write(found: CameraCalibration, title: str, path: Path) -> Path:
     _residuals(figure.add_subplot(grid[0, 0]), found)
     _heat(figure.add_subplot(grid[1, 0]), found)
     _views(figure.add_subplot(grid[:, 1]), found)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with naming(path):
-        figure.savefig(path, dpi=100, format="png")
+    with replacing(path) as part:
+        figure.savefig(part, dpi=100, format="png")
     return path
 
 

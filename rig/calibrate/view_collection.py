@@ -18,7 +18,7 @@ from calibration.views import View
 from calibration.vision.board import Board, grey
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.opening import open_camera
-from runs.overwriting import naming
+from runs.overwriting import replacing
 
 Image = NDArray[np.uint8]
 
@@ -102,9 +102,8 @@ def _moved_px(now: SeenCorners, before: SeenCorners) -> float:
 
 def store(image: Image, folder: Path, stem: str) -> View:
     """Write a view as PNG and return it."""
-    folder.mkdir(parents=True, exist_ok=True)
     data = cv2.imencode(".png", image)[1].tobytes()
     file = folder / f"{stem}.png"
-    with naming(file):
-        file.write_bytes(data)
+    with replacing(file) as part:
+        part.write_bytes(data)
     return View(file.name, image, hashlib.sha256(data).hexdigest())

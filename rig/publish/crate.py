@@ -17,7 +17,7 @@ from rig.publish.description import LICENCES, Creator, Description, checked_runs
 from rig.publish.field_list import field_list
 from runs import annotation_file
 from runs.archive.layout import utc
-from runs.overwriting import naming, refuse_existing
+from runs.overwriting import refuse_existing, replacing
 from runs.run import Run
 
 METADATA, DATACITE, CHECKSUMS, README = "ro-crate-metadata.json", "datacite.json", "SHA256SUMS", "README.md"
@@ -65,17 +65,11 @@ def write(runs: Sequence[Run], description: Description, target: Path, *, replac
     texts[METADATA] = _json(_metadata(runs, description, now, sizes, sums))
     sums[METADATA] = hashlib.sha256(texts[METADATA].encode()).hexdigest()
     texts[CHECKSUMS] = _checksums(sums)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    part = target.with_name(target.name + ".part")
-    try:
-        with naming(target), zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as crate:
-            for name, text in texts.items():
-                crate.writestr(name, text)
-            for file in files:
-                crate.write(file, f"data/{file.name}", zipfile.ZIP_STORED)
-        part.replace(target)
-    finally:
-        part.unlink(missing_ok=True)
+    with replacing(target) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as crate:
+        for name, text in texts.items():
+            crate.writestr(name, text)
+        for file in files:
+            crate.write(file, f"data/{file.name}", zipfile.ZIP_STORED)
     return target
 
 

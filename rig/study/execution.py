@@ -96,10 +96,11 @@ def run_virtual(
     with closing(parallel_results(_archive_of, tasks, range(len(tasks)), workers, scheduler)) as results:
         for count, (_, made) in enumerate(results, len(done) + 1):
             part = scratch / made.name
-            with naming(part):
-                part.write_bytes(made.content)
             # Runs in folders of their own that start in one second have one name, for example after an interruption.
-            part.replace(study.folder / f"{free_id(study.folder, part.stem)}{part.suffix}")
+            archive = study.folder / f"{free_id(study.folder, part.stem)}{part.suffix}"
+            with naming(archive, part):
+                part.write_bytes(made.content)
+                part.replace(archive)
             progress(count, len(study.runs))
             rules.check()
 

@@ -61,7 +61,7 @@ def write(content: journal.Journal, target: Path, most_bytes: int) -> None:
         with h5py.File(part, "r+") as file:
             found = checksum.of_file(file)
             if found.parts != meant:
-                raise ArchiveError(f"{part}: what was read back is not what was written; is the disk sound?")
+                raise ArchiveError(f"{target}: what was read back is not what was written; is the disk sound?")
             file.attrs.modify("content_sha256", found.sha256)
         _sync(part)
         part.replace(target)
@@ -72,7 +72,8 @@ def write(content: journal.Journal, target: Path, most_bytes: int) -> None:
             part.unlink(missing_ok=True)
         number = fault.errno if isinstance(fault, OSError) else None
         full = number in NO_ROOM or any(os.strerror(code) in str(fault) for code in NO_ROOM)
-        reason = "the disk is full" if full else str(fault)
+        said = fault.strerror if isinstance(fault, OSError) and fault.strerror else str(fault)
+        reason = "the disk is full" if full else said.replace(str(part), str(target))
         raise ArchiveError(f"cannot write {target}: {reason}; the journal holds everything") from fault
 
 

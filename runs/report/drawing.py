@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from numpy.typing import NDArray
 
+from runs.overwriting import replacing
 from runs.report import figure_data
 from runs.report.colours import INK, MUTED, RULE
 
@@ -156,7 +157,8 @@ def save(draw: Callable[..., None], size: tuple[float, float], path: Path, *abou
         if mark:
             # Below the axis labels, whatever their size.
             figure.supxlabel(mark, x=0.995, ha="right", va="bottom", fontsize=6.5, color=MUTED)
-        figure.savefig(path, dpi=300)
+        with replacing(path) as part:
+            figure.savefig(part, dpi=300, format=path.suffix[1:])
     figure_data.write(figure, path.with_suffix(".csv"), mark)
 
 

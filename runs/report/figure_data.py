@@ -13,6 +13,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.container import BarContainer, ErrorbarContainer
 from matplotlib.figure import Figure
 
+from runs.overwriting import replacing
 from runs.printable_text import printable
 
 COLUMNS = ("panel", "kind", "number", "label", "x_label", "y_label", "x", "y", "low", "high", "remark")
@@ -26,7 +27,7 @@ def write(figure: Figure, path: Path, remark: str = "") -> None:
     error bar or of a bar, empty elsewhere. The points of a `band` are those of its outline. `remark` is that of
     the figure's corner, such as `simulated`.
     """
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         for panel, axes in enumerate(figure.axes, 1):

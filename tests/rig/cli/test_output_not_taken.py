@@ -16,13 +16,13 @@ SHELL_COMPLETION = [
     {"_RIG_COMPLETE": "source_bash"},
 ]
 
+
 def outcome(arguments: tuple[str, ...], stdout: int, cwd: Path, **environment: str) -> tuple[int, str]:
     """Exit status and standard error of `rig` with these words."""
     command = [sys.executable, "-c", RIG, *arguments]
     env = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
-    done = subprocess.run(
-        command, stdin=subprocess.DEVNULL, stdout=stdout, stderr=subprocess.PIPE, text=True, cwd=cwd, env=env, check=False
-    )
+    options = {"stdin": subprocess.DEVNULL, "stdout": stdout, "stderr": subprocess.PIPE, "cwd": cwd, "env": env}
+    done = subprocess.run(command, text=True, check=False, **options)
     return done.returncode, done.stderr
 
 

@@ -49,6 +49,13 @@ def crate(run: Run) -> Path:
     return folder
 
 
+def test_a_crate_that_cannot_be_written_is_named_as_the_user_named_it(run: Run) -> None:
+    target = Path("/sys/kernel/crate.zip")
+    with pytest.raises(OSError, match=r"crate\.zip") as refused:
+        write([run], describe([run], creators=[ADA], licence="CC-BY-4.0"), target)
+    assert refused.value.filename == str(target)
+
+
 def test_another_tool_reads_the_crate(crate: Path, run: Run) -> None:
     read = ROCrate(crate)
     root = read.root_dataset

@@ -129,6 +129,14 @@ def test_a_full_disk_leaves_the_journal_and_no_half_archive(tmp_path: Path, room
     assert len(journal.read(source).samples) == 600
 
 
+def test_an_archive_that_cannot_be_written_is_named_without_its_temporary_file(tmp_path: Path) -> None:
+    source = tmp_path / "run.mcap"
+    made_up.write_journal(source)
+    target = Path("/sys/kernel/run.h5")  # not even root can make a file there
+    with pytest.raises(ArchiveError, match=f"^cannot write {target}: Permission denied; the journal holds everything$"):
+        archive.write(journal.read(source), target, 10_000)
+
+
 @pytest.mark.slow
 def test_a_long_run_is_finalised_in_the_memory_of_a_short_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (groups, archive):
