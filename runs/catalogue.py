@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter
 
-from runs import annotation_file
+from runs import annotation_file, arguments
 from runs.archive.checked import ArchiveError, opened_in_part
 from runs.archive.writer import SUFFIX
 from runs.data_folder import DATA
@@ -27,6 +27,7 @@ INDEX = ".catalogue.json"
 _FORM = 4
 """Increased when `Entry` changes."""
 _TEXTS = ("run_id", "title", "start_time", "status", "executor", "operator", "notes")
+_ENTRIES = "a list of entries, as catalogue() returns it"
 _READ = (
     *(f"entry/{name}" for name in (*_TEXTS, "duration", "simulated", "protocol/name", "rig/name", "model/variant")),
     "entry/tip/time",
@@ -86,8 +87,12 @@ _INDEX = TypeAdapter(_Index)
 
 
 def catalogue(folder: Path | str = DATA) -> tuple[Entry, ...]:
-    """Return the archives of a folder, newest first, unreadable ones last; none if the folder does not exist."""
-    place = Path(folder)
+    """Return the archives of a folder, newest first, unreadable ones last; none if the folder does not exist.
+
+    Raises:
+        ArgumentError: the folder is no path.
+    """
+    place = arguments.path("folder", folder, "the path of a folder of archives")
     known = _load(place / INDEX)
     now: dict[str, _CachedEntry] = {}
     for name, stamp in _archives(place):
@@ -107,8 +112,14 @@ def _annotated(place: Path, entry: Entry) -> Entry:
 
 
 def specimen_cycles(entries: Iterable[Entry], specimen: str) -> tuple[int, int]:
-    """Return the pressure cycles of a specimen, and the number of its runs that they are counted over."""
-    counts = [e.pressure_cycles for e in entries if e.specimen == specimen and e.pressure_cycles is not None]
+    """Return the pressure cycles of a specimen, and the number of its runs that they are counted over.
+
+    Raises:
+        ArgumentError: an argument is of another type.
+    """
+    arguments.texts({"specimen": specimen})
+    listed = arguments.items("entries", entries, Entry, _ENTRIES)
+    counts = [e.pressure_cycles for e in listed if e.specimen == specimen and e.pressure_cycles is not None]
     return sum(counts), len(counts)
 
 
@@ -126,11 +137,16 @@ def search(
 
     `text`: words to find in any field; `since` and `until`: dates or times as ISO 8601 begins (`2026-11`,
     `2026-11-21T14`), both included.
+
+    Raises:
+        ArgumentError: an argument is of another type.
     """
+    filters = {"text": text, "since": since, "until": until, "tag": tag, "specimen": specimen, "study": study}
+    arguments.texts(filters)
     words = text.lower().split()
     return tuple(
         entry
-        for entry in entries
+        for entry in arguments.items("entries", entries, Entry, _ENTRIES)
         if all(word in _words(entry) for word in words)
         and (not tag or tag in entry.tags)
         and (not specimen or entry.specimen == specimen)

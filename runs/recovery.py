@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+from runs import arguments
 from runs.archive import writer as archive
 from runs.archive.writer import ArchiveError, ArchiveInUseError
 from runs.data_folder import DATA, free_id
@@ -46,8 +47,12 @@ class RecoveryOutcome:
 
 
 def orphans(folder: Path | str) -> tuple[Path, ...]:
-    """Return the journals in a folder that have no archive and no living writer; reads none of them."""
-    return tuple(path for path in _journals(Path(folder)) if not _archive_of(path).exists() and not _locked(path))
+    """Return the journals in a folder that have no archive and no living writer; reads none of them.
+
+    Raises:
+        ArgumentError: the folder is no path.
+    """
+    return tuple(path for path in _journals(_place(folder)) if not _archive_of(path).exists() and not _locked(path))
 
 
 def recover(folder: Path | str = DATA) -> tuple[RecoveryOutcome, ...]:
@@ -55,8 +60,11 @@ def recover(folder: Path | str = DATA) -> tuple[RecoveryOutcome, ...]:
 
     Safe to call again, and while runs are being recorded. An archive that cannot be opened is set aside under
     another name, never deleted, and made again from its journal.
+
+    Raises:
+        ArgumentError: the folder is no path.
     """
-    place = Path(folder)
+    place = _place(folder)
     return (*_leftovers(place), *(_recover(path) for path in _journals(place)))
 
 
@@ -75,6 +83,10 @@ def move_unused(source: Path, folder: Path) -> None:
                 path.rename(folder / f"{free}{path.suffix}")
     with suppress(OSError):
         source.rmdir()
+
+
+def _place(folder: object) -> Path:
+    return arguments.path("folder", folder, "the path of a folder of journals")
 
 
 def _recover(path: Path) -> RecoveryOutcome:

@@ -68,6 +68,7 @@ EXPECTED_ERRORS = {
     "runs.overwriting.WouldOverwriteError": BAD_INPUT,
     "runs.archive.checked.ArchiveError": BAD_INPUT,
     "runs.annotations.AnnotationError": BAD_INPUT,
+    "runs.arguments.ArgumentError": BAD_INPUT,
     "runs.export.exporters.ExportError": BAD_INPUT,
     "runs.export.exporters.ExportWriteError": FAULT,
     "calibration.camera.CalibrationError": BAD_INPUT,

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from runs import arguments
 from runs.archive.checked import ArchiveError, opened
 from runs.archive.schema import BYTES
 from runs.overwriting import WouldOverwriteError, staged
@@ -42,14 +43,15 @@ def export(
     Raises:
         ArchiveError: there is no archive.
         WouldOverwriteError: a file exists, and `replace` is False.
+        ArgumentError: the folder is no path.
         ExportError: the format is unknown or cannot hold this run.
         ExportWriteError: the files cannot be written.
     """
-    if to not in FORMATS:
+    if to not in (*FORMATS,):
         raise ExportError(f"cannot export to {to!r}; there are {', '.join(FORMATS)}")
     (source,) = paths_of([archive])
     Run(source)  # reports an archive that cannot be read before any file is written
-    place = source.parent if folder is None else Path(folder)
+    place = source.parent if folder is None else arguments.path("folder", folder, "the path of a folder")
     try:
         with staged(place, replace=replace) as stage:
             written = FORMATS[to](source, stage / source.stem)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from runs import arguments
 from runs.export.exporters import ExportError
 from runs.overwriting import WouldOverwriteError, staged
 from runs.report import comparison, drawing
@@ -35,15 +36,18 @@ def write(
     Raises:
         ArchiveError: a run is not found.
         WouldOverwriteError: a file exists, and `replace` is False.
+        ArgumentError: folder or width are of another type.
         ExportError: there is no such kind, or the files cannot be written.
     """
     if kind not in KINDS:
         raise ExportError(f"no figures as {kind!r}; there are {', '.join(KINDS)}")
+    width_mm = arguments.number("width_mm", width_mm, "a number")
     if not LEAST_WIDTH_MM <= width_mm <= LARGEST_WIDTH_MM:
         raise ExportError(
             f"no figures {width_mm:g} mm wide; they are {LEAST_WIDTH_MM:g} to {LARGEST_WIDTH_MM:g} mm wide"
         )
-    runs, place = [Run(path) for path in paths_of(archives)], Path(folder)
+    place = arguments.path("folder", folder, "the path of a folder")
+    runs = [Run(path) for path in paths_of(archives)]
     try:
         with staged(place, replace=replace) as stage:
             names = _write(runs, stage, kind, width_mm)

@@ -10,7 +10,7 @@ from html import escape
 from importlib import resources
 from pathlib import Path
 
-from runs import annotation_file
+from runs import annotation_file, arguments
 from runs.archive import layout
 from runs.overwriting import refuse_existing, write_text
 from runs.report import comparison, pictures
@@ -38,11 +38,14 @@ def write(
 
     Raises:
         ArchiveError: a run is not found.
+        ArgumentError: there is no run, or `out_html` is no path.
         WouldOverwriteError: there is another file, and `replace` is False.
         OSError: it cannot be written.
     """
     chosen = paths_of([archives] if isinstance(archives, Run | str | os.PathLike) else archives)
-    target = default_path(chosen) if out_html is None else Path(out_html)
+    if not chosen:
+        raise arguments.refused("archives", archives, "at least one run")
+    target = default_path(chosen) if out_html is None else arguments.path("out_html", out_html)
     runs = [Run(path) for path in chosen]
     mark = _mark(runs)
     refuse_existing([target], replace=replace, made=lambda file: mark in _head(file))
