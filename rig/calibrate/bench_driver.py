@@ -54,6 +54,7 @@ class BenchDriver:
         self._config, self._bench, self._clock, self._check = config, bench, clock, check
         self._prepared = control.prepare(config)
         self._period_s = self._prepared.period_s
+        self._period_ns = round(self._period_s * 1e9)
         self._signals = np.full(config.actuators, np.nan)
         self._pressure_pa = np.full(config.actuators, np.nan)
         self._scan_t_ns = 0
@@ -125,7 +126,7 @@ class BenchDriver:
         self._stops_closed = scans.stops_closed
         if len(scans.t_ns):
             self._scan_t_ns = int(scans.t_ns[-1])
-            self._pressure_pa, self._signals = scans.pressure_pa.mean(axis=0), scans.signals[-1]
+            self._pressure_pa, self._signals = scans.newest_pressure_pa(self._period_ns), scans.signals[-1]
         return scans.t_ns, scans.pressure_pa, scans.signals
 
     def _sample(self, now: int) -> Sample:

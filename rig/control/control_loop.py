@@ -22,7 +22,6 @@ from rig.tip_control.plan_record import StampedPlan
 from runs.records import SolveStatus, blank, sample_dtype
 
 STALLED_NS = 20_000_000
-LONGEST_MEAN_PERIODS = 2
 EXCUSED_NS = 100_000_000
 """Time for a card or its simulator to deliver the scans of a stall of this process."""
 
@@ -146,12 +145,7 @@ class ControlLoop:
             self._auxiliary.add(scans.t_ns, scans.auxiliary)
         if len(scans.t_ns):
             self._scan_t_ns = int(scans.t_ns[-1])
-            pressure_pa = scans.pressure_pa
-            if scans.t_ns[0] < self._scan_t_ns - LONGEST_MEAN_PERIODS * self.period_ns:
-                # After a gap, a mean over all scans would be an old pressure: only the last period counts.
-                pressure_pa = pressure_pa[scans.t_ns > self._scan_t_ns - self.period_ns]
-            # The result of NumPy's mean in half the time.
-            self._pressure_pa = np.add.reduce(pressure_pa) / len(pressure_pa)
+            self._pressure_pa = scans.newest_pressure_pa(self.period_ns)
             self._signals = scans.signals[-1]
         return len(scans.t_ns)
 

@@ -16,6 +16,8 @@ from rig.hardware.cards.opening import open_cards
 from rig.hardware.cards.setup import card_setup
 from rig.hardware.safe_state import SafeOutputs
 
+LONGEST_MEAN_PERIODS = 2
+
 
 @dataclass(frozen=True)
 class BenchScans:
@@ -35,6 +37,19 @@ class BenchScans:
     auxiliary: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
     stops_closed: tuple[bool, ...] = ()
     damaged: int = 0
+
+    def newest_pressure_pa(self, period_ns: int) -> NDArray[np.float64]:
+        """Mean pressure (N,) over the scans of a control period.
+
+        After a gap only over those of the last period: a mean over all would be an old pressure, and the change to the
+        next one too fast.
+        """
+        pressure_pa = self.pressure_pa
+        if self.t_ns[0] < self.t_ns[-1] - LONGEST_MEAN_PERIODS * period_ns:
+            pressure_pa = pressure_pa[self.t_ns > self.t_ns[-1] - period_ns]
+        # The result of NumPy's mean in half the time.
+        newest: NDArray[np.float64] = np.add.reduce(pressure_pa) / len(pressure_pa)
+        return newest
 
 
 class Bench(SafeOutputs):
