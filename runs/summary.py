@@ -18,7 +18,7 @@ from runs.archive.reader import ArchiveReader
 from runs.columns import Tip
 from runs.columns.conversions import PA_PER_BAR
 from runs.periodic_motion import PeriodicMotion, periodic_motions
-from runs.records import DetectionStatus, Interval, Status
+from runs.records import DetectionStatus, Interval, Level, Status
 from runs.tip_error import TipErrorSummary, tip_error
 from runs.tip_plans import TipPlans, tip_plans
 
@@ -154,6 +154,9 @@ class Summary:
     orientation_std_deg: float = NAN
     """Its standard uncertainty about one axis, root mean square over frames and axes."""
 
+    warnings: tuple[str, ...] = ()
+    """Each warning and fault of the run, with its time from the start; one that repeats has its number."""
+
     @property
     def measured_fraction(self) -> float:
         """Frames with a measured tip over those expected."""
@@ -207,6 +210,11 @@ def summarise(run: ArchiveReader) -> Summary:
         periodic=periodic_motions(run),
         frames_oriented=int(oriented.sum()),
         orientation_std_deg=_rms(tip.orientation_uncertainty_deg[oriented].ravel()),
+        warnings=tuple(
+            f"{(event.t_ns - run.header.started_t_ns) * 1e-9:.1f} s: {event.source}: {event.message.splitlines()[0]}"
+            for event in run.events
+            if event.level is not Level.INFO and event.message
+        ),
     )
 
 

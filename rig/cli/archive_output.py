@@ -34,6 +34,7 @@ from runs.summary import Summary, summarise
 from runs.tip_error import TipErrorSummary
 from runs.tip_plans import TipPlans
 
+WARNINGS_SHOWN = 10
 _DATE = re.compile(r"\d{4}(-(0[1-9]|1[0-2])(-(0[1-9]|[12]\d|3[01])(T([01]\d|2[0-3])(:[0-5]\d(:[0-5]\d)?)?)?)?)?")
 
 
@@ -65,6 +66,8 @@ def show(name: Path, as_json: bool) -> None:
         ("run", header.run_id + simulated),
         ("title", header.title),
         ("status", f"{summary.status} {summary.message}".strip()),
+        *(("warning", text) for text in summary.warnings[:WARNINGS_SHOWN]),
+        *_more_warnings(len(summary.warnings) - WARNINGS_SHOWN),
         ("executor", header.executor),
         ("protocol", header.protocol_name),
         ("parameters", ", ".join(map(str, header.protocol_parameters)) or "-"),
@@ -86,6 +89,11 @@ def show(name: Path, as_json: bool) -> None:
     )
     screen.print(facts_table(facts))
     screen.print(summary_table(summary, run.timing.counters))
+
+
+def _more_warnings(number: int) -> tuple[tuple[str, str], ...]:
+    """Return the row that stands for warnings that are not shown."""
+    return (("warning", f"and {number} more, in the report and with --json"),) if number > 0 else ()
 
 
 def _gravity(quantity: Quantity) -> str:

@@ -28,9 +28,17 @@ class DataRecorder:
     that, but events still reach the operator.
     """
 
-    def __init__(self, config: RigConfig, memory: SharedState, journal: Recorder, operator: OperatorInterface) -> None:
+    def __init__(
+        self,
+        config: RigConfig,
+        memory: SharedState,
+        journal: Recorder,
+        operator: OperatorInterface,
+        start_ns: int = 0,
+    ) -> None:
+        """Times in warnings count from `start_ns`."""
         self._config, self._memory, self._journal, self._operator = config, memory, journal, operator
-        self._health = HealthMonitor(config)
+        self._health = HealthMonitor(config, start_ns)
         self._lost_scans = self._damaged_lines = self._missed = self._dropped = self._lost_pulses = 0
         self.failure = ""
         """Why the record could not be written; empty if it could."""
@@ -97,7 +105,7 @@ class DataRecorder:
             self._write(journal.picture, picture)
 
     def finish(self) -> None:
-        """Record the rest, and report the losses that are not reported yet."""
+        """Record the rest, and report what has repeated and is not reported yet."""
         self.drain()
         self.report(*self._health.rest(time.monotonic_ns()))
 

@@ -12,12 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from runs.records import DATAGRAM_COUNTS, DetectionStatus, Event, Level, SolveStatus
+from rig.realtime.repeated_warnings import SHARE_TIME_CONSTANT_S, Condition, Losses, RepeatedWarning
+from runs.records import DATAGRAM_COUNTS, DetectionStatus, Event, SolveStatus
 
-SHARE_TIME_CONSTANT_S = 1.0
-"""Time constant of the share of affected rows."""
-CLEARED = 0.2
-"""A condition ends once its share falls below this part of its threshold (hysteresis)."""
 LATE_S = 0.25
 RATE_TOLERANCE = 0.05
 """Largest relative error of the camera rate."""
@@ -27,8 +24,6 @@ STALL_S = 0.5
 SUSPENSION_S = 0.1
 CONTROL_STALL_S = 0.1
 DISK_S = 2.0
-REPEATED_S = 10.0
-"""Shortest time between two warnings about losses of the same kind."""
 
 _CAUSES = {
     DetectionStatus.NO_BOARD: "no board in the picture: light, lens cap, something before the camera?",
@@ -52,96 +47,71 @@ class _TipSource:
 _CAMERA, _TRACKER = _TipSource("the camera", "pictures"), _TipSource("the tracker", "poses")
 
 
-@dataclass
-class _Condition:
-    """One condition with hysteresis; `above` is the share of affected rows that triggers a warning."""
-
-    above: float
-    share: float = 0.0
-    since_ns: int = 0
-    reported: bool = False
-
-    def events(
-        self, t_ns: int, period_s: float, part: float, source: str, warning: str, recovery: str
-    ) -> Iterator[Event]:
-        """Take one row, of which `part` (0 to 1) is affected; report when the condition begins and when it ends.
-
-        `{share}` in `warning` is the share of affected rows.
-        """
-        if self.share < self.above * CLEARED:
-            self.since_ns = t_ns
-        self.share += (part - self.share) * min(1.0, period_s / SHARE_TIME_CONSTANT_S)
-        if not self.reported and self.share > self.above:
-            self.reported = True
-            yield _warning(t_ns, source, warning.replace("{share}", f"{self.share:.0%}"))
-        elif self.reported and self.share < self.above * CLEARED:
-            self.reported = False
-            yield _recovered(self, t_ns, source, recovery)
-
-
-@dataclass
-class _Losses:
-    """Losses that may come again and again: reported at once, then at most once in `REPEATED_S`, with their number."""
-
-    words: str
-    pending: int = 0
-    told_ns: int | None = None
-
-    def events(self, t_ns: int, number: int) -> Iterator[Event]:
-        """Take the number of losses since the last call; report what is due."""
-        self.pending += number
-        if self.told_ns is None or t_ns - self.told_ns >= REPEATED_S * 1e9:
-            yield from self.rest(t_ns)
-
-    def rest(self, t_ns: int) -> Iterator[Event]:
-        """Report what has not been reported."""
-        if self.pending:
-            yield _warning(t_ns, "card", f"{self.pending} {self.words}")
-            self.told_ns, self.pending = t_ns, 0
-
-
 class HealthMonitor:
     """Monitors the recorded rows and reports when a condition begins and when it ends."""
 
-    def __init__(self, config: RigConfig) -> None:
+    def __init__(self, config: RigConfig, start_ns: int = 0) -> None:
+        """Times in messages count from `start_ns`."""
+        self._start_ns = start_ns
+        self._repeated: list[Condition | RepeatedWarning] = []
         self._cycle_s = 1 / config.control.rate_hz
         self._frame_s = 1 / config.observation_hz
-        self._unmeasured, self._unsolved = _Condition(0.3), _Condition(0.3)
-        self._dropping, self._late, self._missing = _Condition(0.3), _Condition(0.3), _Condition(0.05)
-        self._wrong_rate, self._interval_s, self._frame_t_ns = _Condition(0.5), self._frame_s, 0
-        self._cameras = [(name, _Condition(0.3)) for name in config.cameras] if len(config.cameras) > 1 else []
+        self._unmeasured, self._unsolved = self._condition(0.3), self._condition(0.3)
+        self._dropping, self._late = self._condition(0.3), self._condition(0.3)
+        self._missing = self._condition(0.05, "control")
+        self._wrong_rate, self._interval_s, self._frame_t_ns = self._condition(0.5), self._frame_s, 0
+        cameras = config.cameras if len(config.cameras) > 1 else ()
+        self._cameras = [(name, self._condition(0.3)) for name in cameras]
         self._tip_source = _TRACKER if config.trackers else _CAMERA
         self._counted = dict.fromkeys(DATAGRAM_COUNTS, 0)
-        self._drifting = _Condition(DRIFTING)
+        self._clock_steps = self._warning("observer")
+        self._drifting = self._condition(DRIFTING)
         self._largest_drift = config.tracker.largest_drift_ppm * 1e-6 if config.tracker is not None else np.inf
-        self._sections = [(name, _Condition(0.3)) for name in config.sections]
+        self._sections = [(name, self._condition(0.3)) for name in config.sections]
+        self._inputs = [(name, self._condition(0.05, "card")) for name in config.inputs]
         self._triggered = {name: 0 for name, camera in config.cameras.items() if camera.trigger is not None}
-        self._disk = _Condition(DISK_S)
-        self._lost_scans = _Losses("scans were lost: the card's buffer overran, or what it sent was damaged")
-        self._damaged_lines = _Losses("damaged lines between computer and card were dropped")
-        self._refused, self._not_solved = _Condition(0.3), _Condition(0.3)
+        self._disk = self._condition(DISK_S, "supervisor")
+        self._lost_scans = self._losses("scans were lost: the card's buffer overran, or what it sent was damaged")
+        self._damaged_lines = self._losses("damaged lines between computer and card were dropped")
+        self._lost_pulses = self._losses("pulses of the camera trigger were left out: control was late", "control")
+        self._refused, self._not_solved = (self._condition(0.3, "tip controller") for _ in range(2))
+        self._control_stalls, self._stalls = self._warning("control"), self._warning("supervisor")
+        self._suspensions = self._warning("supervisor")
         self._checked_ns = 0
         self._suspended_ns: int | None = None
+
+    def _condition(self, above: float, source: str = "observer") -> Condition:
+        self._repeated.append(condition := Condition(above, source, self._start_ns))
+        return condition
+
+    def _warning(self, source: str) -> RepeatedWarning:
+        self._repeated.append(warning := RepeatedWarning(source, self._start_ns))
+        return warning
+
+    def _losses(self, words: str, source: str = "card") -> Losses:
+        self._repeated.append(losses := Losses(source, words, self._start_ns))
+        return losses
 
     def samples(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of control cycles (n,) of `runs.records.sample_dtype`, in order of time."""
         for row in rows:
             missed, t_ns = int(row["missed"]), int(row["t_ns"])
+            stall = ""
             if row["lateness_ns"] > CONTROL_STALL_S * 1e9:
-                yield _warning(
-                    t_ns,
-                    "control",
+                stall = (
                     f"control stalled for {row['lateness_ns'] * 1e-9:.2f} s, the valves at their last outputs; "
-                    "the pressures return to their set-points within the rate limit",
+                    "the pressures return to their set-points within the rate limit"
                 )
+            yield from self._control_stalls.events(t_ns, stall)
             yield from self._missing.events(
                 t_ns,
                 self._cycle_s * (missed + 1),
                 missed / (missed + 1),
-                "control",
                 "{share} of the deadlines are missed: the machine is too busy",
                 "deadlines are met again",
             )
+            if self._inputs:
+                yield from self._input_outside(row)
 
     def observations(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of camera frames (n,) of `runs.records.observation_dtype`, in order of time."""
@@ -182,7 +152,7 @@ class HealthMonitor:
                 ),
             )
             for condition, part, warning, recovery in judged:
-                yield from condition.events(t_ns, self._frame_s * (dropped + 1), part, "observer", warning, recovery)
+                yield from condition.events(t_ns, self._frame_s * (dropped + 1), part, warning, recovery)
             if camera:
                 yield from self._camera_rate(t_ns, dropped)
             if self._tip_source is _TRACKER and seen is DetectionStatus.MEASURED:
@@ -207,7 +177,6 @@ class HealthMonitor:
             t_ns,
             self._frame_s,
             float(off),
-            "observer",
             f"{source} gives {1 / self._interval_s:.1f} {self._tip_source.items} a second and the rig says "
             f"{1 / self._frame_s:g}: set `rate_hz` to what {source} can do",
             f"{source} keeps its pace again",
@@ -217,20 +186,28 @@ class HealthMonitor:
         """Report each step of the sender's clock, and the first message of each kind that no working sender sends."""
         counts = dict(zip(DATAGRAM_COUNTS, row["datagrams"].tolist(), strict=True))
         before, self._counted = self._counted, counts
-        if counts["clock_steps"] > before["clock_steps"]:
-            yield _warning(int(row["t_ns"]), "observer", "the clock of the tracker's sender was set, or it restarted")
+        stepped = counts["clock_steps"] > before["clock_steps"]
+        message = "the clock of the tracker's sender was set, or it restarted" if stepped else ""
+        yield from self._clock_steps.events(int(row["t_ns"]), message)
         yield from self._drifting.events(
             int(row["t_ns"]),
             self._frame_s,
             float(abs(row["clock_drift"]) >= self._largest_drift),
-            "observer",
             f"the clock of the tracker's sender drifts by more than largest_drift_ppm, {self._largest_drift * 1e6:g}: "
             "times of poses are less certain; is NTP setting it? State a larger limit in the rig file",
             "the clock of the tracker's sender drifts by less than largest_drift_ppm again",
         )
         for reason in ("malformed", "foreign"):
             if counts[reason] and not before[reason]:
-                yield _warning(int(row["t_ns"]), "observer", f"{reason} messages reach the tracker's port; not used")
+                message = f"{reason} messages reach the tracker's port; not used"
+                yield from RepeatedWarning("observer", self._start_ns).events(int(row["t_ns"]), message)
+
+    def _input_outside(self, row: NDArray[np.void]) -> Iterator[Event]:
+        """Report an auxiliary input whose voltage is outside its span."""
+        for (name, condition), value in zip(self._inputs, row["aux"], strict=True):
+            warning = f"input {name} is outside its span_V and recorded as NaN: is the sensor or its wire broken?"
+            outside, recovery = float(np.isnan(value)), f"input {name} is inside its span_V again"
+            yield from condition.events(int(row["t_ns"]), self._cycle_s, outside, warning, recovery)
 
     def _unmeasured_section(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report a section of the arm that is not measured."""
@@ -240,14 +217,15 @@ class HealthMonitor:
             why = _CAUSES.get(DetectionStatus(seen), DetectionStatus(seen).words)
             unmeasured = float(seen != DetectionStatus.MEASURED)
             warning, recovery = f"section {name} is not measured: {why}", f"section {name} is measured again"
-            yield from condition.events(t_ns, period_s, unmeasured, "observer", warning, recovery)
+            yield from condition.events(t_ns, period_s, unmeasured, warning, recovery)
 
     def _untriggered(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report the first picture of each camera that no pulse of the trigger began."""
         for (name, before), count in zip(self._triggered.items(), row["untriggered"].tolist(), strict=True):
             if count and not before:
                 message = f"camera {name} gives pictures that no trigger pulse begins: is it set to external trigger?"
-                yield _warning(int(row["t_ns"]), "observer", f"{message} They are not used")
+                message = f"{message} They are not used"
+                yield from RepeatedWarning("observer", self._start_ns).events(int(row["t_ns"]), message)
             self._triggered[name] = max(before, count)
 
     def _idle_camera(self, row: NDArray[np.void]) -> Iterator[Event]:
@@ -266,7 +244,7 @@ class HealthMonitor:
                 f"camera {name} {why}; the tip is measured without it",
                 f"camera {name} sees the board again",
             )
-            yield from condition.events(t_ns, period_s, unmeasured, "observer", warning, recovery)
+            yield from condition.events(t_ns, period_s, unmeasured, warning, recovery)
 
     def plans(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of plans (n,) of `runs.records.tip_control_dtype`, in order of time."""
@@ -281,73 +259,56 @@ class HealthMonitor:
                 ),
             )
             for condition, affected, message in judged:
-                yield from condition.events(
-                    t_ns, self._frame_s, float(affected), "tip controller", message, "plans are followed again"
-                )
+                yield from condition.events(t_ns, self._frame_s, float(affected), message, "plans are followed again")
 
     def pulses(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of pulses (n,) of `runs.records.pulse_dtype`, in order of time."""
-        for row in rows[rows["skipped"] > 0]:
-            yield _warning(
-                int(row["t_ns"]),
-                "control",
-                f"{row['skipped']} pulses of the camera trigger were left out: control was late",
-            )
+        for row in rows:
+            yield from self._lost_pulses.add(int(row["t_ns"]), int(row["skipped"]))
 
     def lost(self, t_ns: int, scans: int) -> Iterator[Event]:
         """Event of scans that the cards have dropped since the last call; called also without any."""
-        return self._lost_scans.events(t_ns, scans)
+        return self._lost_scans.add(t_ns, scans)
 
     def damaged(self, t_ns: int, lines: int) -> Iterator[Event]:
         """Event of damaged lines between computer and cards since the last call; called also without any."""
-        return self._damaged_lines.events(t_ns, lines)
+        return self._damaged_lines.add(t_ns, lines)
 
     def rest(self, t_ns: int) -> Iterator[Event]:
-        """Events of the losses that are not reported yet, at the end of a run."""
-        yield from self._lost_scans.rest(t_ns)
-        yield from self._damaged_lines.rest(t_ns)
+        """Events of what has repeated and is not reported yet, at the end of a run."""
+        for repeated in self._repeated:
+            yield from repeated.rest(t_ns)
 
     def supervisor_stall(self, t_ns: int) -> Iterator[Event]:
         """Report when the last call was long ago; called in every cycle of the supervisor."""
         before, self._checked_ns = self._checked_ns, t_ns
-        still_s = (t_ns - before) * 1e-9
+        still_s, message = (t_ns - before) * 1e-9, ""
         if before and still_s > STALL_S:
-            yield _warning(
-                t_ns,
-                "supervisor",
-                f"nothing was recorded for {still_s:.2f} s, all measurements were kept: the machine may have stalled",
+            message = (
+                f"nothing was recorded for {still_s:.2f} s, all measurements were kept: the machine may have stalled"
             )
+        return self._stalls.events(t_ns, message)
 
     def suspension(self, t_ns: int, suspended_ns: int) -> Iterator[Event]:
         """Report a suspension of the computer since the last call; `suspended_ns` is the time in suspension so far."""
         before, self._suspended_ns = self._suspended_ns, suspended_ns
+        message = ""
         if before is not None and suspended_ns - before > SUSPENSION_S * 1e9:
-            yield _warning(
-                t_ns,
-                "supervisor",
+            message = (
                 f"the computer was suspended for {(suspended_ns - before) * 1e-9:.1f} s, the valves at their last "
-                "outputs; times of the record do not count this",
+                "outputs; times of the record do not count this"
             )
+        return self._suspensions.events(t_ns, message)
 
     def disk(self, t_ns: int, standing_s: float) -> Iterator[Event]:
         """Report when writes to the disk have been blocked for long, and when they continue; called in every cycle."""
-        if standing_s > self._disk.above:
-            if not self._disk.reported:
-                self._disk.reported, self._disk.since_ns = True, t_ns - round(standing_s * 1e9)
-                yield _warning(
-                    t_ns,
-                    "supervisor",
-                    f"the disk has not taken the record for {standing_s:.1f} s, which is kept in memory meanwhile: "
-                    "is another program writing to it?",
-                )
-        elif self._disk.reported:
-            self._disk.reported = False
-            yield _recovered(self._disk, t_ns, "supervisor", "the disk takes the record again")
-
-
-def _warning(t_ns: int, source: str, message: str) -> Event:
-    return Event(t_ns, Level.WARNING, source, f"{message}; the run continues")
-
-
-def _recovered(condition: _Condition, t_ns: int, source: str, message: str) -> Event:
-    return Event(t_ns, Level.INFO, source, f"{message}, after {(t_ns - condition.since_ns) * 1e-9:.2f} s")
+        standing = standing_s > self._disk.above
+        if standing and not self._disk.active:
+            self._disk.since_ns = t_ns - round(standing_s * 1e9)
+        return self._disk.changed(
+            t_ns,
+            standing,
+            f"the disk has not taken the record for {standing_s:.1f} s, which is kept in memory meanwhile: "
+            "is another program writing to it?",
+            "the disk takes the record again",
+        )

@@ -96,7 +96,7 @@ class _VirtualRun:
         skew_ms = scene.skew_ms if scene else 0.0
         self._skews_ns = [round(k * skew_ms * 1e6) for k in range(len(self._cameras))]
         self._loop = ControlLoop(plan, self._bench)
-        self._health_monitor = HealthMonitor(config)
+        self._health_monitor = HealthMonitor(config, START_NS)
         self._lost_scans = 0
         self._frame_ns = round(1e9 / config.observation_hz)
         self._delay_ns = round(config.tip_control.delay_ms * 1e6)

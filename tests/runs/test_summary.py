@@ -17,7 +17,7 @@ import tests.support.synthetic_runs as made_up
 from runs import summary
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
-from runs.records import DetectionStatus, Interval, RunFooter, Status
+from runs.records import DetectionStatus, Event, Interval, Level, RunFooter, Status
 from runs.run import Run
 from runs.summary import plane_of_motion, statistics, summarise
 
@@ -52,6 +52,17 @@ def test_the_error_is_the_distance_from_measured_to_model(run: Run) -> None:
     assert found.in_plane_mm.mean == pytest.approx(np.hypot(difference[:, 0], difference[:, 2]).mean())
     assert found.rmse_mm == pytest.approx(np.sqrt((difference**2).mean(axis=0)))
     assert found.plane_deg == pytest.approx(0.0)
+
+
+def test_warnings_are_listed_with_their_time_and_number(tmp_path: Path) -> None:
+    writer = JournalWriter(tmp_path / "run.mcap", made_up.header("run", 3.0))
+    writer.samples(made_up.samples(3.0))
+    repeated = "the tip is not measured; 5 times from 0.2 s to 1.2 s; the run continues"
+    writer.event(Event(made_up.START_NS, Level.INFO, "control", "armed"))
+    writer.event(Event(made_up.START_NS + 1_250_000_000, Level.WARNING, "observer", repeated))
+    writer.close(RunFooter(made_up.START_NS + 3_000_000_000, Status.FINISHED, ""))
+    found = summarise(runs.open(finalise(tmp_path / "run.mcap")))
+    assert found.warnings == (f"1.2 s: observer: {repeated}",)
 
 
 def test_the_settled_error_is_the_mean_over_the_last_part_of_each_dwell(run: Run) -> None:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import rig.config.loader
-from rig.realtime.health_monitor import REPEATED_S, HealthMonitor
+from rig.realtime.health_monitor import HealthMonitor
+from rig.realtime.repeated_warnings import REPEATED_S
 from runs.records import DetectionStatus, Event, Level, observation_dtype, sample_dtype
 
 FRAME_NS, CYCLE_NS = 33_333_333, 5_000_000
