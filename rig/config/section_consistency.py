@@ -23,10 +23,13 @@ def check(
         yield ValidationFault(("sections",), "no such section in a rig without a board on the end cap")
         return
     boards: dict[tuple[str | int, ...], BoardConfig] = {("board",): board}
-    length_mm = arm.geometry.length_mm
+    length_mm, places = arm.geometry.length_mm, dict[float, str]()
     for name, section in known.items():
         if section.at_mm >= length_mm:
             expected = f"less than the length of the arm, {length_mm:g} mm"
+            yield ValidationFault(("sections", name, "at_mm"), expected)
+        if (other := places.setdefault(section.at_mm, name)) != name:
+            expected = f"another place: section {other} is there too; two boards on one section measure the same"
             yield ValidationFault(("sections", name, "at_mm"), expected)
         boards["sections", name, "board"] = section.board
     seen: list[tuple[str, BoardConfig]] = []

@@ -13,6 +13,7 @@ from tests.support.sectioned_bench import sectioned, sectioned_rig
     ("old", "new", "expected"),
     [
         ("at_mm: 125", "at_mm: 170", "less than the length of the arm, 170 mm"),
+        ("at_mm: 125", "at_mm: 85.0", "another place: section middle is there too"),
         ("first_marker: 20", "first_marker: 14", "markers of its own: board has numbers 0 to 14 of 4X4_50"),
         (
             "      kind: apriltag\n      tags_x: 3\n      tags_y: 1\n      tag_mm: 12\n      gap_mm: 3\n",
