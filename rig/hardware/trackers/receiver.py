@@ -115,15 +115,18 @@ class TrackerReceiver:
         if message.sees and np.linalg.norm(tip.translation_m) > self._reach_m:
             self._reject("implausible")
             return None
-        if not self._clock.add(message.sent_ns, arrived_ns):
-            self._counts["clock_steps"] = self._steps()
-            self._reject("implausible")
-            return None
+        used = self._clock.add(message.sent_ns, arrived_ns)
+        self._counts["clock_steps"] = self._steps()
         if not self._clock.ready:
+            if not used:
+                self._reject("implausible")
             return None
         t_ns = self._clock.ours_ns(message.sent_ns) - self._delay_ns
-        if arrived_ns - t_ns > self._latest_ns or (self._given_ns is not None and t_ns <= self._given_ns):
+        if arrived_ns - t_ns > self._latest_ns or (used and self._given_ns is not None and t_ns <= self._given_ns):
             self._reject("late")
+            return None
+        if not used:
+            self._reject("implausible")
             return None
         self._given_ns = t_ns
         return self._reading(message, t_ns, tip, covariance)

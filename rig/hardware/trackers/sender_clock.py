@@ -87,12 +87,15 @@ class SenderClock:
         self._below: deque[tuple[int, int, int]] = deque()
         self._added = 0
         self._messages = 0
+        self._newest_s = -math.inf
+        self._went_back = False
         self._line: _Line | None = None
 
     def add(self, sent_ns: int, arrived_ns: int) -> bool:
-        """Take a message into account; False while its time contradicts those before it.
+        """Take a message into account, in the order of sending; False while its time contradicts those before it.
 
-        Several such messages, or longer delays for `STEP_SPAN_S`, count as a step: the estimate begins anew.
+        Several such messages, or longer delays for `STEP_SPAN_S`, count as a step: the estimate begins anew. A time
+        before that of the message before contradicts it, and so do those that follow, until one lies near the line.
         """
         if self._origin is None:
             self._origin = sent_ns, arrived_ns - sent_ns
@@ -107,12 +110,24 @@ class SenderClock:
             if len(self._below) >= STEP_MESSAGES:
                 self._restart([(sent, arrived) for _, sent, arrived in self._below])
             return False
+        backwards, self._newest_s = x < self._newest_s, x
+        if backwards and not self.ready:
+            self._restart([(sent_ns, arrived_ns)])
+            return False
+        if backwards:
+            # The messages before and after have different clocks: a step is judged by those that come after.
+            self._went_back = True
+            self._recent.clear()
+        if self._went_back and line is not None:
+            self._went_back = y > line.at(x) + STEP_S
         self._recent.append((arrived_ns, x, y))
         while len(self._recent) > LONGER_MESSAGES and self._recent[1][0] < arrived_ns - STEP_SPAN_S * 1e9:
             self._recent.popleft()
         if self._set_back():
             origin_ns = self._origin[0]
             self._restart([(origin_ns + round(a * 1e9), at_ns) for at_ns, a, _ in self._recent])
+            return False
+        if self._went_back:
             return False
         self._keep(x, y)
         return True

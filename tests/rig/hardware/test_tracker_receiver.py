@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -198,3 +200,50 @@ def test_a_body_that_the_tracker_does_not_see_is_a_reading_without_a_pose() -> N
     assert reading is not None
     assert not reading.seen
     assert np.isnan(reading.position_m).all()
+
+
+def readings_of(
+    ahead_s: Callable[[float], float], jitter_ms: float
+) -> tuple[list[tuple[float, float]], dict[str, int]]:
+    """Time [s] of each pose that is used, with the error of its time [ms], and the counts; the clock changes at 5 s."""
+    receiver, random = TrackerReceiver(config(delay_ms=2.0), "pose"), np.random.default_rng(5)
+    found = []
+    for k in range(1000):
+        t_s = k * PERIOD_NS * 1e-9
+        sent = replace(message(k), sent_ns=10**15 + k * PERIOD_NS + round(ahead_s(t_s) * 1e9))
+        arrives_ns = k * PERIOD_NS + DELAY_NS + round(random.uniform(0, jitter_ms) * 1e6)
+        if (reading := receiver.receive(encode(sent), HERE, arrives_ns)) is not None:
+            found.append((t_s, reading.t_ns * 1e-6 - t_s * 1e3))
+    return found, dict(zip(DATAGRAM_COUNTS, receiver.counts, strict=True))
+
+
+@pytest.mark.parametrize("jitter_ms", [0.5, 5.0])
+@pytest.mark.parametrize(
+    "ahead_s",
+    [
+        lambda t_s: -2.0 * (t_s > 5),
+        lambda t_s: 2.0 * (t_s > 5),
+        lambda t_s: -0.05 * (t_s > 5),
+        lambda t_s: 0.05 * (t_s > 5),
+        lambda t_s: -2.0 * float(np.clip(t_s - 5, 0, 0.1)),
+        lambda t_s: 2.0 * (5 < t_s < 5.3),
+    ],
+    ids=["2 s back", "2 s ahead", "50 ms back", "50 ms ahead", "runs backwards for 0.1 s", "ahead for 0.3 s"],
+)
+def test_no_pose_gets_a_wrong_time_while_a_clock_is_set(ahead_s: Callable[[float], float], jitter_ms: float) -> None:
+    found, counts = readings_of(ahead_s, jitter_ms)
+    assert max(abs(error_ms) for _, error_ms in found) < 1.0
+    assert counts["clock_steps"] >= 1
+    assert max(b - a for (a, _), (b, _) in pairwise(found)) < 1.2
+    assert len(found) > 800
+
+
+def test_a_clock_that_drifts_fast_is_followed_within_its_stated_limit() -> None:
+    receiver = TrackerReceiver(config(delay_ms=2.0, largest_drift_ppm=1000.0), "pose")
+    for k in range(2000):
+        sent = replace(message(k), sent_ns=10**15 + round(k * PERIOD_NS * (1 + 500e-6)))
+        reading = receiver.receive(encode(sent), HERE, k * PERIOD_NS + DELAY_NS + k % 7 * 100_000)
+        assert reading is None or abs(reading.t_ns - k * PERIOD_NS) < 300_000
+    assert reading is not None
+    assert reading.clock.drift == pytest.approx(-500e-6, abs=10e-6)
+    assert not any(receiver.counts)
