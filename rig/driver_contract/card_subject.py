@@ -13,12 +13,15 @@ from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
 from rig.driver_contract.check import NotApplicableError
+from rig.driver_contract.device_time import idle_wait
 from rig.hardware.cards.base import Card, CardError, CardSetup, Scans
 from rig.hardware.cards.opening import card_type
 from rig.hardware.cards.setup import card_setup
 from rig.hardware.safe_state import READBACK_TOLERANCE, open_outputs
 from rig.valves.base import ValveSection
 
+LEAST_IDLE = 0.25
+"""Shortest idle wait between two calls of a slow card, as share of the control period."""
 SETTLED_S = 0.1
 """Time for the read-back of a device on a bus."""
 RATE_S = 1.0
@@ -105,11 +108,11 @@ def settled_readback(card: Card, written: Values, subject: CardSubject) -> Value
         time.sleep(0.002)
 
 
-def polled(card: Card, period_s: float, duration_s: float) -> Iterator[Scans]:
-    """Read once in each control period."""
-    until = time.monotonic() + duration_s
+def polled(card: Card, period_s: float, duration_s: float, late_s: list[float]) -> Iterator[Scans]:
+    """Read once in each control period; how much too late the idle waits between the reads end goes to `late_s`."""
     due = time.monotonic()
+    until = due + duration_s
     while time.monotonic() < until:
         yield card.read()
-        due = max(due + period_s, time.monotonic())
-        time.sleep(max(0.0, due - time.monotonic()))
+        due = max(due + period_s, time.monotonic() + LEAST_IDLE * period_s)
+        late_s.append(idle_wait(due))

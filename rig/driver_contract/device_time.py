@@ -63,8 +63,52 @@ def judged(word: str, calls: Sequence[CallTime], late_s: Sequence[float], period
     certain = _fault(word, processor, period_s) or _fault(word, took - often_s, period_s)
     if often_s < _QUIET * period_s or certain or np.median(took) - typical_s > period_s:
         raise BrokenContractError(f"{figures}; {fault}")
-    idle = f"idle waits end up to {np.quantile(late, 1 - MOST_SLOW) * 1e3:.2f} ms late (98 %)"
-    raise NotJudgedError(f"machine busy: {idle}; {figures}")
+    raise _machine_busy(late, figures)
+
+
+class ScanTimes(NamedTuple):
+    """What is known of the scans of some control periods.
+
+    `number` of them within `span_s` from the first to the last; their youngest age `age_s`; the duration of all
+    `taken_s`; `late_s`, how much too late the idle waits between the reads ended.
+    """
+
+    number: int
+    span_s: float
+    age_s: float
+    taken_s: float
+    late_s: Sequence[float]
+
+
+def judge_scans(scans: ScanTimes, least_hz: float, stale_s: float) -> None:
+    """Check that scans come often and soon enough.
+
+    Raises:
+        BrokenContractError: they do not.
+        NotJudgedError: they do not, and so they might because the machine is busy.
+    """
+    late = np.array(scans.late_s)
+    often_s = WAKE_UPS * float(np.quantile(late, 1 - MOST_SLOW))
+    left_s = scans.taken_s - WAKE_UPS * float(late.sum())
+    rate = (scans.number - 1) / scans.span_s if scans.number > 1 else 0.0
+    if scans.number < 2:
+        fault, certain = f"{scans.number} scans in {scans.taken_s:.2g} s", left_s > 2 / least_hz
+    elif scans.age_s > stale_s:
+        fault = (
+            f"the newest scan is {scans.age_s * 1e3:.0f} ms old at best; a run stops at {stale_s * 1e3:g} ms (stale_s)"
+        )
+        certain = scans.age_s - often_s > stale_s
+    elif rate < least_hz:
+        fault = f"{rate:.0f} scans/s; control runs at {2 * least_hz:g} Hz"
+        certain = scans.number < least_hz * left_s
+    else:
+        return
+    raise BrokenContractError(fault) if certain else _machine_busy(late, fault)
+
+
+def _machine_busy(late_s: NDArray[np.float64], figures: str) -> NotJudgedError:
+    idle = f"idle waits end up to {np.quantile(late_s, 1 - MOST_SLOW) * 1e3:.2f} ms late (98 %)"
+    return NotJudgedError(f"machine busy: {idle}; {figures}")
 
 
 def _fault(word: str, took_s: NDArray[np.float64], period_s: float) -> str:

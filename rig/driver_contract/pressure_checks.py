@@ -78,7 +78,7 @@ def vented(subject: CardSubject) -> str:
     _measured_valves(subject)
     with closing(subject.open()) as card:
         card.start()
-        for _ in polled(card, subject.period_s, subject.sample_s):
+        for _ in polled(card, subject.period_s, subject.sample_s, []):
             card.write(subject.outputs(TARGET))  # the heartbeat of a device that vents by itself
         return _vent(subject, card, CardSensors(subject.config, subject.name, card))
 

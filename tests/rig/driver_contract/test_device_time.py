@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rig.driver_contract.check import BrokenContractError, Check, CheckVerdict, NotJudgedError
-from rig.driver_contract.device_time import CallTime, judged
+from rig.driver_contract.device_time import CallTime, ScanTimes, judge_scans, judged
 
 PERIOD_S = 0.005
 CALLS = 200
@@ -62,3 +62,39 @@ def test_a_check_that_cannot_decide_is_neither_passed_nor_failed() -> None:
     found = check.result("card daq", idle(20.0))
     assert (found.verdict, found.failed) == (CheckVerdict.NOT_JUDGED, False)
     assert found.found.startswith("machine busy")
+
+
+LEAST_HZ, STALE_S = 100.0, 0.1
+
+
+def scans(number: int, late_s: list[float], age_s: float = 0.002) -> ScanTimes:
+    """Scans of one second."""
+    return ScanTimes(number, 0.98, age_s, 1.0, late_s)
+
+
+@pytest.mark.parametrize("late_s", [QUIET, BUSY])
+def test_scans_that_come_often_pass_on_any_machine(late_s: list[float]) -> None:
+    judge_scans(scans(180, late_s), LEAST_HZ, STALE_S)
+
+
+@pytest.mark.parametrize(
+    ("found", "message"),
+    [
+        (scans(60, QUIET), "60 scans/s; control runs at 200 Hz"),
+        (scans(0, QUIET), "0 scans in 1 s"),
+        (scans(180, QUIET, 0.15), "150 ms old at best"),
+        (scans(15, idle(1.0)), "14 scans/s; control"),
+        (scans(180, BUSY, 0.3), "300 ms old at best"),
+    ],
+)
+def test_rare_or_old_scans_beyond_what_the_machine_explains_are_the_drivers_fault(
+    found: ScanTimes, message: str
+) -> None:
+    with pytest.raises(BrokenContractError, match=message):
+        judge_scans(found, LEAST_HZ, STALE_S)
+
+
+@pytest.mark.parametrize("found", [scans(60, BUSY), scans(0, idle(5.0)), scans(180, idle(15.0), 0.15)])
+def test_rare_or_old_scans_that_a_busy_machine_explains_are_not_judged(found: ScanTimes) -> None:
+    with pytest.raises(NotJudgedError, match="machine busy: idle waits end up to"):
+        judge_scans(found, LEAST_HZ, STALE_S)
