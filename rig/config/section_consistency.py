@@ -28,8 +28,8 @@ def check(
         if section.at_mm >= length_mm:
             expected = f"less than the length of the arm, {length_mm:g} mm"
             yield ValidationFault(("sections", name, "at_mm"), expected)
-        if (other := places.setdefault(section.at_mm, name)) != name:
-            expected = f"another place: section {other} is there too; two boards on one section measure the same"
+        if (taken_by := places.setdefault(section.at_mm, name)) != name:
+            expected = f"another place: section {taken_by} is there too; two boards on one section measure the same"
             yield ValidationFault(("sections", name, "at_mm"), expected)
         boards["sections", name, "board"] = section.board
     seen: list[tuple[str, BoardConfig]] = []
