@@ -38,6 +38,13 @@ class ArmTrajectory:
     ok: NDArray[np.bool_]
 
 
+@dataclass(frozen=True, eq=False)
+class SavedMotion:
+    """Copies of all arrays that the time steps of one `Dynamics` change."""
+
+    arrays: tuple[Array, ...]
+
+
 class Dynamics:
     """Time integrator of one arm, by default with a fixed time step [s].
 
@@ -182,6 +189,19 @@ class Dynamics:
         if (self._arm.by_pressure or self._arm.actuation.stops) and not np.isfinite(rows).all():
             raise ValueError(NOT_FINITE)
         return self._advance(self._hysteresis.advance(rows))
+
+    def saved(self) -> SavedMotion:
+        """The motion after the last step, for `restore`; the steps so far have the constructor's length."""
+        return SavedMotion(tuple(array.copy() for array in self._changing()))
+
+    def restore(self, motion: SavedMotion) -> None:
+        """Continue from a motion that this object has saved since its last start."""
+        for array, value in zip(self._changing(), motion.arrays, strict=True):
+            array[...] = value
+
+    def _changing(self) -> tuple[Array, ...]:
+        own = (self._x, self._past_states, self._last_pressures, self._branch_strains, self._pool)
+        return *own, *self._hysteresis.state
 
     def _change_step(self, dt_s: float) -> None:
         """Prepare a time step of another length: its coefficients, and its history y^h (eq 26).

@@ -33,6 +33,11 @@ class Hysteresis:
         slide(self._elements, self._stops, self._before, pressure_pa, effective)
         return effective
 
+    @property
+    def state(self) -> tuple[Array, Array]:
+        """The stops (K, N) and the last pressures (N,) [Pa], which `advance` changes in place."""
+        return self._stops, self._before
+
 
 def effective_pa(elements: Sequence[StopElement], pressure_pa: Array) -> Array:
     """Effective pressures (1 + T, N) of a sequence (1 + T, N) [Pa] from the relaxed state."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -133,12 +133,25 @@ class SetPointTrajectory:
 
     def sample(self, t_s: Iterable[float]) -> NDArray[np.float64]:
         """Set-points (T, N) [Pa, gauge] at T protocol times."""
-        times = [min(max(float(t), 0.0), self.duration_s) for t in t_s]
+        times = np.clip(np.fromiter(t_s, dtype=np.float64), 0.0, self.duration_s)
         found = np.empty((len(times), self.actuators))
-        places = np.array([max(bisect_right(self._starts, t) - 1, 0) for t in times], dtype=np.intp)
-        for place in np.unique(places).tolist():
-            segment, rows = self.segments[place], np.flatnonzero(places == place).tolist()
+        for segment, rows in self._by_segment(times):
             found[rows] = segment.level_pa
             for index, wave in segment.waves:
-                found[rows, index] = [wave.at(times[row] - segment.start_s) for row in rows]
+                found[rows, index] = wave.values_at(times[rows] - segment.start_s)
         return found
+
+    def rates_pa_s(self, t_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Rates of change (T, N) [Pa/s] just after T protocol times, as `rate_pa_s` gives them."""
+        found = np.zeros((len(t_s), self.actuators))
+        inside = np.flatnonzero((t_s >= 0.0) & (t_s < self.duration_s))
+        for segment, rows in self._by_segment(t_s[inside]):
+            for index, wave in segment.waves:
+                found[inside[rows], index] = wave.slopes_at(t_s[inside[rows]] - segment.start_s)
+        return found
+
+    def _by_segment(self, t_s: NDArray[np.float64]) -> Iterator[tuple[Segment, NDArray[np.intp]]]:
+        """Each segment with times (T,) in it, and the indices of these times."""
+        places = np.maximum(np.searchsorted(self._starts, t_s, side="right") - 1, 0)
+        for place in np.unique(places).tolist():
+            yield self.segments[place], np.flatnonzero(places == place)

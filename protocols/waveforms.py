@@ -9,7 +9,13 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 FADE_KNOTS = 200
 
@@ -26,9 +32,17 @@ class Waveform(Protocol):
     def knots(self, duration_s: float) -> tuple[float, ...]:
         """Times from 0 to `duration_s`, both included, with every extreme of value and slope among them."""
 
+    def values_at(self, t_s: Array) -> Array:
+        """The values (n,) at times (n,)."""
+        return np.array([self.at(t) for t in t_s.tolist()], dtype=np.float64)
+
+    def slopes_at(self, t_s: Array) -> Array:
+        """The slopes (n,) at times (n,)."""
+        return np.array([self.slope(t) for t in t_s.tolist()], dtype=np.float64)
+
 
 @dataclass(frozen=True)
-class LinearSegment:
+class LinearSegment(Waveform):
     """From `start` at a constant slope, `stop` exactly at `duration_s`."""
 
     start: float
@@ -51,7 +65,7 @@ class LinearSegment:
 
 
 @dataclass(frozen=True)
-class Smooth:
+class Smooth(Waveform):
     """From `start` to `stop` in `duration_s`, at rest and unaccelerated at both ends (quintic)."""
 
     start: float
@@ -74,7 +88,7 @@ class Smooth:
 
 
 @dataclass(frozen=True)
-class Sinusoid:
+class Sinusoid(Waveform):
     """mean + amplitude sin(omega t + phase)."""
 
     mean: float
@@ -98,7 +112,7 @@ class Sinusoid:
 
 
 @dataclass(frozen=True)
-class SinusoidLeadIn:
+class SinusoidLeadIn(Waveform):
     """From a constant into a sinusoid: it goes over smoothly in `duration_s` and never leaves the range of the two.
 
     `target` is the sinusoid as it will run afterwards; here it has its first value at `duration_s`.
@@ -125,7 +139,7 @@ class SinusoidLeadIn:
 
 
 @dataclass(frozen=True)
-class Samples:
+class Samples(Waveform):
     """Given values at given times from 0 on; between them a straight line, or, with `held`, the last value."""
 
     times_s: tuple[float, ...]
@@ -152,6 +166,31 @@ class Samples:
     def knots(self, duration_s: float) -> tuple[float, ...]:
         """The given times."""
         return self.times_s
+
+    def values_at(self, t_s: Array) -> Array:
+        """The values (n,), without a loop: a tip path has hundreds of thousands."""
+        times, values = self._arrays
+        left = np.searchsorted(times, t_s, side="right") - 1
+        inside = np.clip(left, 0, max(len(times) - 2, 0))
+        if self.held or len(times) < 2:
+            return values[np.maximum(left, 0)]
+        rise = values[inside + 1] - values[inside]
+        found: Array = values[inside] + rise * ((t_s - times[inside]) / (times[inside + 1] - times[inside]))
+        return np.where(left < 0, values[0], np.where(left + 1 >= len(times), values[-1], found))
+
+    def slopes_at(self, t_s: Array) -> Array:
+        """Their rates of change per second (n,)."""
+        times, values = self._arrays
+        left = np.searchsorted(times, t_s, side="right") - 1
+        if self.held or len(times) < 2:
+            return np.zeros(len(t_s))
+        inside = np.clip(left, 0, len(times) - 2)
+        slopes = (values[inside + 1] - values[inside]) / (times[inside + 1] - times[inside])
+        return np.where((left < 0) | (left + 1 >= len(times)), 0.0, slopes)
+
+    @cached_property
+    def _arrays(self) -> tuple[Array, Array]:
+        return np.array(self.times_s), np.array(self.values)
 
 
 def _rise(x: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from model import sensitivities
 from model.arm import Arm
-from model.dynamics import Dynamics
+from model.dynamics import Dynamics, SavedMotion
 from model.inverse.drive import Drive
 from model.inverse.limited_step import limited_step
 from model.inverse.static_map import StaticMap
@@ -32,6 +33,10 @@ SMALL_M = 1e-6
 """The dynamic steps end when the root mean square of the error falls by less than a tenth, or below this."""
 RESPONSE_S = 0.5
 RESPONSE_STEP_PA = 2000.0
+WINDOW_S = 30.0
+"""Longest part of a path that is solved at once,"""
+AHEAD_S = 2.0
+"""together with what comes in so long after it, and in the time in which the rate limit permits every pressure."""
 GUESS = 0.25
 """First guess of the pressures, relative to their limit."""
 
@@ -55,6 +60,20 @@ class SecondOrderResponse:
 
     lag_s: float
     inertia_s2: float
+
+
+@dataclass(frozen=True, eq=False)
+class PathPlace:
+    """Where a window of a path begins: the arm in motion with its tip (3,) [m], and the pressures (V,) [Pa].
+
+    `ahead_pa` (a, V): the pressures after it that the window before has found, with the end of that window near.
+    """
+
+    motion: Dynamics
+    saved: SavedMotion
+    tip_m: Array
+    pressure_pa: Array
+    ahead_pa: Array
 
 
 class PathInverse:
@@ -86,9 +105,9 @@ class PathInverse:
     ) -> PathFollowing:
         """Pressures for targets (n, 3) [m] in some coordinates, from the last of before_pa (k, N) on.
 
-        Gauss-Newton over all samples: first statics on a coarse grid, then the dynamic model, whose error is mapped to
-        pressures by the static gradients and the arm's second-order response. With `enough_m`
-        the largest error counts instead of the root mean square, and it ends when that is at most `enough_m`.
+        Gauss-Newton over all samples of a window: first statics on a coarse grid, then the dynamic model, whose error
+        is mapped to pressures by the static gradients and the arm's second-order response. With `enough_m` the largest
+        error counts instead of the root mean square, and it ends when that is at most `enough_m`.
 
         Raises:
             NotConverged: the arm has no equilibrium to start from.
@@ -96,24 +115,61 @@ class PathInverse:
         """
         axes = list(coordinates)
         start = self._drive.of_actuators(before_pa[-1])
-        pressure, gradient = self._static(target_m[:, axes], axes, start)
+        guess = np.maximum(start, GUESS * self._drive.highest_pa)
+        motion = Dynamics(self._arm, self._dt_s)
+        first_tip = motion.start(before_pa[0], self._loads).tip_m
+        if len(before_pa) > 1:
+            first_tip = motion.run(before_pa[1:]).tip_m[-1]
+        pressure, tips = np.empty((len(target_m), self._drive.valves)), np.empty((len(target_m), 3))
+        pressure[0], tips[0] = start, first_tip
+        at = PathPlace(motion, motion.saved(), tips[0], pressure[0], pressure[:0])
+        for first, stop, last in self._windows(len(target_m)):
+            found, at = self._window(at, target_m[first : last + 1, axes], axes, guess, stop - first, enough_m)
+            pressure[first + 1 : stop + 1], tips[first + 1 : stop + 1] = found.pressure_pa[1:], found.tip_m[1:]
+        return PathFollowing(pressure, tips)
+
+    def _windows(self, count: int) -> Iterator[tuple[int, int, int]]:
+        """Rows of a path (count,) between which each window lies, and the last row that is solved with it."""
+        length = max(1, round(WINDOW_S / self._dt_s))
+        ahead = round((AHEAD_S + self._drive.highest_pa / self._drive.rate_pa_s) / self._dt_s)
+        first = 0
+        while first < count - 1:
+            stop = first + length if first + length + ahead < count else count - 1
+            yield first, stop, min(stop + ahead, count - 1)
+            first = stop
+
+    def _window(
+        self, at: PathPlace, target: Array, axes: list[int], guess: Array, keep: int, enough_m: float
+    ) -> tuple[PathFollowing, PathPlace]:
+        """The first `keep` rows after a place that lead along targets (w, C), and the place after them."""
+        pressure, gradient = self._static(target, axes, at.pressure_pa, guess)
+        if known := len(at.ahead_pa):
+            # At rest the pressures are others: without what is known there would be a jump.
+            pressure[1 : known + 1] += np.linspace(1.0, 0.0, known)[:, None] * (at.ahead_pa - pressure[1 : known + 1])
+            pressure = limited_step(gradient, np.zeros_like(target), pressure, self._drive, self._dt_s)
         response = self._response(pressure.mean(axis=0), axes)
-        best: PathFollowing | None = None
+        best: tuple[Array, Array, SavedMotion] | None = None
         least = np.inf
         for _ in range(DYNAMIC_STEPS):
-            tips = self._tips(before_pa, pressure[1:] @ self._matrix.T, 1)
-            error = target_m[:, axes] - tips[:, axes]
+            at.motion.restore(at.saved)
+            rows = pressure[1:] @ self._matrix.T
+            kept = at.motion.run(rows[:keep]).tip_m
+            saved = at.motion.saved()
+            tips = np.vstack([at.tip_m, kept, at.motion.run(rows[keep:]).tip_m])
+            error = target - tips[:, axes]
             worst = float(np.linalg.norm(error, axis=1).max())
             size = worst if enough_m else float(np.sqrt(np.mean(error[np.isfinite(error)] ** 2)))
             improved = size < LEAST_PROGRESS * least
             if size < least or best is None:
-                best, least = PathFollowing(pressure, tips), size
+                best, least = (pressure, tips, saved), size
             if not improved or size < SMALL_M or worst <= enough_m:
                 break
             shift = self._correction(np.nan_to_num(error), response)
             pressure = limited_step(gradient, shift, pressure, self._drive, self._dt_s)
         assert best is not None
-        return best
+        pressure, tips, saved = best
+        place = PathPlace(at.motion, saved, tips[keep], pressure[keep], pressure[keep + 1 :])
+        return PathFollowing(pressure[: keep + 1], tips[: keep + 1]), place
 
     def _correction(self, error: Array, response: SecondOrderResponse) -> Array:
         smooth = gaussian_filter1d(error, SMOOTHING_S / self._dt_s, axis=0, mode="nearest")
@@ -122,13 +178,12 @@ class PathInverse:
         found: Array = smooth + response.lag_s * rate + response.inertia_s2 * acceleration
         return found
 
-    def _static(self, target: Array, axes: list[int], start: Array) -> tuple[Array, Array]:
-        """Pressures (n, V) at rest on the path, and the tip's gradients (n, C, V) by them."""
+    def _static(self, target: Array, axes: list[int], start: Array, guess: Array) -> tuple[Array, Array]:
+        """Pressures (n, V) at rest on the path from `start` (V,) on, and the tip's gradients (n, C, V) by them."""
         n = len(target)
         stride = max(1, round(COARSE_S / self._dt_s))
         rows = np.unique(np.r_[np.arange(0, n, stride), n - 1])
         step_s = stride * self._dt_s
-        guess = np.maximum(start, GUESS * self._drive.highest_pa)
         coarse = np.vstack([start, np.tile(guess, (len(rows) - 1, 1))])
         tips, gradient = self._gradients(coarse, axes)
         error, before = target[rows] - tips, np.inf

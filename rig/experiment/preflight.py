@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from model.units import PA_PER_BAR
 from protocols import Problem, Protocol, Segment, SetPointTrajectory
 from rig.config.schema import RigConfig
@@ -116,7 +118,7 @@ class _PreflightCheck:
     def _shared(self, segment: Segment) -> Iterator[tuple[str, float, Problem]]:
         """Check that the set-points of actuators on one valve are equal."""
         for number, valve in enumerate(self._config.valves, start=1):
-            if not set(valve.actuators) & set(segment.actuators):
+            if len(valve.actuators) < 2 or not set(valve.actuators) & set(segment.actuators):
                 continue
             for t_s in _knots(segment):
                 level = segment.level_at(segment.start_s + t_s)
@@ -146,9 +148,9 @@ def _extremes(segment: Segment) -> list[tuple[float, float, float]]:
     """Return the lowest and highest level [Pa] and the steepest slope [Pa/s] of each actuator."""
     found = [(level, level, 0.0) for level in segment.level_pa]
     for index, wave in segment.waves:
-        knots = wave.knots(segment.stop_s - segment.start_s)
-        values = [wave.at(t_s) for t_s in knots]
-        found[index] = (min(values), max(values), max(abs(wave.slope(t_s)) for t_s in knots))
+        knots = np.array(wave.knots(segment.stop_s - segment.start_s))
+        values, slopes = wave.values_at(knots), wave.slopes_at(knots)
+        found[index] = (float(values.min()), float(values.max()), float(np.abs(slopes).max()))
     return found
 
 

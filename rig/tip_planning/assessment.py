@@ -66,7 +66,7 @@ def _assess(
     speed = np.linalg.norm(motion.velocity_m_s[on_path][:, axes], axis=1)
     pressure = trajectory.sample(times)
     # A path of one time has no rate of its own.
-    rates = np.array([trajectory.rate_pa_s(t) for t in times[: max(1, len(times) - 1)].tolist()])
+    rates = trajectory.rates_pa_s(times[: max(1, len(times) - 1)])
     some = pressure[np.linspace(0, len(pressure) - 1, POSTURES).astype(int)]
     shares, needed = _propagated(config, some, axes, trajectory.weight_kg(motion.path_s), variant)
     order = sorted(shares, key=shares.__getitem__, reverse=True)

@@ -14,7 +14,9 @@ from scipy.integrate import simpson
 from scipy.optimize import brentq
 
 from model import Arm, Loads
+from model.actuation import StopElement
 from model.dynamics import Dynamics
+from model.material import MaxwellBranch
 from model.statics import statics
 from tests.support.budget import examples
 
@@ -233,6 +235,26 @@ def test_the_same_pressures_give_the_same_motion_bit_for_bit() -> None:
         return np.array([dynamics.step(rng.uniform(0, 0.3 * BAR, 3)).tip_m for _ in range(20)])
 
     assert np.array_equal(run(), run())
+
+
+def test_a_restored_motion_repeats_bit_for_bit() -> None:
+    # Branches and stops remember, too.
+    arm = Arm.paper()
+    arm = replace(
+        arm,
+        material=replace(arm.material, branches=(MaxwellBranch(0.2, 0.7),)),
+        actuation=replace(arm.actuation, stops=(StopElement(0.1, 2e3),)),
+    )
+    rows = 5e4 * np.random.default_rng(1).random((40, 3))
+    dynamics = Dynamics(arm, 0.01)
+    dynamics.start(rows[0])
+    dynamics.run(rows[1:20])
+    saved = dynamics.saved()
+    first = dynamics.run(rows[20:]).tip_m
+    dynamics.restore(saved)
+    assert (dynamics.run(rows[20:]).tip_m == first).all()
+    dynamics.restore(saved)
+    assert (np.array([dynamics.step(row).tip_m for row in rows[20:]]) == first).all()
 
 
 def test_a_step_that_cannot_be_solved_is_flagged_and_the_motion_continues() -> None:

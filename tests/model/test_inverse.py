@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 
 from model import Arm, Loads, batch, statics
 from model.dynamics import Dynamics
+from model.inverse import path as path_module
 from model.inverse.drive import Drive
 from model.inverse.limited_step import limited_step
 from model.inverse.path import PathFollowing, PathInverse
@@ -64,7 +65,8 @@ def test_the_tip_of_a_fast_path_is_far_off_under_static_pressures() -> None:
     # What the dynamic solution is for: under pressures of the statics the tip is off by more than a millimetre.
     target = circle(0.02, 1.0, 2.0)
     inverse = PathInverse(ARM, THREE, DT_S)
-    pressure, _ = inverse._static(target, [0, 1, 2], at_height(0.19))
+    start = at_height(0.19)
+    pressure, _ = inverse._static(target, [0, 1, 2], start, start)
     dynamics = Dynamics(ARM, DT_S)
     dynamics.start(pressure[0])
     error_mm = np.linalg.norm(dynamics.run(pressure[1:]).tip_m - target[1:], axis=1) * 1e3
@@ -87,6 +89,39 @@ def test_limits_hold_on_a_path_that_asks_for_more() -> None:
     assert pressure.min() >= 0
     assert pressure.max() <= THREE.highest_pa
     assert np.abs(np.diff(pressure, axis=0)).max() <= THREE.rate_pa_s * DT_S * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("radius_m", [0.02, 0.045])
+def test_a_path_in_windows_has_the_pressures_of_the_path_as_a_whole(
+    monkeypatch: pytest.MonkeyPatch, radius_m: float
+) -> None:
+    # The large circle is beyond the rate limit: pressures have to move before they are needed.
+    target = circle(radius_m, 0.7, 9.0)
+    whole, rows = followed(target), []
+
+    def counted(gradient: Array, shift_m: Array, pressure_pa: Array, drive: Drive, dt_s: float) -> Array:
+        rows.append(len(pressure_pa))
+        return limited_step(gradient, shift_m, pressure_pa, drive, dt_s)
+
+    monkeypatch.setattr(path_module, "limited_step", counted)
+    monkeypatch.setattr(path_module, "WINDOW_S", 2.0)
+    parts = followed(target)
+    assert max(rows) <= round((2.0 + path_module.AHEAD_S + THREE.highest_pa / THREE.rate_pa_s) / DT_S) + 1
+    assert np.abs(parts.pressure_pa - whole.pressure_pa).max() < 100
+    assert parts.error_m(target, (0, 1, 2)).max() < whole.error_m(target, (0, 1, 2)).max() + 1e-5
+    motion = Dynamics(ARM, DT_S)
+    motion.start(parts.pressure_pa[0])
+    assert np.abs(motion.run(parts.pressure_pa[1:]).tip_m - parts.tip_m[1:]).max() < 1e-9
+
+
+def test_pressures_that_a_path_leaves_open_do_not_drift_from_window_to_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(path_module, "WINDOW_S", 0.5)
+    start = np.full(3, 0.1e5)
+    tip = np.array(statics.statics(ARM, start).tip_m)
+    target = np.tile(tip, (1000, 1)) + 0.01 * np.sin(np.pi * DT_S * np.arange(1000.0))[:, None] ** 2 * [1, 0, 0]
+    found = PathInverse(ARM, THREE, DT_S).follow(target, (0, 1), np.tile(start, (11, 1)))
+    mean = found.pressure_pa.mean(axis=1)
+    assert mean[200:].max() - mean[200:].min() < 0.01e5
 
 
 def test_two_valves_control_two_coordinates() -> None:

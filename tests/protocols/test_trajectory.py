@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -219,6 +220,22 @@ WAVES: list[Waveform] = [
     SinusoidLeadIn(0.5, Sinusoid(2.0, 1.5, 3.0, 4.0), 2.0),
     Samples((0.0, 0.5, 2.0), (1.0, 3.0, 0.0), held=False),
 ]
+
+
+@pytest.mark.parametrize(
+    "wave", [*WAVES, replace(WAVES[-1], held=True), Samples((0.0,), (2.0,), held=False)], ids=lambda wave: repr(wave)
+)
+def test_a_waveform_at_many_times_is_that_at_each(wave: Waveform) -> None:
+    t = np.concatenate([np.linspace(-0.5, 2.5, 301), [0.0, 0.5, 2.0]])
+    assert wave.values_at(t).tolist() == [wave.at(x) for x in t.tolist()]
+    assert wave.slopes_at(t).tolist() == [wave.slope(x) for x in t.tolist()]
+
+
+def test_the_rates_at_many_times_are_those_at_each() -> None:
+    played = protocols.load("ramp-a").expand(3)
+    t = np.linspace(-1.0, played.duration_s + 1.0, 1001)
+    assert played.rates_pa_s(t).tolist() == [played.rate_pa_s(x).tolist() for x in t.tolist()]
+    assert played.sample(t).tolist() == [played.setpoint_pa(x).tolist() for x in t.tolist()]
 
 
 @pytest.mark.parametrize("wave", WAVES, ids=lambda wave: type(wave).__name__)
