@@ -17,9 +17,13 @@ from rig.control.control_loop import ValveOutputs
 from rig.control.interlocks import evaluation
 from rig.control.interlocks.base import Sample, Trip
 from rig.control.sensor_state import RegulatorDemand, SensorState
+from rig.control.stall import StallExcuse
 from rig.hardware.bench import Bench
+from rig.hardware.cards.base import CardError
 
 Floats = NDArray[np.float64]
+_LONGEST_INTERVALS = 1.5
+"""Between two scans, of the usual interval; in a longer one the time of a simulated bench stood still."""
 
 
 class TrippedError(Exception):
@@ -49,14 +53,30 @@ class BenchLog:
 class BenchDriver:
     """Drives an armed bench. Every control cycle goes through the interlocks of a run; a trip makes safe and raises."""
 
-    def __init__(self, config: RigConfig, bench: ValveOutputs, clock: BenchClock, check: Callable[[], None]) -> None:
-        """`check` is called at every control cycle and raises on a stop request of the operator."""
+    def __init__(
+        self,
+        config: RigConfig,
+        bench: ValveOutputs,
+        clock: BenchClock,
+        check: Callable[[], None],
+        *,
+        longest_stop_ns: int | None = None,
+    ) -> None:
+        """`check` is called at every control cycle and raises on a stop request of the operator.
+
+        With `longest_stop_ns` the bench is a simulation whose time stops while it or this process is delayed, but no
+        longer. All durations are then those of the bench.
+        """
         self._config, self._bench, self._clock, self._check = config, bench, clock, check
         self._prepared = control.prepare(config)
         self._period_s = self._prepared.period_s
         self._period_ns = round(self._period_s * 1e9)
         self._signals = np.full(config.actuators, np.nan)
         self._pressure_pa = np.full(config.actuators, np.nan)
+        self._longest_stop_ns = longest_stop_ns
+        self._scan_interval_s = 1.0 / min(card.sampling_hz for card in config.cards.values())
+        self._excuse = StallExcuse()
+        self._late_ns, self._passed_s = 0, self._period_s
         self._scan_t_ns = 0
         self._stops_closed = (True,) * len(config.emergency_stops)
 
@@ -69,7 +89,7 @@ class BenchDriver:
         """Regulate pressures (N,) for `seconds`, or until `until` returns True."""
         state = control.initial(self._prepared)
         still = np.zeros_like(setpoint_pa)
-        rows = _RowBuffer()
+        rows = self._row_buffer()
         for now in self._period(seconds, until):
             rows.take(*self._listen())
             state, command = control.step(self._prepared, state, self._sample(now), setpoint_pa, still)
@@ -88,7 +108,7 @@ class BenchDriver:
         chambers = list(settings.actuators)
         states = (SensorState(),) * self._config.actuators
         start: float | None = None
-        rows = _RowBuffer()
+        rows = self._row_buffer()
         before: int | None = None
         for now in self._period(seconds, None):
             rows.take(*self._listen())
@@ -101,8 +121,10 @@ class BenchDriver:
                 for i, pressure in enumerate(sample.pressure_pa.tolist())
             ]
             dt_s = self._period_s if before is None else (sample.scan_t_ns - before) * 1e-9
+            counted_s = self._period_s if sample.time_stopped and sample.stalled_ns else dt_s
+            new = sample.scan_t_ns != before
             states, trip = evaluation.evaluate(
-                self._prepared.limits, states, sample, demands, dt_s, new=sample.scan_t_ns != before
+                self._prepared.limits, states, sample, demands, dt_s, new=new, counted_s=counted_s
             )
             before = sample.scan_t_ns
             if trip is not None:
@@ -115,22 +137,45 @@ class BenchDriver:
         return rows.log()
 
     def _period(self, seconds: float, until: Callable[[], bool] | None) -> Iterator[int]:
-        for _ in range(max(1, round(seconds / self._period_s))):
+        while self._longest_stop_ns is not None and not self._scan_t_ns:
+            self._check()
+            self._clock.next()
+            self._listen()
+        left_s = max(self._period_s, seconds)
+        while left_s > self._period_s / 2:
             self._check()
             yield self._clock.next()
+            left_s -= self._passed_s
             if until is not None and until():
                 return
 
     def _listen(self) -> tuple[NDArray[np.int64], Floats, Floats]:
         scans = self._bench.read()
         self._stops_closed = scans.stops_closed
+        self._passed_s = self._period_s
+        if self._longest_stop_ns is not None:
+            self._late_ns, self._passed_s = scans.late_ns, len(scans.t_ns) * self._scan_interval_s
+            if self._late_ns > self._longest_stop_ns:
+                raise CardError(f"the simulator has stalled for {self._late_ns * 1e-9:.1f} s")
         if len(scans.t_ns):
             self._scan_t_ns = int(scans.t_ns[-1])
             self._pressure_pa, self._signals = scans.newest_pressure_pa(self._period_ns), scans.signals[-1]
         return scans.t_ns, scans.pressure_pa, scans.signals
 
     def _sample(self, now: int) -> Sample:
-        return Sample(now, self._scan_t_ns, self._signals, self._pressure_pa, stops_closed=self._stops_closed)
+        return Sample(
+            now,
+            self._scan_t_ns,
+            self._signals,
+            self._pressure_pa,
+            stalled_ns=self._excuse.stalled_ns(now, self._late_ns),
+            time_stopped=self._longest_stop_ns is not None,
+            late_ns=self._late_ns,
+            stops_closed=self._stops_closed,
+        )
+
+    def _row_buffer(self) -> _RowBuffer:
+        return _RowBuffer(None if self._longest_stop_ns is None else self._scan_interval_s)
 
 
 @contextmanager
@@ -149,7 +194,10 @@ def made_safe(bench: Bench) -> Iterator[None]:
 
 
 class _RowBuffer:
-    def __init__(self) -> None:
+    """Rows of a log. With `interval_s` that of the scans: a longer one is time in which the bench stood still."""
+
+    def __init__(self, interval_s: float | None) -> None:
+        self._interval_s = interval_s
         self._t: list[NDArray[np.int64]] = []
         self._p: list[Floats] = []
         self._signals: list[Floats] = []
@@ -164,4 +212,7 @@ class _RowBuffer:
         if not self._t:
             return BenchLog(np.empty(0), np.empty((0, 0)), np.empty((0, 0)))
         t = np.concatenate(self._t)
-        return BenchLog((t - t[0]) * 1e-9, np.concatenate(self._p), np.concatenate(self._signals))
+        steps_s = np.diff(t, prepend=t[0]) * 1e-9
+        if self._interval_s is not None:
+            steps_s[steps_s > _LONGEST_INTERVALS * self._interval_s] = self._interval_s
+        return BenchLog(np.cumsum(steps_s), np.concatenate(self._p), np.concatenate(self._signals))

@@ -111,9 +111,10 @@ def real(config: RigConfig, rig_file: Path, purpose: str) -> Iterator[tuple[Valv
             memory.control_granted = enable_realtime_scheduling(CONTROL_PRIORITY)
             # The first scans are on their way.
             time.sleep(POWER_UP_NS * 1e-9)
-            clock = RealTimeClock(memory, _period_ns(config), watchdog, timing_limits(config, memory.granted))
+            timing = timing_limits(config, memory.granted)
+            clock = RealTimeClock(memory, _period_ns(config), watchdog, timing)
             # Imports and compilation at first use make a control cycle late: no valve may be open then, unwatched.
-            warming = BenchDriver(config, NullOutputs(bench), clock, lambda: None)
+            warming = BenchDriver(config, NullOutputs(bench), clock, lambda: None, longest_stop_ns=timing.simulator_ns)
             warming.regulate(np.zeros(config.actuators), _WARM_UP_S)
             memory.publish_stage("control", Stage.RUNNING)
             yield GuardedOutputs(bench, memory), clock

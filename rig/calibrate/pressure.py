@@ -22,6 +22,8 @@ from rig.config.loader import load, path_of
 from rig.config.schema import RigConfig
 from rig.execution.plan import StoppedError
 from rig.execution.virtual_time import require_mocks
+from rig.realtime.scheduling import obtainable
+from rig.realtime.timing_limits import timing_limits
 from rig.simulator.plant_launcher import simulated
 
 _LARGEST_ML = 1e5
@@ -134,12 +136,14 @@ def _measure(request: PressureCalibrationRequest, config: RigConfig, operator: B
                 gauge = simulated_gauge(plant, request.gauge_std_bar, request.seed, operator.tell)
                 return _drive(request, config, driver, gauge, operator)
         rig_file = path_of(request.rig)
+        timing = timing_limits(config, obtainable())
         with (
-            simulated(config, rig_file, request.seed),
+            simulated(config, rig_file, request.seed, timing.simulation_waits_ns),
             operator.keys() as keys,
             real(config, rig_file, "rig calibrate pressure") as (held, clock),
         ):
-            driver = BenchDriver(config, held, clock, lambda: _raise_if_stopped(stop))
+            stops_ns = timing.simulator_ns
+            driver = BenchDriver(config, held, clock, lambda: _raise_if_stopped(stop), longest_stop_ns=stops_ns)
             return _drive(request, config, driver, typed_gauge(keys, operator.tell), operator)
 
 

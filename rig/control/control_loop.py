@@ -14,16 +14,13 @@ from model.units import PA_PER_BAR
 from rig.control import step as control
 from rig.control.auxiliary import AuxiliaryMeans
 from rig.control.protocol_position import ProtocolPosition, advance, skip
+from rig.control.stall import StallExcuse
 from rig.control.stream_follower import StreamFollower
 from rig.execution.plan import RunPlan
 from rig.hardware.bench import BenchScans
 from rig.tip_control.plan_follower import PlanFollower, SetPointSource
 from rig.tip_control.plan_record import StampedPlan
 from runs.records import SolveStatus, blank, sample_dtype
-
-STALLED_NS = 20_000_000
-EXCUSED_NS = 100_000_000
-"""Time for a card or its simulator to deliver the scans of a stall of this process."""
 
 
 class ValveOutputs(Protocol):
@@ -77,7 +74,7 @@ class ControlLoop:
         """Lines between computer and cards that were damaged."""
         self._has_voltage = np.array([valve.output_unit == "V" for valve in config.valves])
         self._scan_t_ns = 0
-        self._excuse_ns = self._excused_until_ns = 0
+        self._excuse = StallExcuse()
         self._pressure_pa: NDArray[np.float64] = np.full(config.actuators, np.nan)
         self._signals: NDArray[np.float64] = np.full(config.actuators, np.nan)
 
@@ -85,14 +82,6 @@ class ControlLoop:
     def finished(self) -> bool:
         """True once the protocol has reached its end."""
         return self.position.protocol_s >= self._trajectory.duration_s
-
-    def _stalled_ns(self, now_ns: int, behind_ns: int) -> int:
-        """Duration [ns] of a stall of the loop within the last EXCUSED_NS; 0 if there was none."""
-        if self._time_may_stop:
-            behind_ns = max(behind_ns, self._simulator_late_ns)
-        if behind_ns > STALLED_NS:
-            self._excuse_ns, self._excused_until_ns = behind_ns, now_ns + EXCUSED_NS
-        return self._excuse_ns if now_ns < self._excused_until_ns else 0
 
     @property
     def setpoint_source(self) -> SetPointSource:
@@ -169,14 +158,16 @@ class ControlLoop:
             setpoint_pa, rate_pa_s = self._stream.follow(protocol_s, dt_s, setpoint_pa, rate_pa_s, stopped=stopped)
         if self._follower is not None:
             setpoint_pa, rate_pa_s = self._followed(protocol_s, periods, setpoint_pa, rate_pa_s)
+        late_ns = self._simulator_late_ns if self._time_may_stop else 0
+        behind_ns = max(lateness_ns + missed * self.period_ns, late_ns)
         sample = control.Sample(
             t_ns=now_ns,
             scan_t_ns=self._scan_t_ns,
             signals=self._signals,
             pressure_pa=self._pressure_pa,
-            stalled_ns=self._stalled_ns(now_ns, lateness_ns + missed * self.period_ns),
+            stalled_ns=self._excuse.stalled_ns(now_ns, behind_ns),
             time_stopped=self._time_may_stop,
-            late_ns=self._simulator_late_ns if self._time_may_stop else 0,
+            late_ns=late_ns,
             stops_closed=self._stops_closed,
             stream=None if self._stream is None else self._stream.silence,
         )

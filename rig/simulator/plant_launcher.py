@@ -110,13 +110,13 @@ def started(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None =
 
 
 @contextmanager
-def simulated(config: RigConfig, rig_file: Path, seed: int) -> Iterator[Simulation | None]:
-    """Run the plant of the rig's mock devices, ready; None for a rig without mock devices.
+def simulated(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None = None) -> Iterator[Simulation | None]:
+    """As `started`, but ready.
 
     Raises:
         CardError: the plant did not start.
     """
-    with started(config, rig_file, seed) as simulation:
+    with started(config, rig_file, seed, waits_ns) as simulation:
         while simulation is not None and not simulation.ready():
             time.sleep(POLL_S)
         yield simulation
