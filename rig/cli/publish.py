@@ -30,7 +30,7 @@ def publish(
     """
     from protocols.problems import bad_input
     from rig.cli.run_names import resolve
-    from rig.publish.crate import write
+    from rig.publish.crate import remaining, write
     from rig.publish.description import describe
     from rig.publish.elabftw import Notebook, entry
     from runs.run import Run
@@ -43,5 +43,7 @@ def publish(
     description = describe(runs, title, creator or (), licence)
     notebook = Notebook.of_environment(elabftw) if elabftw else None
     typer.echo(write(runs, description, to, replace=replace))
+    for sentence in remaining(description):
+        typer.echo(sentence, err=True)
     if notebook is not None:
         typer.echo(notebook.add(description.title, *entry(runs, description), to))

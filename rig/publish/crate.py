@@ -92,7 +92,9 @@ def _metadata(
         "description": _summary(runs),
         "datePublished": now.date().isoformat(),
         "license": _ref(licence),
-        "author": _one_or_all([_ref(creator.id) for creator in description.creators]),
+        # Equal in schema.org: the examples of RO-Crate have the first, its Python library reads the second.
+        "author": (authors := _one_or_all([_ref(creator.id) for creator in description.creators])),
+        "creator": authors,
         "keywords": ["soft robotics", "Cosserat rod", "pneumatic actuator"],
         "hasPart": [_ref(name) for name in sizes],
         "mentions": _one_or_all([_ref(action["@id"]) for action in actions]),
@@ -212,18 +214,34 @@ def _summary(runs: Sequence[Run]) -> str:
     return f"{count} of a pneumatic soft manipulator, {kind}; protocols: {protocols}. Recorded with softrig."
 
 
+def remaining(description: Description) -> tuple[str, ...]:
+    """Return a sentence for each fact that a publication needs and that a crate of this description does not have."""
+    unknown = [creator.name for creator in description.creators if not creator.orcid]
+    return (
+        "The repository states publisher and DOI when it takes the crate: name them in its form. Until then "
+        f"{DATACITE} has {UNAVAILABLE} (value unavailable) as publisher, and {METADATA} has none.",
+        *(
+            f"No ORCID iD is known of {name}: state it as --creator '{name} 0000-0002-1825-0097', with the iD of this "
+            "person."
+            for name in unknown
+        ),
+    )
+
+
 def _readme(runs: Sequence[Run], description: Description, fields: str) -> str:
     rows = "".join(
         f"| data/{run.path.name} | {run.header.title} | {run.status} | {'yes' if run.header.simulated else 'no'} |\n"
         for run in runs
     )
     creators = ", ".join(creator.name for creator in description.creators)
+    missing = "".join(f"- {sentence}\n" for sentence in remaining(description))
     return (
         f"# {description.title}\n\n{_summary(runs)}\n\nCreators: {creators}. "
         f"Licence: [{description.licence}]({LICENCES[description.licence]}).\n\n"
         f"| archive | title | ended | simulated |\n|---|---|---|---|\n{rows}\n"
         f"Each archive is a NeXus file (HDF5): any HDF5 viewer opens it. `sha256sum -c {CHECKSUMS}` checks the files. "
         f"`{METADATA}` describes this crate after RO-Crate 1.1, `{DATACITE}` after DataCite.\n\n"
+        f"## Before you publish it\n\n{missing}\n"
         f"## Fields\n\n{fields}"
     )
 

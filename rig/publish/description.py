@@ -22,6 +22,10 @@ LICENCES = {
 """Address of the text of each licence, by its SPDX identifier."""
 LICENCE = "licence"
 """The metadata of a run that names the licence of its data."""
+_NO_CREATOR = (
+    "who made the data, as --creator 'Ada Lovelace 0000-0002-1825-0097': the runs name no operator "
+    "(rig run --operator records one)"
+)
 _ORCID = re.compile(r"\d{4}-\d{4}-\d{4}-\d{3}[\dX]")
 
 
@@ -65,7 +69,7 @@ def describe(runs: Sequence[Run], title: str = "", creators: Sequence[str] = (),
         problems.append(Problem("--title", 0, 0, "", "", "a title for these runs together"))
     people = [_creator(text, problems) for text in creators] or _operators(runs, problems)
     if not people:
-        problems.append(Problem("--creator", 0, 0, "", "", "a name: the runs name no operator"))
+        problems.append(Problem("--creator", 0, 0, "", "", _NO_CREATOR))
     of_runs = {text for run in runs if (text := run.header.metadata.get(LICENCE))}
     known = ", ".join(LICENCES)
     if not licence and len(of_runs) != 1:

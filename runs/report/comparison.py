@@ -6,12 +6,10 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from html import escape
-from typing import Any
 
 from matplotlib.figure import Figure
 
-from runs.report import differences, repeats
-from runs.report.colours import RUNS
+from runs.report import differences, overlay, repeats
 from runs.report.drawing import FigureSpecification, decimated, legend, path_indices, svg
 from runs.report.figures import across
 from runs.report.gaps import tip_with_gaps
@@ -20,11 +18,6 @@ from runs.report.numbers import listed, plain, three
 from runs.report.reference_figure import distance_mm
 from runs.run import Run
 from runs.summary import Summary
-
-STYLES = ("-", (0, (6, 1.5)), (0, (6, 1.5, 1, 1.5)))
-WIDEST, NARROWEST = 3.6, 1.0
-MOST_WIDTHS = 4
-"""Runs whose lines are distinct where they coincide; lines of more runs would hide the scale of what they show."""
 
 
 def section(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
@@ -48,9 +41,8 @@ def section(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
 
 def comparison_figures(runs: Sequence[Run]) -> tuple[FigureSpecification, ...]:
     """Return the figures that compare runs."""
-    size = (9, 3.4 + 0.16 * len(runs))
+    size, beneath = overlay.size(len(runs), 3.4), overlay.caption(len(runs))
     where = "Each in its plane of motion, or over x where it keeps to none."
-    beneath = " Wide lines lie beneath: those of the first run are the widest." if 1 < len(runs) <= MOST_WIDTHS else ""
     return (
         FigureSpecification("tips", "Tips", tips, size, f"Lines: measured. Dotted: model. {where}{beneath}"),
         FigureSpecification("errors", "Errors over the protocol", errors, size, f"Measured to model.{beneath}"),
@@ -61,9 +53,9 @@ def comparison_figures(runs: Sequence[Run]) -> tuple[FigureSpecification, ...]:
 
 def _reference_distances(runs: Sequence[Run]) -> Iterator[FigureSpecification]:
     """Yield the figure of the tips' distances from their references, if more than one run follows a path."""
-    if sum(run.reference is not None for run in runs) > 1:
-        caption = "Of the true tip where a run was simulated, else of the measured one."
-        title, size = "Distance from the reference", (9, 2.8 + 0.16 * len(runs))
+    if (count := len(_on_a_path(runs))) > 1:
+        caption = f"Of the true tip where a run was simulated, else of the measured one.{overlay.caption(count)}"
+        title, size = "Distance from the reference", overlay.size(count, 2.8)
         yield FigureSpecification("reference", title, reference_distances, size, caption)
 
 
@@ -71,11 +63,13 @@ def _tip_differences(runs: Sequence[Run]) -> Iterator[FigureSpecification]:
     """Yield the figure of the distances between tips of equal steps, if each of these runs has measured one."""
     equal = differences.of_equal_steps(runs)
     if len(equal) > 1 and len(differences.tips_at_equal_times(equal)[0]):
+        others = len(equal) - 1
         caption = "Measured tips at equal protocol times, interpolated between frames; no line in gaps of the frames."
+        caption += overlay.caption(others)
         if len(equal) < len(runs):
             caption += " Runs with other steps are left out."
         title = "Distance between the tips"
-        yield FigureSpecification("differences", title, differences.draw, (9, 2.8 + 0.16 * len(runs)), caption)
+        yield FigureSpecification("differences", title, differences.draw, overlay.size(others, 2.8), caption)
 
 
 def by_model(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
@@ -205,9 +199,9 @@ def _row(run: Run, s: Summary, parameters: bool) -> Sequence[str]:
 
 def tips(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> None:
     """Measured and modelled tips of every run."""
-    axes = figure.subplots()
     names = set()
-    for run, summary, line in _lines(runs, summaries):
+    for axes, k, line in overlay.lines(figure, runs, range(len(runs))):
+        run, summary = runs[k], summaries[k]
         project, name = across(run, summary)
         names.add(name)
         tip, _ = tip_with_gaps(run.tip)
@@ -217,46 +211,33 @@ def tips(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> N
         else:
             axes.plot([], [], **line, label=run.header.run_id)
         axes.plot(*project(model).T, **line | {"ls": ":"})
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.invert_yaxis()
-    axes.set_xlabel(f"{' / '.join(sorted(names))} [mm]")
-    axes.set_ylabel("z, along the arm [mm]")
-    legend(axes, columns=2)
+    for axes in overlay.align(figure):
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.invert_yaxis()
+        axes.set_ylabel("z, along the arm [mm]")
+        legend(axes, columns=2)
+    figure.axes[-1].set_xlabel(f"{' / '.join(sorted(names))} [mm]")
 
 
 def errors(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> None:
     """Error of every run over protocol time, so that runs that waited differently still lie on one another."""
-    axes = figure.subplots()
-    for run, summary, line in _lines(runs, summaries):
-        if summary.frames_measured:
-            tip, _ = tip_with_gaps(run.tip)
-            axes.plot(*decimated(tip.protocol_s, tip.error_mm), **line, label=run.header.run_id)
-    axes.set_xlabel("protocol time [s]")
-    axes.set_ylabel("error [mm]")
-    axes.set_ylim(bottom=0)
-    legend(axes, columns=2)
+    for axes, k, line in overlay.lines(figure, runs, range(len(runs))):
+        if summaries[k].frames_measured:
+            tip, _ = tip_with_gaps(runs[k].tip)
+            axes.plot(*decimated(tip.protocol_s, tip.error_mm), **line, label=runs[k].header.run_id)
+    overlay.over_time(figure, "error [mm]")
 
 
 def reference_distances(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> None:
     """Distance of every run's tip from its reference over protocol time."""
-    axes = figure.subplots()
-    for run, _, line in _lines(runs, summaries):
-        if run.reference is not None:
-            learned = f", learned from {len(run.header.learned_from)}" if run.header.learned_from else ""
-            label = f"{run.header.run_id} ({run.header.tip_controller}{learned})"
-            axes.plot(*decimated(*distance_mm(run)), **line, label=label)
-    axes.set_xlabel("protocol time [s]")
-    axes.set_ylabel("distance [mm]")
-    axes.set_ylim(bottom=0)
-    legend(axes, columns=2)
+    for axes, k, line in overlay.lines(figure, runs, _on_a_path(runs)):
+        header = runs[k].header
+        learned = f", learned from {len(header.learned_from)}" if header.learned_from else ""
+        label = f"{header.run_id} ({header.tip_controller}{learned})"
+        axes.plot(*decimated(*distance_mm(runs[k])), **line, label=label)
+    overlay.over_time(figure, "distance [mm]")
 
 
-def _lines(runs: Sequence[Run], summaries: Sequence[Summary]) -> Iterator[tuple[Run, Summary, dict[str, Any]]]:
-    """Yield each run with its line: colour and dashes are another pair, up to three times the colours.
-
-    A later line is narrower, so that an earlier one shows at its sides where both coincide.
-    """
-    step = (WIDEST - NARROWEST) / (len(runs) - 1) if 1 < len(runs) <= MOST_WIDTHS else 0.0
-    for i, (run, summary) in enumerate(zip(runs, summaries, strict=True)):
-        style, width = STYLES[i // len(RUNS) % len(STYLES)], NARROWEST + step * (len(runs) - 1 - i)
-        yield run, summary, {"color": RUNS[i % len(RUNS)], "ls": style, "lw": width}
+def _on_a_path(runs: Sequence[Run]) -> list[int]:
+    """Return the indices of the runs whose tip has a reference."""
+    return [k for k, run in enumerate(runs) if run.reference is not None]

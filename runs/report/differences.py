@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from runs.records import DetectionStatus
-from runs.report.colours import RUNS
-from runs.report.drawing import decimated, legend
+from runs.report import overlay
+from runs.report.drawing import decimated
 from runs.report.numbers import DASH
 from runs.report.settings import differing
 from runs.run import Run
@@ -69,15 +69,10 @@ def of_equal_steps(runs: Sequence[Run]) -> tuple[Run, ...]:
 
 def draw(figure: Figure, runs: Sequence[Run], summaries: object) -> None:
     """Distance of each measured tip from that of the first run at equal protocol times, if its steps are the same."""
-    axes = figure.subplots()
     first, *_ = equal = of_equal_steps(runs)
-    for k, run in enumerate(runs):
-        if run is first or run not in equal:
-            continue
-        time_s, (reference, tip) = tips_at_equal_times([first, run])
+    shown = [k for k, run in enumerate(runs) if k > 0 and run in equal]
+    for axes, k, line in overlay.lines(figure, runs, shown):
+        time_s, (reference, tip) = tips_at_equal_times([first, runs[k]])
         distance = np.linalg.norm(tip - reference, axis=1)
-        axes.plot(*decimated(time_s, distance), color=RUNS[k % len(RUNS)], lw=1.0, label=run.header.run_id)
-    axes.set_xlabel("protocol time [s]")
-    axes.set_ylabel(f"distance from\n{first.header.run_id} [mm]")
-    axes.set_ylim(bottom=0)
-    legend(axes, columns=2)
+        axes.plot(*decimated(time_s, distance), **line, label=runs[k].header.run_id)
+    overlay.over_time(figure, f"distance from\n{first.header.run_id} [mm]")

@@ -165,9 +165,11 @@ def _response(
         svg(_draw, (3.6, 2.6), f"study/{response.name}/{name}", response, name, factors.get(name), table, y, model)
         for name in (*factors, ORDER)
     )
+    coloured = ", coloured by block" if len(set(table.blocks)) > 1 else ""
+    means = "First: means of the levels with 95 % intervals. Last: runs" if factors else "Runs"
     caption = (
-        "Points are runs. First: means of the levels with 95 % intervals. Last: runs in the order in which they "
-        "began, coloured by block. In the table, \N{PLUS-MINUS SIGN} is half of the 95 % interval."
+        f"Points are runs. {means} in the order in which they began{coloured}. "
+        "In the table, \N{PLUS-MINUS SIGN} is half of the 95 % interval."
     )
     yield f"<figure><div class=panels>{drawings}</div><figcaption>{caption}</figcaption></figure>"
     references = list({mean.factor: mean for mean in reversed(model.levels)}.values())

@@ -56,6 +56,27 @@ def test_a_crate_that_cannot_be_written_is_named_as_the_user_named_it(run: Run) 
     assert refused.value.filename == str(target)
 
 
+def test_what_remains_to_be_stated_is_said_and_written_into_the_crate(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "crate.zip"
+    assert status_of("publish", run.path, "--to", target, "--creator", "Ada Lovelace", "--licence", "CC0-1.0") == 0
+    said = capsys.readouterr()
+    assert said.out == f"{target}\n"
+    publisher, orcid = said.err.splitlines()
+    assert publisher.startswith("The repository states publisher and DOI")
+    assert "datacite.json has :unav" in publisher
+    assert orcid.startswith("No ORCID iD is known of Ada Lovelace: state it as --creator 'Ada Lovelace ")
+    with zipfile.ZipFile(target) as file:
+        readme = file.read("README.md").decode()
+    assert f"- {publisher}\n- {orcid}\n" in readme
+
+
+def test_a_crate_needs_to_know_who_made_the_data(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of("publish", run.path, "--licence", "CC0-1.0") == 2
+    assert "who made the data, as --creator 'Ada Lovelace 0000-0002-1825-0097'" in capsys.readouterr().err
+
+
 def test_another_tool_reads_the_crate(crate: Path, run: Run) -> None:
     read = ROCrate(crate)
     root = read.root_dataset
@@ -63,6 +84,7 @@ def test_another_tool_reads_the_crate(crate: Path, run: Run) -> None:
     assert root["license"]["identifier"] == "CC-BY-4.0"
     assert root["author"]["name"] == "Ada Lovelace"
     assert root["author"].id == "https://orcid.org/0000-0002-1825-0097"
+    assert read.creator == root["author"]
     assert f"data/{run.path.name}" in {part.id for part in root["hasPart"]}
     action = read.dereference(f"#{run.header.run_id}")
     assert action["instrument"]["name"] == "softrig"

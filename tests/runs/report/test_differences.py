@@ -75,6 +75,23 @@ def test_the_curves_of_equal_runs_are_all_visible(pair: list[Run], draw: Callabl
     assert min(counts) > 0.3 * max(counts)
 
 
+@pytest.mark.parametrize("draw", [comparison.tips, comparison.errors])
+def test_the_curves_of_many_equal_runs_are_all_visible(pair: list[Run], draw: Callable[..., None]) -> None:
+    many = [pair[0]] * 9
+    figure = Figure(figsize=comparison.comparison_figures(many)[0].size, dpi=200)
+    draw(figure, many, [run.summary for run in many])
+    limits = {(axes.get_xlim(), axes.get_ylim()) for axes in figure.axes}
+    assert len(limits) == 1
+    for axes in figure.axes:
+        axes.get_legend().remove()
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3].astype(int)
+    for colour in RUNS:
+        seen = np.abs(pixels - np.multiply(255, matplotlib.colors.to_rgb(colour))).max(axis=-1) < 30
+        assert seen.sum() > 1000, colour
+
+
 def test_tips_of_other_steps_have_no_distance(pair: list[Run]) -> None:
     first, second = pair
     second.header = dataclasses.replace(second.header, intervals=second.header.intervals[:-1])

@@ -41,6 +41,16 @@ def test_only_the_first_level_is_the_reference_also_where_another_has_no_effect(
     assert "± 0.0" not in text
 
 
+@pytest.mark.parametrize("blocks", [(1,) * 6, (1,) * 3 + (2,) * 3])
+def test_the_caption_names_blocks_and_levels_only_where_there_are_some(blocks: tuple[int, ...]) -> None:
+    order, y = tuple(range(1, 7)), np.random.default_rng(0).normal(0.0, 0.1, 6)
+    for factors in ({}, {"peak_bar": (0.1, 0.2) * 3}):
+        table = StudyTable((("1",),) * 6, factors, (tuple(y.tolist()),), blocks, order, (True,) * 6)
+        text = " ".join(_response(RESPONSES[0], factors, table, y, fit(factors, blocks, order, y)))
+        assert ("coloured by block" in text) == (len(set(blocks)) > 1)
+        assert ("means of the levels" in text) == bool(factors)
+
+
 def archive(folder: Path, number: int, began: int, **about: Any) -> Path:
     """A run of a study in a folder, that began at this second."""
     place = StudyRun("dwell", StudyRole.RUN, number, 1, 1, "", "")
