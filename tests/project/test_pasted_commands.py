@@ -1,0 +1,111 @@
+"""Shell blocks of the how-to guides and the reference, pasted in order in a folder with the tutorial's first run."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.support.command_line import status_of
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted(page for part in ("how-to", "reference") for page in (ROOT / "docs" / part).glob("*.md"))
+LEFT_OUT = {
+    r"rig calibrate .*(views/|=views |points\.csv)": "needs pictures of a camera",
+    r"rig calibrate (camera|tool) --capture .*my-rig": "needs a camera",
+    r"rig calibrate pressure --rig my-rig\.yaml": "needs a bench and a gauge that is read by hand",
+    r"rig doctor --rig": "needs the card of a bench",
+    r"rig (live|run .*--live)": "shows a page until it is stopped",
+    r"rig vent": "needs a running experiment",
+    r"rig publish .*--elabftw": "needs a server",
+    r"rig import .*": "needs files of the reader",
+    r"rig identify NoLoad": "needs files of the reader",
+    r"rig identify (compare|ramp-a ramp-b|ramp-a --(split-s|quasi|start))": "takes minutes; it has its own tests",
+    r"rig (design|reproduce) ": "takes minutes; it has its own tests",
+    r"rig run (laws|designed)\.yaml": "needs the protocol of rig design",
+    r"python docs/examples/": "sends poses until it is stopped; it has its own test",
+    r"rig-file: rig run ramp-a$": "needs the bench of its rig file",
+    r"(sudo|git|cd linux-comedi|\./|make|modinfo|export)": "changes the computer",
+}
+"""Commands that are not run, and why; on one page only where the pattern begins with its name."""
+PROMPTING = re.compile(r"rig run (?!.*--yes)")
+
+
+def shell_lines(block: str) -> list[str]:
+    """The commands of a block without comments; a line that goes on is one."""
+    lines = (re.sub(r"(^|\s)#\s.*", "", line).strip() for line in block.replace("\\\n", " ").splitlines())
+    return [re.sub(r"\s+", " ", line) for line in lines if line]
+
+
+def blocks(page: Path) -> Iterator[list[str]]:
+    """The commands of each shell block of a page; blocks without a command of softrig or a shell are data."""
+    for language, block in re.findall(r"^ *```(\w*)\n(.*?)^ *```", page.read_text(), re.DOTALL | re.MULTILINE):
+        lines = shell_lines(block)
+        if language in ("", "sh") and re.match(r"(rig|python|for|mkdir|sudo|git|export) ", lines[0]):
+            yield lines
+
+
+def run_of(page: Path) -> list[str]:
+    """The commands of a page that are run."""
+    lines = [line for block in blocks(page) for line in block]
+    return [
+        line
+        for line in lines
+        if not any(re.match(start, line) or re.match(start, f"{page.stem}: {line}") for start in LEFT_OUT)
+    ]
+
+
+PASTED = [page for page in PAGES if run_of(page)]
+
+
+@pytest.fixture(scope="module")
+def after_first_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the tutorial's first run leaves, a rig file of the reader's, and a folder with the command `rig`."""
+    folder = tmp_path_factory.mktemp("first")
+    assert status_of("run", "ramp-a", "--yes", "--fast", "--out", str(folder / "data")) == 0
+    assert status_of("init", "--like", "mock-ideal", "--to", str(folder / "my-rig.yaml")) == 0
+    program = folder / "bin" / "rig"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m rig "$@"\n')
+    program.chmod(0o755)
+    return folder
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_no_command_but_the_last_of_a_block_asks_a_question(page: Path) -> None:
+    """The lines that are pasted after it would be its answer."""
+    for block in blocks(page):
+        for line in block[:-1]:
+            assert not PROMPTING.search(line), line
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PASTED, ids=lambda page: page.stem)
+def test_commands_of_a_page_work_in_order(page: Path, after_first_run: Path, tmp_path: Path) -> None:
+    here = tmp_path / "here"
+    shutil.copytree(after_first_run, here)
+    if any("--to my-rig.yaml" in line for line in run_of(page)):
+        (here / "my-rig.yaml").unlink()
+    script = ['fail() { echo "exit status $?: $1" >&2; exit 1; }']
+    for line in run_of(page):
+        virtual = line if "--fast" in line else re.sub(r"^rig run (.*)", r"rig run \1 --fast --yes", line)
+        script.append(f"{virtual} || fail {shlex.quote(line)}")
+    env = {**os.environ, "PATH": f"{here / 'bin'}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    env.pop("SOFTRIG_RIG", None)
+    done = subprocess.run(
+        ["bash", "-c", "\n".join(script)],
+        cwd=here,
+        env=env,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
