@@ -21,6 +21,8 @@ FREED_S = 2.0
 """Time for a card whose process was killed; `rig vent` and the watchdog wait no longer."""
 GONE_S = 1.0
 """Time for a driver to detect that its device has gone, beyond `stale_s` of the rig."""
+FIRST_SCANS_S = 2.0
+"""Further time for the first scans of a card: no machine is so busy that there are none."""
 LEAST_RATE = 0.5
 """Fewest scans in a control period."""
 OTHER_FILES = 16
@@ -100,12 +102,14 @@ def sampling(subject: CardSubject) -> str:
             card.write(subject.outputs(0.5))
         card.start()
         began = time.monotonic()
-        for one in polled(card, subject.period_s, subject.sample_s, late_s):
+        for one in polled(card, subject.period_s, subject.sample_s + FIRST_SCANS_S, late_s):
             newest_ns = time.monotonic_ns()
             if len(subject.setup.outputs):
                 card.write(subject.outputs(0.5))  # the heartbeat of a device that vents by itself
             scans.append(one)
             ages_s += [(newest_ns - t_ns) * 1e-9 for t_ns in one.t_ns[-1:].tolist()]
+            if len(ages_s) > 1 and time.monotonic() - began > subject.sample_s:
+                break
         taken_s = time.monotonic() - began
     for one in scans:
         if one.signals.shape != (len(one.t_ns), inputs):

@@ -81,7 +81,7 @@ def test_scans_that_come_often_pass_on_any_machine(late_s: list[float]) -> None:
     ("found", "message"),
     [
         (scans(60, QUIET), "60 scans/s; control runs at 200 Hz"),
-        (scans(0, QUIET), "0 scans in 1 s"),
+        (scans(0, BUSY), "0 scans in 1 s"),
         (scans(180, QUIET, 0.15), "150 ms old at best"),
         (scans(15, idle(1.0)), "14 scans/s; control"),
         (scans(180, BUSY, 0.3), "300 ms old at best"),
@@ -94,7 +94,7 @@ def test_rare_or_old_scans_beyond_what_the_machine_explains_are_the_drivers_faul
         judge_scans(found, LEAST_HZ, STALE_S)
 
 
-@pytest.mark.parametrize("found", [scans(60, BUSY), scans(0, idle(5.0)), scans(180, idle(15.0), 0.15)])
+@pytest.mark.parametrize("found", [scans(60, BUSY), scans(180, idle(15.0), 0.15)])
 def test_rare_or_old_scans_that_a_busy_machine_explains_are_not_judged(found: ScanTimes) -> None:
     with pytest.raises(NotJudgedError, match="machine busy: idle waits end up to"):
         judge_scans(found, LEAST_HZ, STALE_S)
