@@ -27,7 +27,7 @@ SETTLED_S = 0.1
 RATE_S = 1.0
 """How long the inputs are sampled."""
 
-Values = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -60,18 +60,18 @@ class CardSubject:
         setup = self.setup if inputs else replace(self.setup, inputs=())
         return card_type(self.config.cards[self.name])(setup)
 
-    def outputs(self, fraction: float) -> Values:
+    def outputs(self, fraction: float) -> Floats:
         """A value for each output, all different, at about this share of the range."""
         steps = enumerate(self.setup.outputs)
         return np.array([c.low + (c.high - c.low) * min(1.0, fraction + 0.02 * i) for i, c in steps])
 
     @property
-    def output_tolerance(self) -> Values:
+    def output_tolerance(self) -> Floats:
         """Largest deviation of a read-back."""
         return np.array([(c.high - c.low) * READBACK_TOLERANCE for c in self.setup.outputs])
 
-    def stated(self, outputs: Values) -> str:
-        """Values of the outputs with their unit, for messages."""
+    def stated(self, outputs: Floats) -> str:
+        """Floats of the outputs with their unit, for messages."""
         units = {valve.output_unit for valve in self.valves} or {"V"}
         return f"{', '.join(f'{value:.3f}' for value in outputs)} {'/'.join(sorted(units))}"
 
@@ -81,7 +81,7 @@ class CardSubject:
         return [valve for valve in self.config.valves if valve.card == self.name]
 
     @property
-    def safe_output(self) -> Values:
+    def safe_output(self) -> Floats:
         """The safe value of each output."""
         return np.array([valve.safe_output() for valve in self.valves])
 
@@ -97,7 +97,7 @@ def needs_outputs(subject: CardSubject) -> None:
         raise NotApplicableError("the rig uses no output of this card")
 
 
-def settled_readback(card: Card, written: Values, subject: CardSubject) -> Values:
+def settled_readback(card: Card, written: Floats, subject: CardSubject) -> Floats:
     """The read-back, once it is what was written, or after `settled_s`."""
     until = time.monotonic() + subject.settled_s
     while True:

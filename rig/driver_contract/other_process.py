@@ -8,32 +8,15 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rig.driver_contract.card_subject import CardSubject, Floats
 from rig.driver_contract.check import BrokenContractError
 
 START_S = 30.0
 
-Values = NDArray[np.float64]
 
-
-class CardOfRig(Protocol):
-    """A card by its name and the rig file that a process of its own loads."""
-
-    @property
-    def name(self) -> str:
-        """Of the card."""
-
-    @property
-    def rig_file(self) -> Path:
-        """Where the rig is."""
-
-
-def _command(mode: str, subject: CardOfRig, outputs: Values) -> list[str]:
+def _command(mode: str, subject: CardSubject, outputs: Floats) -> list[str]:
     words = ",".join(f"{v:.6f}" for v in outputs)
     return [
         sys.executable,
@@ -47,7 +30,7 @@ def _command(mode: str, subject: CardOfRig, outputs: Values) -> list[str]:
     ]
 
 
-def in_second_process(subject: CardOfRig, outputs: Values) -> dict[str, Any]:
+def in_second_process(subject: CardSubject, outputs: Floats) -> dict[str, Any]:
     """What a second process gets that opens the card and writes."""
     try:
         done = subprocess.run(
@@ -62,7 +45,7 @@ def in_second_process(subject: CardOfRig, outputs: Values) -> dict[str, Any]:
 
 
 @contextmanager
-def holding(subject: CardOfRig, outputs: Values) -> Iterator[subprocess.Popen[str]]:
+def holding(subject: CardSubject, outputs: Floats) -> Iterator[subprocess.Popen[str]]:
     """A process that has started the card and writes it all the time."""
     process = subprocess.Popen(_command("hold", subject, outputs), stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from model.units import PA_PER_BAR
 from rig.config.schema import RigConfig
-from rig.driver_contract.card_subject import CardSubject, needs_outputs, polled
+from rig.driver_contract.card_subject import CardSubject, Floats, needs_outputs, polled
 from rig.driver_contract.check import BrokenContractError, Check, NotApplicableError
 from rig.hardware.cards.base import Card
 from rig.hardware.vent_verification import VENTED_TOLERANCE_PA, VentVerification, real_time
@@ -30,7 +30,7 @@ class CardPressures:
     """Gauge pressures (n, N) [Pa] at the times (n,) [ns]; an actuator without a sensor on the card reads as vented."""
 
     t_ns: NDArray[np.int64]
-    pressure_pa: NDArray[np.float64]
+    pressure_pa: Floats
 
 
 class CardSensors:
@@ -97,9 +97,7 @@ def _target_pa(subject: CardSubject) -> float:
     return TARGET * subject.config.limits.pressure_bar * PA_PER_BAR
 
 
-def _pressurised(
-    subject: CardSubject, card: Card, sensors: CardSensors, output: int, valve: ValveSection
-) -> NDArray[np.float64]:
+def _pressurised(subject: CardSubject, card: Card, sensors: CardSensors, output: int, valve: ValveSection) -> Floats:
     """The pressures (N,) [Pa] after a valve has regulated towards the target, with the others vented."""
     regulator = valve.regulator(subject.config.limits, subject.config.control)
     target_pa = _target_pa(subject)
@@ -120,9 +118,7 @@ def _pressurised(
     return np.asarray(measured_pa[-1])
 
 
-def _judge(
-    subject: CardSubject, valve: ValveSection, reached_pa: NDArray[np.float64], raised: NDArray[np.bool_]
-) -> None:
+def _judge(subject: CardSubject, valve: ValveSection, reached_pa: Floats, raised: NDArray[np.bool_]) -> None:
     """Raise BrokenContractError where the pressures are not those that the valve was given."""
     target_pa = _target_pa(subject)
     own = ", ".join(map(str, valve.actuators))
