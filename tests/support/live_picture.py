@@ -11,9 +11,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-from scripts.live_client import printed_link, request
+from scripts.live_client import printed_link
 from scripts.rig_process import write_rig
 from tests.support.browser import browsing
+from tests.support.live_page import open_tab
+
+OPTIONS = ("--yes", "--no-report", "--live", "--port", "0")
 
 
 def main() -> None:
@@ -29,29 +32,15 @@ def main() -> None:
         log = folder / "log"
         with log.open("w") as file:
             run = subprocess.Popen(
-                [
-                    *command,
-                    "--rig",
-                    str(write_rig(folder)),
-                    "--out",
-                    name,
-                    "--yes",
-                    "--no-report",
-                    "--live",
-                    "--port",
-                    "0",
-                ],
+                [*command, "--rig", str(write_rig(folder)), "--out", name, *OPTIONS],
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=subprocess.STDOUT,
             )
-        url = printed_link(log.read_text, "live page")
-        request(url)
-        tab = browser.tab()
+        tab = open_tab(browser, printed_link(log.read_text, "live page"))
         tab.size(1440, 1000)
         tab.dark(wanted.dark)
-        tab.go(url)
-        tab.until(f"window.softrig && window.softrig.now && window.softrig.now.t > {wanted.seconds}", 120.0)
+        tab.until(f"window.softrig.now.time_s > {wanted.seconds}", 120.0)
         tab.screenshot(wanted.picture)
         run.terminate()
         run.wait()
