@@ -17,10 +17,11 @@ Array = NDArray[np.float64]
 
 
 class TipPath(ABC):
-    """A path: `duration_s`, and `period_s` if it repeats, else None."""
+    """A path: `duration_s`, and `period_s` if it repeats, else None. `has_corners`: its velocity jumps somewhere."""
 
     duration_s: float
     period_s: float | None
+    has_corners: bool = False
 
     @abstractmethod
     def positions_m(self, t_s: Array) -> Array:
@@ -93,6 +94,11 @@ class PiecewisePath(TipPath):
         return None if self.repeats is None else self._once_s
 
     @property
+    def has_corners(self) -> bool:  # type: ignore[override]
+        """Straight lines at constant speeds meet in corners."""
+        return not self.smooth
+
+    @property
     def _once_s(self) -> float:
         return float(self.times_s[-1])
 
@@ -154,6 +160,11 @@ class ScaledPath(TipPath):
     def period_s(self) -> float | None:  # type: ignore[override]
         """Period at this speed."""
         return None if self.path.period_s is None else self.path.period_s / self.speed
+
+    @property
+    def has_corners(self) -> bool:  # type: ignore[override]
+        """Those of the path."""
+        return self.path.has_corners
 
     def positions_m(self, t_s: Array) -> Array:
         """Positions (n, 3) [m] at times (n,)."""

@@ -30,8 +30,10 @@ LONGEST_STEP_S, MOST_STEPS = 0.05, 6000
 """The same for a path that is slowed down, and its number of times above which they are farther apart than STEP_S."""
 SETTLED_S = 1.5
 """Time after which a periodic path has periodic pressures."""
+CORNERS_S = 60.0
+"""Longest path of which the grid keeps the places of the corners; of a longer one some corner is anywhere."""
 BETWEEN = (0.25, 0.382, 0.5, 0.618, 0.75)
-"""Shares of a time step at which a path is compared with the straight line between its targets."""
+"""Shares of a time step at which a path is compared with the tip, too: its corners lie between the times."""
 NEAR = 1.5
 """Excess over the tolerance up to which the solution with the least rms error is tried, too."""
 RATE_SHARE = 0.995
@@ -92,8 +94,7 @@ class PathFollower:
         Raises:
             ArithmeticError, NotConverged: there is no solution.
         """
-        whole = path.period_s or path.duration_s
-        dt_s = whole / max(1, math.ceil(whole / step_s - 1e-9))
+        dt_s = _grid_step_s(path, step_s)
         weight_kg = request.weight_kg
         inverse = PathInverse(
             self.arm, self.drive, dt_s, self._loads.carrying(weight_kg), weight_kg, self._static_map(weight_kg)
@@ -106,10 +107,8 @@ class PathFollower:
         target, _ = fade(start, path, lead * dt_s, times)
         following = inverse.follow(target, request.coordinates, before, enough_m)
         error = following.error_m(target, request.coordinates)
-        between = _between_m(path, times, request.coordinates)
-        # Pressures are linear between the times, so there the tip cannot be where the path leaves its chord.
-        error = np.where(between > request.tolerance_m, np.maximum(error, between), error)
-        return PathSolution(times, target, start, following, error)
+        between = _between_m(path, times, following.tip_m, request.coordinates)
+        return PathSolution(times, target, start, following, np.maximum(error, between))
 
     def _static_map(self, weight_kg: float) -> StaticMap | None:
         """The map of the arm with a weight; None where the rod itself has to be solved."""
@@ -172,6 +171,10 @@ class TruncatedPath(TipPath):
     def period_s(self) -> float | None:  # type: ignore[override]
         return self.path.period_s
 
+    @property
+    def has_corners(self) -> bool:  # type: ignore[override]
+        return self.path.has_corners
+
     def positions_m(self, t_s: Array) -> Array:
         return self.path.positions_m(t_s)
 
@@ -194,16 +197,33 @@ def shortened(path: TipPath) -> tuple[TipPath, float]:
     return TruncatedPath(path, whole), path.duration_s - needed
 
 
-def _between_m(path: TipPath, times_s: Array, coordinates: Sequence[int]) -> Array:
-    """How far (n,) a path leaves its chord between each time of the grid and the next one."""
+def _grid_step_s(path: TipPath, step_s: float) -> float:
+    """The step of a grid, at most `step_s`, that divides the period of a path, or the whole path.
+
+    How far a corner is missed depends on its place between two times. A path with corners has a power of two of steps:
+    at most speeds a path that is slowed down has its corners at the same places.
+    """
+    whole = path.period_s or path.duration_s
+    steps = max(1, math.ceil(whole / step_s - 1e-9))
+    return whole / (2 ** math.ceil(math.log2(steps)) if path.has_corners and whole <= CORNERS_S else steps)
+
+
+def _between_m(path: TipPath, times_s: Array, tip_m: Array, coordinates: Sequence[int]) -> Array:
+    """How far (n,) the tip is from a path between each time of the grid and the next one, at most.
+
+    Between the times the tip is interpolated (Catmull-Rom); a path may have a corner there.
+    """
     out = np.zeros(len(times_s))
     on_path = np.flatnonzero((times_s[:-1] >= 0.0) & (times_s[1:] <= path.duration_s))
     axes = list(coordinates)
-    at, step_s = times_s[on_path], np.diff(times_s)[on_path]
-    first, last = path.positions_m(at)[:, axes], path.positions_m(at + step_s)[:, axes]
+    at, step_s, tips = times_s[on_path], np.diff(times_s)[on_path], tip_m[:, axes]
+    first, last = tips[on_path], tips[on_path + 1]
+    before, after = tips[np.maximum(on_path - 1, 0)], tips[np.minimum(on_path + 2, len(tips) - 1)]
     for share in BETWEEN:
-        line = (1.0 - share) * first + share * last
-        off = np.linalg.norm(path.positions_m(at + share * step_s)[:, axes] - line, axis=1)
+        rest = 1.0 - share
+        bow = 0.5 * share * rest * (rest * (first - before + first - last) + share * (last - after + last - first))
+        tip = rest * first + share * last + bow
+        off = np.linalg.norm(path.positions_m(at + share * step_s)[:, axes] - tip, axis=1)
         out[on_path] = np.maximum(out[on_path], off)
     return out
 

@@ -8,10 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 import yaml
+from scipy.interpolate import CubicSpline
 
 import protocols
 from model.dynamics import Dynamics
 from protocols import BadInputError, Problem, SetPointTrajectory
+from protocols.tip_inverse import TipRequest
+from protocols.tip_paths import PiecewisePath
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
 from rig.experiment.preflight import check
@@ -213,3 +216,55 @@ def test_the_largest_share_is_found_to_its_resolution_in_few_solutions(limit: fl
     assert len(tried) <= 12
     without = largest_share(lambda share: 1e-4 if share <= limit else np.inf, np.inf, 5e-4)
     assert without == 0 if limit < 0.1 else limit - RESOLUTION - 0.01 <= without <= limit
+
+
+@pytest.mark.parametrize(
+    ("points", "speeds_mm_s"),
+    [
+        (
+            [
+                [-12.0, -20, 188],
+                [-12, 20, 188],
+                [8, 20, 190],
+                [14, 12, 192],
+                [8, 2, 194],
+                [-12, 2, 192],
+                [14, -20, 188],
+            ],
+            range(63, 112, 6),
+        ),
+        (
+            [
+                [9.166, -30.885, 188.868],
+                [32.753, 26.287, 189.047],
+                [25.096, -13.275, 203.604],
+                [17.069, -5.868, 187.804],
+                [-34.406, 26.51, 182.872],
+            ],
+            range(45, 75, 3),
+        ),
+    ],
+)
+def test_a_path_with_corners_that_is_accepted_is_accepted_at_slower_speeds(
+    points: list[list[float]], speeds_mm_s: range
+) -> None:
+    accepted = []
+    for speed in speeds_mm_s:
+        times = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))] / speed
+        path = PiecewisePath(times, 1e-3 * np.array(points), smooth=False)
+        request = TipRequest(path, 3.0, (0, 1, 2), 5e-4, 0.0, np.zeros((101, 3)), 0.0)
+        accepted.append(_inverse()._follower.accepts(request))
+    assert accepted == sorted(accepted, reverse=True)
+    assert accepted[0]
+    assert not accepted[-1]
+
+
+def test_a_corner_between_two_times_of_the_solution_counts() -> None:
+    points = 1e-3 * np.array([[0.0, 0, 190], [10, 0, 190], [10, 10, 190]])
+    path = PiecewisePath(np.array([0.0, 0.105, 0.21]), points, smooth=False)
+    request = TipRequest(path, 2.0, (0, 1, 2), 5e-4, 0.0, np.zeros((101, 3)), 0.0)
+    found = _inverse()._follower.follow(request, path)
+    tips = CubicSpline(found.times_s, found.following.tip_m)
+    fine = np.linspace(0.0, 0.21, 2101)
+    off = np.linalg.norm(tips(fine) - path.positions_m(fine), axis=1)
+    assert found.error_m.max() == pytest.approx(off.max(), rel=0.1)
