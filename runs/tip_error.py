@@ -2,7 +2,7 @@
 
 The error is split into three parts. *Lag*: the share along the path that a delay explains, the delay that fits best
 (least squares) times the reference's speed. *Contour*: across the path. *Noise*: what changes from frame to frame, by
-second differences of three frames without a gap, which a smooth error does not have.
+second differences of three frames without a gap, which a smooth error does not have (median absolute deviation).
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ NAN = float("nan")
 LEAST_FRAMES = 5
 """Frames from which the error is split into its parts."""
 MOVING_MM_S = 0.1
+MEDIAN_OF_NORMAL = 0.6745
+"""Median amount of a standard normal variable."""
 
 
 @dataclass(frozen=True)
@@ -117,9 +119,20 @@ def _with_parts(whole: TipError, off: Floats, rate: Floats, frame: NDArray[np.in
         lag_ms=1e3 * lag_s,
         lag_mm=abs(lag_s) * float(np.sqrt(np.mean(speed**2))) if squares else 0.0,
         contour_mm=float(np.sqrt(np.mean(across**2))),
-        # White noise of variance s^2 in each frame gives second differences of variance 6 s^2.
-        noise_mm=_rms(changes) / math.sqrt(6.0),
+        noise_mm=_noise(changes),
     )
+
+
+def _noise(changes: Floats) -> float:
+    """Root mean square of the length of white noise with second differences (n, 3) in three coordinates.
+
+    White noise of variance s^2 gives second differences of variance 6 s^2. Each s comes from the median of their
+    amounts, which a tip that swings at some corners hardly changes.
+    """
+    if not len(changes):
+        return NAN
+    std = np.median(np.abs(changes), axis=0) / (MEDIAN_OF_NORMAL * math.sqrt(6.0))
+    return float(np.linalg.norm(std))
 
 
 def _rms(rows: Floats) -> float:

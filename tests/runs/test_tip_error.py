@@ -78,6 +78,13 @@ def test_noise_is_that_of_the_measurement_and_not_of_the_truth() -> None:
     assert found.predicted_mm == pytest.approx(0.01 * np.sqrt(3))
 
 
+def test_a_tip_that_swings_at_some_corners_is_no_noise() -> None:
+    made = MadeRun(0.01, 20.3, 0.05)
+    for corner in range(40, len(made.tip.time_s), 30):
+        made.tip.measured_mm[corner : corner + 3, 0] += [1.0, -0.8, 0.5]
+    assert error_of(made).measured.noise_mm == pytest.approx(0.05 * np.sqrt(3), rel=0.25)
+
+
 def test_a_gap_between_frames_is_no_noise() -> None:
     made = MadeRun(0.01, 20.3, 0.05)
     lost = np.random.default_rng(2).uniform(size=len(made.tip.time_s)) < 0.5
