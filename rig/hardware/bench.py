@@ -117,14 +117,20 @@ class Bench(SafeOutputs):
         return self._scans(t_ns, signals, lost, late_ns, damaged)
 
     def _card_scans(self, name: str) -> Scans:
-        """New scans of one card. Raises CardError, also for an error in the driver's code or scans of a wrong shape."""
+        """New scans of one card. Raises CardError, also for an error in the driver's code or wrong scans."""
         try:
             scans = self._cards[name].read()
-            shape, expected = scans.signals.shape, (len(scans.t_ns), len(self._inputs[name]))
         except CardError:
             raise
         except Exception as error:
             raise CardError(f"card {name}: read of its driver failed: {type(error).__name__}: {error}") from error
+        if not isinstance(scans, Scans):
+            raise CardError(f"card {name}: read of its driver returned {type(scans).__name__} instead of Scans")
+        for what, array in (("t_ns", scans.t_ns), ("signals", scans.signals)):
+            if not isinstance(array, np.ndarray):
+                found = f"{what} of type {type(array).__name__} instead of ndarray"
+                raise CardError(f"card {name}: read of its driver returned {found}")
+        shape, expected = scans.signals.shape, (len(scans.t_ns), len(self._inputs[name]))
         if shape != expected:
             raise CardError(f"card {name}: read of its driver returned signals of shape {shape} instead of {expected}")
         return scans

@@ -189,9 +189,10 @@ class VentVerification:
                 f"{written} card {', '.join(silent)} reads full scale at every pressure sensor: it is pulled or hangs"
             )
         full = ", ".join(
-            f"actuator {a + 1} at {self._pressure(a) / PA_PER_BAR:.2f} bar"
+            f"actuator {a + 1} "
+            + ("without a reading" if np.isnan(excess) else f"at {self._pressure(a) / PA_PER_BAR:.2f} bar")
             for a, excess in zip(self._venting.tolist(), self._excess_pa().tolist(), strict=True)
-            if excess >= VENTED_TOLERANCE_PA
+            if not excess < VENTED_TOLERANCE_PA
         )
         return (
             f"{full} {waited_s:.0f} s after the valves were commanded to vent: a valve is stuck or its ports are the "

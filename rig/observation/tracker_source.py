@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 
+import numpy as np
+
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import FrameSet
 from rig.hardware.release import release
@@ -35,7 +37,7 @@ class TrackerSource:
         Raises:
             TrackerError: there is none.
         """
-        reading = self._tracker.read(timeout_s)
+        reading = self._read(timeout_s)
         if reading is None:
             raise self._silence(timeout_s)
         self._sequence = ReadingSequence(self._config, reading.t_ns)
@@ -48,7 +50,7 @@ class TrackerSource:
         """
         assert self._sequence is not None
         while True:
-            reading = self._tracker.read(self._sequence.overdue_in_s(time.monotonic_ns()))
+            reading = self._read(self._sequence.overdue_in_s(time.monotonic_ns()))
             now = time.monotonic_ns()
             if reading is not None:
                 return self._sequence.take(self._newest(reading), now)
@@ -59,6 +61,20 @@ class TrackerSource:
                 self._tracker.pass_over(empty.t_ns)
                 return empty
 
+    def _read(self, timeout_s: float) -> TrackerReading | None:
+        """Read the tracker. Raises TrackerError, also for an error in the driver's code or a wrong reading."""
+        where = f"tracker {self._name}: read of its driver"
+        try:
+            reading = self._tracker.read(timeout_s)
+            fault = "" if reading is None else _fault(reading)
+        except TrackerError:
+            raise
+        except Exception as error:  # the code of another package may raise anything
+            raise TrackerError(f"{where} failed: {type(error).__name__}: {error}") from error
+        if fault:
+            raise TrackerError(f"{where} returned {fault}")
+        return reading
+
     def _newest(self, reading: TrackerReading) -> TrackerReading:
         """The newest reading that has arrived: as with pictures, a late reader leaves out those before it."""
         began_ns = time.monotonic_ns()
@@ -66,7 +82,7 @@ class TrackerSource:
             # A driver that waits for a reading in spite of the time-out of 0 must not keep the reader here.
             if reading.t_ns >= began_ns:
                 break
-            newer = self._tracker.read(0.0)
+            newer = self._read(0.0)
             if newer is None:
                 break
             reading = newer
@@ -78,6 +94,17 @@ class TrackerSource:
 
     def _silence(self, timeout_s: float) -> TrackerError:
         return silence(self._name, timeout_s, self._tracker.counts())
+
+
+def _fault(reading: TrackerReading) -> str:
+    """What is wrong with a reading; empty if nothing is."""
+    for name, expected in (("position_m", (3,)), ("rotation", (3, 3)), ("covariance", (6, 6))):
+        array = np.asarray(getattr(reading, name))
+        if array.shape != expected:
+            return f"{name} of shape {array.shape} instead of {expected}"
+        if reading.seen and not np.isfinite(array).all():
+            return f"a {name} that is not finite, of a pose that is seen"
+    return ""
 
 
 def silence(name: str, timeout_s: float, counts: tuple[int, ...]) -> TrackerError:

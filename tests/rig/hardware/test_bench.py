@@ -265,3 +265,19 @@ def test_a_card_of_another_process_does_not_stop_the_venting_of_others(
     monkeypatch.setattr(os, "kill", lambda pid, number: None)
     vent(two_card_rig())
     assert cards["daq"].outputs.tolist() == [0.0]
+
+
+@pytest.mark.parametrize(
+    ("scans", "says"),
+    [
+        (None, "read of its driver returned NoneType instead of Scans"),
+        (Scans(np.array([1]), [[0.0]]), "read of its driver returned signals of type list instead of ndarray"),  # type: ignore[arg-type]
+        (Scans([1], np.zeros((1, 1))), "read of its driver returned t_ns of type list instead of ndarray"),  # type: ignore[arg-type]
+    ],
+)
+def test_scans_of_a_wrong_type_are_an_error_of_the_card(
+    bench: Bench, cards: dict[str, FakeCard], scans: Scans, says: str
+) -> None:
+    cards["other"].next = scans
+    with pytest.raises(CardError, match=f"card other: {says}"):
+        bench.read()

@@ -173,3 +173,10 @@ def test_a_chamber_that_is_held_is_stated_and_vents_for_an_emergency() -> None:
     )
     outcome, _ = watched(lambda t_s: (0.0, 0.5, 0.5), config=held_rig(), vent=True)
     assert not outcome.confirmed
+
+
+def test_chambers_without_a_reading_are_named() -> None:
+    nan = float("nan")
+    outcome, _ = watched(lambda t_s: (nan, 0.0, nan))
+    assert not outcome.confirmed
+    assert "actuator 1 without a reading, actuator 3 without a reading 1 s after" in outcome.sentence
