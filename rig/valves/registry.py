@@ -42,17 +42,20 @@ class UninstalledValve(ValveSection):
 
     @property
     def output_range(self) -> tuple[float, float]:
-        raise PluginError(f"valve type {self.type} is not installed: this rig can be read and not driven")
+        raise self._uninstalled("driven")
 
     @property
     def vent_output(self) -> float:
-        raise PluginError(f"valve type {self.type} is not installed: this rig can be read and not driven")
+        raise self._uninstalled("driven")
 
     def regulator(self, limits: Limits, control: Control) -> Regulator:
-        raise PluginError(f"valve type {self.type} is not installed: this rig can be read and not driven")
+        raise self._uninstalled("driven")
 
     def simulated(self, truth: SimulatedValve) -> ValveTruth:
-        raise PluginError(f"valve type {self.type} is not installed: this rig can be read and not simulated")
+        raise self._uninstalled("simulated")
+
+    def _uninstalled(self, use: str) -> PluginError:
+        return PluginError(f"valve type {self.type} is not installed: this rig can be read and not {use}")
 
 
 def _name_of(valve: type[ValveSection]) -> str:

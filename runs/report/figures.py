@@ -336,7 +336,8 @@ def timing(figure: Figure, run: Run, summary: Summary) -> None:
     left.set_ylabel("lateness [us]")
     if missed.any():
         left.legend(loc="upper right")
-    low, high = np.log10(lateness.min()), np.log10(max(lateness.max(), lateness.min() * 1.5))
+    # Below the smallest value: rounding must not leave the only value of a short run out of the bins.
+    low, high = np.log10(0.999 * lateness.min()), np.log10(max(lateness.max(), lateness.min() * 1.5))
     right.hist(lateness, bins=list(np.logspace(low, high, 50)), orientation="horizontal", color=MEASURED, log=True)
     for value, name in ((summary.lateness_p50_us, "50 %"), (summary.lateness_p99_us, "99 %")):
         right.axhline(max(value, 0.01), color=INK, lw=0.8, ls=(0, (4, 2)))

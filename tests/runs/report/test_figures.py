@@ -20,7 +20,7 @@ from runs.export.exporters import ExportError
 from runs.report import drawing, figure_export, figure_specifications, reference_figure
 from runs.report import page as report
 from runs.report.drawing import STYLE
-from runs.report.figures import pressures, steps
+from runs.report.figures import pressures, steps, timing
 from runs.summary import settled_steps, summarise
 
 
@@ -239,3 +239,13 @@ def test_the_names_of_any_number_of_actuators_stand_inside_the_figure(archive: P
     box = shown.get_window_extent(canvas.get_renderer())
     assert figure.bbox.x0 <= box.x0 <= box.x1 <= figure.bbox.x1
     assert figure.bbox.y0 <= box.y0 <= box.y1 <= figure.bbox.y1
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_timing_of_a_run_of_one_cycle_is_drawn(archive: Path) -> None:
+    run = runs.open(archive)
+    first = slice(0, 1)
+    run.timing = run.timing.replaced(
+        time_s=run.timing.time_s[first], lateness_us=np.array([0.104]), overruns=run.timing.overruns[first]
+    )
+    timing(Figure(), run, summarise(run))
