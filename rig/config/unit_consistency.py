@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from rig.config.sections import Sensor
     from rig.valves.base import ValveSection
 
+SIGNAL_UNITS = frozenset(("V", "bar"))
+"""Units of softrig's own valves and sensors."""
+
 
 def check(
     cards: Mapping[str, CardConfig | None],
@@ -36,4 +39,6 @@ def check(
             continue
         units = " or ".join(card.signal_units)
         expected = f"one with signals in {units}: card '{name}' ({card.driver}) has no signals in {unit}"
+        if not SIGNAL_UNITS.intersection(card.signal_units):
+            expected += f"; its driver converts {units} to {' or '.join(sorted(SIGNAL_UNITS))} (signal_units)"
         yield ValidationFault(path, expected)

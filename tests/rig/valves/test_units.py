@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from protocols import BadInputError
-from rig.config import loader
+from rig.config import loader, unit_consistency
 from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
 from rig.hardware.cards.setup import card_setup
@@ -110,3 +111,10 @@ def test_a_rig_on_a_bus_survives_its_dump() -> None:
     """`rig vent` reads the rig of a running experiment from its dump."""
     config = bus_rig()
     assert RigConfig.model_validate_json(config.model_dump_json(exclude_none=True)) == config
+
+
+def test_a_driver_in_a_unit_that_softrig_does_not_know_is_told_to_convert() -> None:
+    card = SimpleNamespace(signal_units=("kPa",), driver="box")
+    sensor = SimpleNamespace(card="daq", unit="bar")
+    (fault,) = unit_consistency.check({"daq": card}, (), (sensor,), {})  # type: ignore[dict-item, arg-type]
+    assert fault.expected.endswith("has no signals in bar; its driver converts kPa to V or bar (signal_units)")
