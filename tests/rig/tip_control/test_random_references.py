@@ -51,7 +51,7 @@ def tip_steps(draw: st.DrawFn) -> dict[str, Any]:
         return step | {kind: {"at_mm": draw(_point()), "duration_s": 1.0}}
     if kind == "points":
         centre, size = np.array([0, 0, 190.0]), draw(_number(1, 40))
-        at = [(centre + size * np.array(p)).tolist() for p in draw(st.lists(_corner(), min_size=2, max_size=5))]
+        at = [(centre + size * np.array(p)).tolist() for p in draw(_corners())]
         ways = draw(st.sampled_from(["smooth", "linear"]))
         return step | {kind: {"at_mm": at, "move_s": draw(_number(0.3, 1.5)), "dwell_s": 0.2, "ways": ways}}
     closed: dict[str, Any] = {
@@ -66,8 +66,9 @@ def tip_steps(draw: st.DrawFn) -> dict[str, Any]:
     return step | {kind: closed | sizes}
 
 
-def _corner() -> st.SearchStrategy[tuple[float, float, float]]:
-    return st.tuples(_number(-1, 1), _number(-1, 1), _number(-0.2, 0.2))
+def _corners() -> st.SearchStrategy[list[tuple[float, float, float]]]:
+    corner = st.tuples(_number(-1, 1), _number(-1, 1), _number(-0.2, 0.2))
+    return st.lists(corner, min_size=2, max_size=5, unique=True)
 
 
 @cache
