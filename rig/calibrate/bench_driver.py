@@ -23,7 +23,7 @@ from rig.hardware.cards.base import CardError
 
 Floats = NDArray[np.float64]
 _LONGEST_INTERVALS = 1.5
-"""Between two scans, of the usual interval; in a longer one the time of a simulated bench stood still."""
+"""Between two scans, of the usual interval; in a longer one the time of a simulated bench stops."""
 
 
 class TrippedError(Exception):
@@ -194,7 +194,7 @@ def made_safe(bench: Bench) -> Iterator[None]:
 
 
 class _RowBuffer:
-    """Rows of a log. With `interval_s` that of the scans: a longer one is time in which the bench stood still."""
+    """Rows of a log. With `interval_s` that of the scans: during a longer one the time of the bench stops."""
 
     def __init__(self, interval_s: float | None) -> None:
         self._interval_s = interval_s
