@@ -28,7 +28,6 @@ from rig.tip_control.interface import (
 )
 from rig.tip_control.kernels.arguments import (
     FilteredState,
-    ModalStep,
     QuadraticProgram,
     ReferenceSamples,
     TimedSetPoints,
@@ -51,9 +50,9 @@ _LONGEST_GAP_S = 0.5
 
 
 class HorizonState(NamedTuple):
-    """The model's tip and velocity (2, 3) at the last frame, its time (NaN at the start), estimator and last plan."""
+    """The model's motion (3, 4) at the last frame, its time (NaN at the start), estimator and last plan."""
 
-    tip: Array
+    motion: Array
     time_s: float
     estimator: EstimatorState
     times_s: Array
@@ -70,7 +69,7 @@ class HorizonControl:
         self._dynamics = TipDynamics.of(settings.arm, settings.pressure_limit_pa)
         self._estimator = TipEstimator(self._map, learned=settings.learned)
         self._step_s = settings.frame_s / STEPS_PER_FRAME
-        self._modes = ModalStep(*self._dynamics.matrices(self._step_s))
+        self._modes = self._dynamics.step(self._step_s)
         self._blocking = MoveBlocking.of(self._map.valves, settings.frame_s, RATE_WEIGHT)
         self._times = self._step_s * np.arange(HORIZON * STEPS_PER_FRAME + 1, dtype=np.float64)
         self._soft = np.full(len(self._blocking.constraints), _SOFT, dtype=np.int32)
@@ -78,7 +77,7 @@ class HorizonControl:
     def start(self) -> HorizonState:
         """Nothing is known."""
         return HorizonState(
-            np.zeros((2, 3)), math.nan, self._estimator.start(), np.empty(0), np.empty((0, self._map.valves))
+            np.zeros((3, 4)), math.nan, self._estimator.start(), np.empty(0), np.empty((0, self._map.valves))
         )
 
     def step(self, state: Any, reference: ReferenceTrajectory, measurement: ControllerMeasurement) -> SetPointPlan:
@@ -107,17 +106,19 @@ class HorizonControl:
             steps = max(1, round(passed_s / self._step_s))
         else:
             passed_s, steps = 0.0, 0
-        tip, pressure = advanced(
-            self._tip_map, self._dynamics.omega_rad_s, self._dynamics.tau_s, state.tip, measurement.time_s - passed_s,
-            measurement.time_s, steps, self._settings.pressure_lag_s, samples,
+        motion, pressure = advanced(
+            self._tip_map, self._dynamics.omega_rad_s, self._dynamics.tau_s, state.motion,
+            measurement.time_s - passed_s, measurement.time_s, steps, self._settings.pressure_lag_s, samples,
         )  # fmt: skip
         estimator, nis = state.estimator, math.nan
         if np.isfinite(measurement.tip_m).all():
-            prediction = self._estimator.predict(estimator, tip[0], tip[1], pressure, measurement.time_s, period_s)
+            prediction = self._estimator.predict(
+                estimator, motion[:, 0], motion[:, 2], pressure, measurement.time_s, period_s
+            )
             estimator, nis = self._estimator.update(
                 estimator, measurement.tip_m, measurement.covariance_m2, prediction, passed_s, period_s
             )
-        return state._replace(tip=tip, time_s=measurement.time_s, estimator=estimator), nis
+        return state._replace(motion=motion, time_s=measurement.time_s, estimator=estimator), nis
 
     def program(
         self, state: HorizonState, reference: ReferenceSamples, samples: TimedSetPoints, start_s: float
@@ -125,8 +126,8 @@ class HorizonControl:
         """The program of one Gauss-Newton step about the last plan; the state is that at the newest frame."""
         settings = self._settings
         found: QuadraticProgram = gauss_newton_program(
-            self._tip_map, self._modes, FilteredState(state.tip, state.time_s, state.estimator.z), samples, reference,
-            TimedSetPoints(state.times_s, state.setpoint_pa), self._blocking, start_s, self._step_s,
+            self._tip_map, self._modes, FilteredState(state.motion, state.time_s, state.estimator.z), samples,
+            reference, TimedSetPoints(state.times_s, state.setpoint_pa), self._blocking, start_s, self._step_s,
             settings.pressure_lag_s, settings.rate_limit_pa_s * settings.frame_s,
         )  # fmt: skip
         return found

@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 import model
 from model.dynamics import Dynamics
+from rig.tip_control.kernels.arguments import ModalStep
 from rig.tip_control.kernels.modal_dynamics import modal_states, step_matrices
 
 Array = NDArray[np.float64]
@@ -45,14 +46,13 @@ class TipDynamics:
         omega, tau = np.array([bending, bending, extension]).T
         return cls(omega, tau)
 
-    def matrices(self, step_s: float) -> tuple[Array, Array, Array]:
-        """A (3, 2, 2), b0, b1 (3, 2): (tip, velocity) after a step with a drive from u0 to u1, linear in between."""
-        transition, first, last = step_matrices(self.omega_rad_s, self.tau_s, step_s)
-        return transition, first, last
+    def step(self, step_s: float) -> ModalStep:
+        """A step of the modes."""
+        return ModalStep(*step_matrices(self.omega_rad_s, self.tau_s, step_s))
 
     def advance(self, state: Array, drive: Array, step_s: float) -> Array:
         """States (K + 1, 2, 3) from the state (2, 3) on, for drives (K + 1, 3) [m] that are linear in between."""
-        states: Array = modal_states(*self.matrices(step_s), state, drive)
+        states: Array = modal_states(self.step(step_s), state, drive)
         return states
 
 

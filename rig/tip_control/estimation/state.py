@@ -17,7 +17,7 @@ HARMONICS = 4
 class EstimateLayout:
     """Places of the estimates of an arm with V valves in the vector z (n,).
 
-    Strengths (V,), softness, lag, payload, offset (3,), then cosine (3,) and sine (3,) of each harmonic.
+    Strengths (V,), softness, retardation, payload, offset (3,), then cosine (3,) and sine (3,) of each harmonic.
     """
 
     valves: int
@@ -43,10 +43,10 @@ class EstimateLayout:
         return self.valves + 6 + 6 * HARMONICS
 
     def vector(
-        self, strength: float, softness: float, lag: float, payload: float, offset: float, harmonics: Array
+        self, strength: float, softness: float, retardation: float, payload: float, offset: float, harmonics: Array
     ) -> Array:
         """A vector (n,) of one value for each kind of estimate, and one (HARMONICS,) for each harmonic."""
-        single = [softness, lag, payload]
+        single = [softness, retardation, payload]
         return np.concatenate([np.full(self.valves, strength), single, np.full(3, offset), np.repeat(harmonics, 6)])
 
 

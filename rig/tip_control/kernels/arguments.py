@@ -41,9 +41,12 @@ class ReferenceSamples(NamedTuple):
 
 
 class FilteredState(NamedTuple):
-    """The model's tip and velocity (2, 3) at the time of a frame, and the estimates (n,) after it."""
+    """The model's motion (3, 4) at the time of a frame, and the estimates (n,) after it.
 
-    moving: Array
+    The motion of a coordinate is tip, velocity, and their sensitivities by the retardation time tau.
+    """
+
+    motion: Array
     time_s: float
     z: Array
 

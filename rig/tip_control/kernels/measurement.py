@@ -1,7 +1,7 @@
 """Measurement model of the estimator: predicted tip, and its Jacobian by the estimates.
 
-Estimates z (n,) of an arm with V valves: strengths (V,), softness, lag, payload, offset (3,), then three coefficients
-of the cosine and three of the sine of each harmonic.
+Estimates z (n,) of an arm with V valves: strengths (V,), softness, retardation, payload, offset (3,), then three
+coefficients of the cosine and three of the sine of each harmonic.
 """
 
 from __future__ import annotations
@@ -52,12 +52,14 @@ def loaded_map(tip_map: TipMap, z: Array, valves: int) -> Array:
 
 @compiled
 def predicted_measurement(
-    tip_map: TipMap, z: Array, tip_m: Array, velocity_m_s: Array, pressure_pa: Array, t_s: float, period_s: float
+    tip_map: TipMap, z: Array, tip_m: Array, tip_by_tau_m_s: Array, pressure_pa: Array, t_s: float, period_s: float
 ) -> tuple[Array, Array]:
-    """Predicted measurement (3,) [m] and its Jacobian (3, n), for the model's tip, velocity and pressures (V,)."""
+    """Predicted measurement (3,) [m] and its Jacobian (3, n), for the model's tip, its
+    sensitivity by tau, and pressures (V,).
+    """
     coefficients, limit_pa, largest_payload_kg = tip_map.coefficients, tip_map.limit_pa, tip_map.largest_payload_kg
     valves, columns = len(pressure_pa), coefficients.shape[1]
-    terms, softness, lag_s = columns // 3, z[valves], z[valves + 1]
+    terms, softness, retardation_s = columns // 3, z[valves], z[valves + 1]
     strong, values, slopes = np.empty(valves), np.empty(columns), np.empty((columns, valves))
     for valve in range(valves):
         strong[valve] = pressure_pa[valve] * (1 + z[valve] + softness)
@@ -72,7 +74,7 @@ def predicted_measurement(
     shift = disturbance(z, valves, t_s, period_s)
     predicted, jacobian = np.empty(3), np.zeros((3, len(z)))
     for axis in range(3):
-        predicted[axis] = tip_m[axis] - lag_s * velocity_m_s[axis] + shift[axis]
+        predicted[axis] = tip_m[axis] + retardation_s * tip_by_tau_m_s[axis] + shift[axis]
         for n in range(terms):
             load = (1 + softness) * hung[n] - softness * without[n]
             predicted[axis] += load * values[3 * n + axis] - without[n] * own[3 * n + axis]
@@ -82,7 +84,7 @@ def predicted_measurement(
             jacobian[axis, valves + 2] += (1 + softness) * by_payload[n] / largest_payload_kg * values[3 * n + axis]
         for valve in range(valves):
             jacobian[axis, valves] += jacobian[axis, valve]
-        jacobian[axis, valves + 1] = -velocity_m_s[axis]
+        jacobian[axis, valves + 1] = tip_by_tau_m_s[axis]
         for k in range(len(known)):
             jacobian[axis, offset + 3 * k + axis] = known[k]
     return predicted, jacobian

@@ -1,4 +1,7 @@
-"""The arm's first modes, one in each coordinate: tip + tau d(tip)/dt + d2(tip)/dt2 / omega^2 = drive."""
+"""The arm's first modes, one in each coordinate: tip + tau d(tip)/dt + d2(tip)/dt2 / omega^2 = drive.
+
+The sensitivity q of the tip by tau is another motion of the mode: q + tau dq/dt + d2q/dt2 / omega^2 = -d(tip)/dt.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import cmath
 
 import numpy as np
 
+from rig.tip_control.kernels.arguments import ModalStep
 from rig.tip_control.kernels.compilation import Array, compiled, internal
 
 
@@ -38,9 +42,10 @@ def step_matrices(omega_rad_s: Array, tau_s: Array, step_s: float) -> tuple[Arra
 
 @internal
 def modal_step(
-    transition: Array, first: Array, last: Array, axis: int, tip: float, velocity: float, before: float, after: float
+    modes: ModalStep, axis: int, tip: float, velocity: float, before: float, after: float
 ) -> tuple[float, float]:
     """Tip and velocity of one coordinate after a step with a drive from `before` to `after`."""
+    transition, first, last = modes
     return (
         transition[axis, 0, 0] * tip
         + transition[axis, 0, 1] * velocity
@@ -53,21 +58,22 @@ def modal_step(
     )
 
 
+@internal
+def motion_step(modes: ModalStep, axis: int, motion: Array, before: float, after: float) -> None:
+    """Advance the motion (4,) of one coordinate by a step: tip, velocity, and their sensitivities by tau."""
+    velocity = motion[1]
+    motion[0], motion[1] = modal_step(modes, axis, motion[0], velocity, before, after)
+    motion[2], motion[3] = modal_step(modes, axis, motion[2], motion[3], -velocity, -motion[1])
+
+
 @compiled
-def modal_states(transition: Array, first: Array, last: Array, state: Array, drive: Array) -> Array:
+def modal_states(modes: ModalStep, state: Array, drive: Array) -> Array:
     """States (K + 1, 2, 3) from the state (2, 3) on, for drives (K + 1, 3) that are linear in between."""
     states = np.empty((drive.shape[0], 2, 3))
     states[0] = state
     for k in range(drive.shape[0] - 1):
         for axis in range(3):
             states[k + 1, 0, axis], states[k + 1, 1, axis] = modal_step(
-                transition,
-                first,
-                last,
-                axis,
-                states[k, 0, axis],
-                states[k, 1, axis],
-                drive[k, axis],
-                drive[k + 1, axis],
+                modes, axis, states[k, 0, axis], states[k, 1, axis], drive[k, axis], drive[k + 1, axis]
             )
     return states

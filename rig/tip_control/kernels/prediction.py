@@ -15,16 +15,16 @@ from rig.tip_control.kernels.arguments import (
 from rig.tip_control.kernels.compilation import Array, compiled, internal
 from rig.tip_control.kernels.interpolation import interpolate, interval_at
 from rig.tip_control.kernels.measurement import disturbance, loaded_map
-from rig.tip_control.kernels.modal_dynamics import modal_states, modal_step, step_matrices
+from rig.tip_control.kernels.modal_dynamics import motion_step, step_matrices
 from rig.tip_control.kernels.tip_map import evaluate
 
 
 @compiled
 def advanced(
-    tip_map: TipMap, omega_rad_s: Array, tau_s: Array, state: Array, since_s: float, until_s: float, steps: int,
+    tip_map: TipMap, omega_rad_s: Array, tau_s: Array, motion: Array, since_s: float, until_s: float, steps: int,
     lag_s: float, samples: TimedSetPoints,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """The model's tip and velocity (2, 3) after `steps` steps between two times, and the pressures (V,) at the end.
+    """The model's motion (3, 4) after `steps` steps between two times, and the pressures (V,) at the end.
 
     Under set-points that reach the chambers after a lag. With no steps the tip is at rest.
     """
@@ -35,11 +35,15 @@ def advanced(
         interpolate(t_s - lag_s, samples.times_s, samples.pressure_pa, pressure)
         evaluate(tip_map.nominal, pressure, tip_map.limit_pa, False, drive[k], no_slopes)
     if steps == 0:
-        rest = np.zeros((2, 3))
-        rest[0] = drive[0]
+        rest = np.zeros((3, 4))
+        rest[:, 0] = drive[0]
         return rest, pressure
     transition, first, last = step_matrices(omega_rad_s, tau_s, step_s)
-    return modal_states(transition, first, last, state, drive)[steps].copy(), pressure
+    modes, moved = ModalStep(transition, first, last), motion.copy()
+    for k in range(steps):
+        for axis in range(3):
+            motion_step(modes, axis, moved[axis], drive[k, axis], drive[k + 1, axis])
+    return moved, pressure
 
 
 @internal
@@ -61,7 +65,7 @@ def shoot(
     pressure, strong, slopes, no_slopes = np.empty(valves), np.empty(valves), np.empty((3, valves)), np.empty((0, 0))
     drive, before, driven = np.empty(3), np.empty(3), np.empty(3)
     by, by_before = np.zeros((3, free)), np.zeros((3, free))
-    moving, swinging = filtered.moving.copy(), np.zeros((2, 3, free))
+    motion, motion_by = filtered.motion.copy(), np.zeros((3, free, 4))
     more = np.empty(valves)
     for k in range(count):
         commanded_s = grid_s[k] - lag_s
@@ -90,24 +94,13 @@ def shoot(
         shift = disturbance(z, valves, grid_s[k], reference.period_s)
         for axis in range(3):
             if k > 0:
-                moving[0, axis], moving[1, axis] = modal_step(
-                    modes.transition,
-                    modes.first,
-                    modes.last,
-                    axis,
-                    moving[0, axis],
-                    moving[1, axis],
-                    before[axis],
-                    drive[axis],
-                )
+                motion_step(modes, axis, motion[axis], before[axis], drive[axis])
                 for j in range(free):
-                    swinging[0, axis, j], swinging[1, axis, j] = modal_step(
-                        modes.transition, modes.first, modes.last, axis, swinging[0, axis, j], swinging[1, axis, j],
-                        by_before[axis, j], by[axis, j],
-                    )  # fmt: skip
-            tips[k, axis] = moving[0, axis] - z[valves + 1] * moving[1, axis] + driven[axis] - drive[axis] + shift[axis]
+                    motion_step(modes, axis, motion_by[axis, j], by_before[axis, j], by[axis, j])
+            model_tip = motion[axis, 0] + z[valves + 1] * motion[axis, 2]
+            tips[k, axis] = model_tip + driven[axis] - drive[axis] + shift[axis]
             for j in range(free):
-                sensitivities[k, axis, j] = swinging[0, axis, j] - z[valves + 1] * swinging[1, axis, j]
+                sensitivities[k, axis, j] = motion_by[axis, j, 0] + z[valves + 1] * motion_by[axis, j, 2]
             before[axis] = drive[axis]
         by, by_before = by_before, by
     return TipPrediction(grid_s, tips, sensitivities)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -23,8 +25,9 @@ def test_the_sensitivities_of_the_prediction_are_those_of_finite_differences(sta
     times, samples_s = SETTINGS.reference_times(2.0), np.array([1.0, 2.0])
     feed, samples = task.feedforward_pa(times), TimedSetPoints(samples_s, task.feedforward_pa(samples_s))
     reference = ReferenceSamples(times, task.position_m(times), feed, 0.0)
-    moving = np.stack([task.position_m(np.array([1.96]))[0], np.zeros(3)])
-    state = HorizonState(moving, 1.96, TipEstimator(static_map).start(), times, feed)
+    motion = np.zeros((3, 4))
+    motion[:, 0] = task.position_m(np.array([1.96]))[0]
+    state = HorizonState(motion, 1.96, TipEstimator(static_map).start(), times, feed)
     sensitivities = controller.program(state, reference, samples, 2.0).prediction.sensitivities
     step_pa = 10.0
     for knot, valve in ((1, 0), (3, 1), (5, 2)):
@@ -50,6 +53,13 @@ def test_an_arm_unlike_the_model_follows_far_better_than_by_feedforward() -> Non
     # The innovations are not larger than the filter says: the NIS of three degrees of freedom has mean 3.
     nis = np.array([plan.estimate.nis for plan in feedback.plans[60:]])
     assert 0.5 < nis.mean() < 4.5
+
+
+def test_an_arm_damped_more_than_stated_is_followed_near_its_first_mode() -> None:
+    task = circle(3.0, 3.0, 0.008)
+    truth = Truth(replace(ARM, material=replace(ARM.material, damping_s=0.018)), np.ones(3))
+    assert simulate(SETTINGS, None, truth, task, seed=1).rms_m(1.0) > 4e-3
+    assert simulate(SETTINGS, HorizonControl(SETTINGS), truth, task, seed=1).rms_m(1.0) < 0.5e-3
 
 
 # The slow circle shows the payload least: there its camera noise costs 2 g, the soft arm of the test about 1 g.

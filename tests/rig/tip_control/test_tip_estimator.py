@@ -38,7 +38,7 @@ def test_one_wrong_measurement_moves_no_estimate_and_more_as_of_a_payload_move_o
     np.testing.assert_array_equal(once.z, settled.z)
     twice, _ = estimator.update(once, *wrong)
     moved = np.flatnonzero(twice.z != settled.z)
-    assert moved.tolist() == [5, 6, 7, 8]  # payload and offset, after three strengths, softness and lag
+    assert moved.tolist() == [5, 6, 7, 8]  # payload and offset, after three strengths, softness and retardation
     assert twice.settling > 0
     right = (tip, *wrong[1:])
     forgotten, _ = estimator.update(once, *right)
