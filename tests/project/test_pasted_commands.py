@@ -1,4 +1,4 @@
-"""Shell blocks of the how-to guides and the reference, pasted in order in a folder with the tutorial's first run."""
+"""Blocks of the how-to guides, the reference and the tutorials, pasted in order in a folder with the first run."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -104,6 +105,41 @@ def test_commands_of_a_page_work_in_order(page: Path, after_first_run: Path, tmp
         cwd=here,
         env=env,
         stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+PYTHON_LEFT_OUT = {
+    "commission-a-bench": "needs the card of a bench",
+    "extend-softrig": "has its own test",
+    "simulator-file": "reads the memory of a bench that runs",
+    "write-a-driver": "has its own test",
+}
+"""Pages whose Python blocks are not run, and why."""
+WITH_PYTHON = [
+    page
+    for page in sorted((ROOT / "docs").rglob("*.md"))
+    if "```python\n" in page.read_text() and page.stem not in PYTHON_LEFT_OUT
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.stem)
+def test_python_blocks_of_a_page_work_in_order(page: Path, after_first_run: Path, tmp_path: Path) -> None:
+    here = tmp_path / "here"
+    shutil.copytree(after_first_run, here)
+    # A script has the guard, because fits start worker processes.
+    blocks = re.findall(r"^```python\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE)
+    (here / "pasted.py").write_text(
+        'if __name__ == "__main__":\n' + textwrap.indent("\n".join(blocks), "    "), encoding="utf-8"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "error::DeprecationWarning:__main__", "pasted.py"],
+        cwd=here,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
         check=False,
