@@ -69,7 +69,6 @@ class HorizonControl:
         self._dynamics = TipDynamics.of(settings.arm, settings.pressure_limit_pa)
         self._estimator = TipEstimator(self._map, learned=settings.learned)
         self._step_s = settings.frame_s / STEPS_PER_FRAME
-        self._modes = self._dynamics.step(self._step_s)
         self._blocking = MoveBlocking.of(self._map.valves, settings.frame_s, RATE_WEIGHT)
         self._times = self._step_s * np.arange(HORIZON * STEPS_PER_FRAME + 1, dtype=np.float64)
         self._soft = np.full(len(self._blocking.constraints), _SOFT, dtype=np.int32)
@@ -106,19 +105,25 @@ class HorizonControl:
             steps = max(1, round(passed_s / self._step_s))
         else:
             passed_s, steps = 0.0, 0
+        dynamics = self._estimated(state)
         motion, pressure = advanced(
-            self._tip_map, self._dynamics.omega_rad_s, self._dynamics.tau_s, state.motion,
-            measurement.time_s - passed_s, measurement.time_s, steps, self._settings.pressure_lag_s, samples,
+            self._tip_map, dynamics.omega_rad_s, dynamics.tau_s, state.motion, measurement.time_s - passed_s,
+            measurement.time_s, steps, self._settings.pressure_lag_s, samples,
         )  # fmt: skip
         estimator, nis = state.estimator, math.nan
         if np.isfinite(measurement.tip_m).all():
-            prediction = self._estimator.predict(
-                estimator, motion[:, 0], motion[:, 2], pressure, measurement.time_s, period_s
-            )
+            prediction = self._estimator.predict(estimator, motion, pressure, measurement.time_s, period_s)
             estimator, nis = self._estimator.update(
                 estimator, measurement.tip_m, measurement.covariance_m2, prediction, passed_s, period_s
             )
+            # The motion is that of the new estimate, to first order.
+            own = self._estimator.layout.retardation
+            motion[:, :2] += (estimator.z[own] - state.estimator.z[own]) * motion[:, 2:]
         return state._replace(motion=motion, time_s=measurement.time_s, estimator=estimator), nis
+
+    def _estimated(self, state: HorizonState) -> TipDynamics:
+        """The modes with the estimated retardation time."""
+        return self._dynamics.retarded(float(state.estimator.z[self._estimator.layout.retardation]))
 
     def program(
         self, state: HorizonState, reference: ReferenceSamples, samples: TimedSetPoints, start_s: float
@@ -126,8 +131,9 @@ class HorizonControl:
         """The program of one Gauss-Newton step about the last plan; the state is that at the newest frame."""
         settings = self._settings
         found: QuadraticProgram = gauss_newton_program(
-            self._tip_map, self._modes, FilteredState(state.motion, state.time_s, state.estimator.z), samples,
-            reference, TimedSetPoints(state.times_s, state.setpoint_pa), self._blocking, start_s, self._step_s,
+            self._tip_map, self._estimated(state).step(self._step_s),
+            FilteredState(state.motion, state.time_s, state.estimator.z), samples, reference,
+            TimedSetPoints(state.times_s, state.setpoint_pa), self._blocking, start_s, self._step_s,
             settings.pressure_lag_s, settings.rate_limit_pa_s * settings.frame_s,
         )  # fmt: skip
         return found

@@ -46,6 +46,10 @@ class TipDynamics:
         omega, tau = np.array([bending, bending, extension]).T
         return cls(omega, tau)
 
+    def retarded(self, retardation_s: float) -> TipDynamics:
+        """The modes with a retardation time that is longer by this, but not below a tenth of their own."""
+        return TipDynamics(self.omega_rad_s, np.maximum(self.tau_s + retardation_s, 0.1 * self.tau_s))
+
     def step(self, step_s: float) -> ModalStep:
         """A step of the modes."""
         return ModalStep(*step_matrices(self.omega_rad_s, self.tau_s, step_s))

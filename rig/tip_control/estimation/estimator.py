@@ -1,7 +1,9 @@
-"""Extended Kalman filter of what the model does not know of the arm: strengths, damping, payload and disturbance.
+"""Extended Kalman filter of what the model does not know of the arm: strengths, damping, lag, payload and
+disturbance.
 
-measured = model tip(set-points) + [static(Q, 0) - static(P, 0)] + (1 + softness) [static(Q, payload) - static(Q, 0)]
-               + retardation * d(tip)/d(tau) + disturbance                with Q = P (1 + strength + softness)
+measured = model tip(set-points, tau + retardation) + [static(Q, 0) - static(P, 0)]
+               + (1 + softness) [static(Q, payload) - static(Q, 0)] - lag * velocity + disturbance
+Q = P (1 + strength + softness)
 disturbance(t) = d + sum over k of (a_k cos(2 pi k t / period) + b_k sin(2 pi k t / period))
 
 The harmonics are the observer of a periodic reference: they have no phase lag, because they are predicted.
@@ -46,16 +48,19 @@ class TipEstimator:
         known, own = self._tuning.filter, self.layout
         order = np.arange(1, HARMONICS + 1)
         self._prior_std = own.vector(
-            known.strength_std, known.softness_std, known.retardation_std_s, known.payload_std_kg, known.offset_std_m,
-            known.harmonic_std_m / order,
+            known.strength_std, known.softness_std, known.retardation_std_s, known.lag_std_s, known.payload_std_kg,
+            known.offset_std_m, known.harmonic_std_m / order,
         )  # fmt: skip
         self._first_std = (known.learned_factor if learned else 1.0) * self._prior_std
-        walks = (known.strength_walk, 0.0, known.retardation_walk_s, known.payload_walk_kg, known.offset_walk_m)
+        walks = (
+            known.strength_walk, 0.0, known.retardation_walk_s, known.lag_walk_s, known.payload_walk_kg,
+            known.offset_walk_m,
+        )  # fmt: skip
         still, moving = np.zeros(HARMONICS), np.full(HARMONICS, known.harmonic_walk_m)
         self._walk_variance = own.vector(*walks, still) ** 2
         self._periodic_walk_variance = own.vector(*walks, moving) ** 2
         self._all_move = np.ones(own.size)
-        self._payload_moves = own.vector(0.0, 0.0, 0.0, 1.0, 1.0, still)
+        self._payload_moves = own.vector(0.0, 0.0, 0.0, 0.0, 1.0, 1.0, still)
         self._no_clone = np.zeros(own.size)
 
     def start(self) -> EstimatorState:
@@ -76,15 +81,11 @@ class TipEstimator:
         return PayloadEstimate(payload, float(np.sqrt(variance)), nis, change, change_std)
 
     def predict(
-        self, state: EstimatorState, tip_m: Array, tip_by_tau_m_s: Array, pressure_pa: Array, time_s: float,
-        period_s: float | None,
-    ) -> tuple[Array, Array]:  # fmt: skip
-        """Predicted measurement (3,) and its Jacobian (3, n) by z.
-
-        For the model's tip, its sensitivity by tau, and pressures (V,).
-        """
+        self, state: EstimatorState, motion: Array, pressure_pa: Array, time_s: float, period_s: float | None
+    ) -> tuple[Array, Array]:
+        """Predicted measurement (3,) and its Jacobian (3, n) by z, for the model's motion (3, 4) and pressures (V,)."""
         predicted, jacobian = predicted_measurement(
-            self._tip_map, state.z, tip_m, tip_by_tau_m_s, pressure_pa, time_s, float(period_s or 0.0)
+            self._tip_map, state.z, motion, pressure_pa, time_s, float(period_s or 0.0)
         )
         return predicted, jacobian
 

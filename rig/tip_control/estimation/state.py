@@ -17,7 +17,7 @@ HARMONICS = 4
 class EstimateLayout:
     """Places of the estimates of an arm with V valves in the vector z (n,).
 
-    Strengths (V,), softness, retardation, payload, offset (3,), then cosine (3,) and sine (3,) of each harmonic.
+    Strengths (V,), softness, retardation, lag, payload, offset (3,), then cosine (3,) and sine (3,) of each harmonic.
     """
 
     valves: int
@@ -28,25 +28,37 @@ class EstimateLayout:
         return self.valves
 
     @property
+    def retardation(self) -> int:
+        """Index of the change of the retardation time."""
+        return self.valves + 1
+
+    @property
     def payload(self) -> int:
         """Index of the payload."""
-        return self.valves + 2
+        return self.valves + 3
 
     @property
     def offset(self) -> slice:
         """The constant part of the disturbance."""
-        return slice(self.valves + 3, self.valves + 6)
+        return slice(self.valves + 4, self.valves + 7)
 
     @property
     def size(self) -> int:
         """Number of estimates."""
-        return self.valves + 6 + 6 * HARMONICS
+        return self.valves + 7 + 6 * HARMONICS
 
     def vector(
-        self, strength: float, softness: float, retardation: float, payload: float, offset: float, harmonics: Array
+        self,
+        strength: float,
+        softness: float,
+        retardation: float,
+        lag: float,
+        payload: float,
+        offset: float,
+        harmonics: Array,
     ) -> Array:
         """A vector (n,) of one value for each kind of estimate, and one (HARMONICS,) for each harmonic."""
-        single = [softness, retardation, payload]
+        single = [softness, retardation, lag, payload]
         return np.concatenate([np.full(self.valves, strength), single, np.full(3, offset), np.repeat(harmonics, 6)])
 
 

@@ -10,8 +10,8 @@ class FilterTuning:
     """Prior standard deviations and random walks of the estimates, and the white error of the model.
 
     A valve's strength, the softness of the arm (it yields to all valves and to a payload alike), the change of its
-    retardation time tau, the payload, the constant part of the disturbance and its first harmonic (the k-th has the
-    k-th part).
+    retardation time tau, the lag of pressures and measurement beyond the stated one, the payload, the constant part of
+    the disturbance and its first harmonic (the k-th has the k-th part).
     """
 
     strength_std: float = 0.05
@@ -19,6 +19,8 @@ class FilterTuning:
     softness_std: float = 0.04
     retardation_std_s: float = 0.01
     retardation_walk_s: float = 2e-4
+    lag_std_s: float = 0.005
+    lag_walk_s: float = 2e-4
     payload_std_kg: float = 0.003
     payload_walk_kg: float = 2e-4
     offset_std_m: float = 3e-4

@@ -43,7 +43,8 @@ class ReferenceSamples(NamedTuple):
 class FilteredState(NamedTuple):
     """The model's motion (3, 4) at the time of a frame, and the estimates (n,) after it.
 
-    The motion of a coordinate is tip, velocity, and their sensitivities by the retardation time tau.
+    The motion of a coordinate is tip, velocity, and their sensitivities by the retardation time tau, all with the
+    estimated tau.
     """
 
     motion: Array

@@ -15,7 +15,7 @@ from rig.tip_control.kernels.arguments import (
 from rig.tip_control.kernels.compilation import Array, compiled, internal
 from rig.tip_control.kernels.interpolation import interpolate, interval_at
 from rig.tip_control.kernels.measurement import disturbance, loaded_map
-from rig.tip_control.kernels.modal_dynamics import motion_step, step_matrices
+from rig.tip_control.kernels.modal_dynamics import modal_step, motion_step, step_matrices
 from rig.tip_control.kernels.tip_map import evaluate
 
 
@@ -65,7 +65,7 @@ def shoot(
     pressure, strong, slopes, no_slopes = np.empty(valves), np.empty(valves), np.empty((3, valves)), np.empty((0, 0))
     drive, before, driven = np.empty(3), np.empty(3), np.empty(3)
     by, by_before = np.zeros((3, free)), np.zeros((3, free))
-    motion, motion_by = filtered.motion.copy(), np.zeros((3, free, 4))
+    moving, swinging = filtered.motion[:, :2].copy(), np.zeros((3, free, 2))
     more = np.empty(valves)
     for k in range(count):
         commanded_s = grid_s[k] - lag_s
@@ -94,13 +94,16 @@ def shoot(
         shift = disturbance(z, valves, grid_s[k], reference.period_s)
         for axis in range(3):
             if k > 0:
-                motion_step(modes, axis, motion[axis], before[axis], drive[axis])
+                moving[axis, 0], moving[axis, 1] = modal_step(
+                    modes, axis, moving[axis, 0], moving[axis, 1], before[axis], drive[axis]
+                )
                 for j in range(free):
-                    motion_step(modes, axis, motion_by[axis, j], by_before[axis, j], by[axis, j])
-            model_tip = motion[axis, 0] + z[valves + 1] * motion[axis, 2]
-            tips[k, axis] = model_tip + driven[axis] - drive[axis] + shift[axis]
+                    swinging[axis, j, 0], swinging[axis, j, 1] = modal_step(
+                        modes, axis, swinging[axis, j, 0], swinging[axis, j, 1], by_before[axis, j], by[axis, j]
+                    )
+            tips[k, axis] = moving[axis, 0] - z[valves + 2] * moving[axis, 1] + driven[axis] - drive[axis] + shift[axis]
             for j in range(free):
-                sensitivities[k, axis, j] = motion_by[axis, j, 0] + z[valves + 1] * motion_by[axis, j, 2]
+                sensitivities[k, axis, j] = swinging[axis, j, 0] - z[valves + 2] * swinging[axis, j, 1]
             before[axis] = drive[axis]
         by, by_before = by_before, by
     return TipPrediction(grid_s, tips, sensitivities)
