@@ -1,6 +1,7 @@
 """How honest and how fast identification is: coverage of its error bars, and archives per minute by workers.
 
-Run: python -m benchmarks.identify [--moving | --drawn | --default KIND] [--trials 200] [--seed 0] [--workers 1 2]
+Run: python -m benchmarks.identify [--moving | --drawn | --default KIND [--as-modelled]] [--trials 200] [--seed 0]
+                                   [--workers 1 2] [--store DIR]
      python -m benchmarks.identify --archives data/*.h5 --workers 1 2
      python -m benchmarks.identify --figure FILE
 """
@@ -128,8 +129,11 @@ def drawn(trials: int, seed: int) -> list[CoverageTrial]:
     return tasks
 
 
-def by_default(kind: str, trials: int, seed: int) -> list[CoverageTrial]:
-    """The default form of `rig identify`: each number of each arm is drawn from its standard uncertainty."""
+def by_default(kind: str, trials: int, seed: int, effects: bool) -> list[CoverageTrial]:
+    """The default form of `rig identify`: each number of each arm is drawn from its standard uncertainty.
+
+    effects: whether the arms have effects that the model lacks, drawn from the prior that the fit assumes.
+    """
     errors = MeasurementErrors((3e-5, 3e-5, 6e-5), 20.0, 500.0)
     ramp, time_s = np.linspace(0.15e5, 0.65e5, 11)[:, None], np.arange(240) / 30
     static = plan("ramp-a", ramp * np.array([1.0, 0.0, 0.0]), errors=errors)
@@ -149,7 +153,9 @@ def by_default(kind: str, trials: int, seed: int) -> list[CoverageTrial]:
     # A trial frees the offsets of its sensors by itself.
     shared = [name for name in default_parameters(load("mock-ideal")) if name != "sensor_offsets"]
     free = (*shared, *(("damping_s",) if kind == "moving" else ()))
-    return [CoverageTrial(planned, truth, truth, free, errors, seed * 1_000_003 + k, stated) for k in range(trials)]
+    return [
+        CoverageTrial(planned, truth, truth, free, errors, seed * 1_000_003 + k, stated, effects) for k in range(trials)
+    ]
 
 
 def _each(rng: np.random.Generator, most: float) -> tuple[float, float, float]:
@@ -201,8 +207,11 @@ def main() -> None:
     instead = options.add_mutually_exclusive_group()
     instead.add_argument("--moving", action="store_true", help="coverage of damping, density and delay in motion")
     instead.add_argument(
-        "--default", choices=("static", "several", "moving"), help="coverage of the default form, every number drawn"
+        "--default",
+        choices=("static", "several", "moving"),
+        help="coverage of the default form; every number is drawn, and the effects that the model lacks",
     )
+    options.add_argument("--as-modelled", action="store_true", help="with --default: arms without such effects")
     instead.add_argument("--drawn", action="store_true", help="coverage of all parameters of arms drawn at random")
     options.add_argument("--store", type=Path, help="keep finished trials there, to resume")
     options.add_argument("--archives", type=Path, nargs="+", help="measure archives per minute with these instead")
@@ -219,7 +228,7 @@ def main() -> None:
         began = time.perf_counter()
         if given.moving or given.drawn or given.default:
             if given.default:
-                tasks = by_default(given.default, given.trials, given.seed)
+                tasks = by_default(given.default, given.trials, given.seed, not given.as_modelled)
             else:
                 tasks = (drawn if given.drawn else motions)(given.trials, given.seed)
             free = tasks[0].free
