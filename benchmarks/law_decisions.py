@@ -29,7 +29,7 @@ from rig.config.arm_model import model_arm
 from rig.config.loader import load
 from rig.design.law_comparison import design_comparison
 from rig.identify.estimation import rig_uncertainties, sensor_priors
-from rig.identify.law_names import laws_named
+from rig.identify.model_comparison import laws_named
 
 Array = NDArray[np.float64]
 

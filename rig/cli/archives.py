@@ -107,7 +107,7 @@ def replay(
 ) -> None:
     """Run vision and model again on a run's stored pictures and pressures, also with another rig."""
     from rig.cli.run_names import resolve
-    from rig.config.model_variant import variant_named
+    from rig.config.sections import variant_named
     from rig.experiment.replay import replay as observe_again
     from runs.run import Run
 

@@ -27,7 +27,7 @@ from runs.printable_text import printable
 from runs.records import Status
 
 if TYPE_CHECKING:
-    from rig.config.finding import Finding
+    from rig.config.drivers import Finding
 
 _EXIT = {Status.FINISHED: DONE, Status.ABORTED: FAULT, Status.INTERRUPTED: INTERRUPTED}
 _VERDICT = {"ok": "green", "missing": "bold red", "note": "yellow"}

@@ -14,7 +14,7 @@ def workspace(
     from rig.cli.console import console
     from rig.cli.json_output import print_json
     from rig.config.loader import chosen_rig, load
-    from rig.config.model_variant import variant_named
+    from rig.config.sections import variant_named
 
     if to is not None:
         workspace_output.check_drawing(to, replace)

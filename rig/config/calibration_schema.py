@@ -102,7 +102,7 @@ class CameraFile(CalibrationFile):
     lens: LensConfig
     covariance: Annotated[Matrix, Field(description="of fx, fy, cx, cy [px], k1, k2, p1, p2, k3")]
     rms_px: NonNegative
-    coverage_percent: Annotated[float, Field(ge=0, le=100, strict=True)]
+    coverage_percent: NonNegative = Field(le=100)
     views: Annotated[tuple[UsedView, ...], Field(min_length=1)]
     left_out: tuple[ExcludedViewSection, ...] = ()
     advice: tuple[Word, ...] = ()
@@ -300,7 +300,7 @@ class GravityFile(CalibrationFile):
 
     kind: Literal["gravity"]
     direction: Triple
-    std_deg: Annotated[float, Field(gt=0, le=180, strict=True)] = Field(description="about each axis across it")
+    std_deg: Positive = Field(le=180, description="about each axis across it")
     readings: Count = Field(description="of the load cell at rest")
     carried_g: NonNegative | None = Field(default=None, description="mass that the cell carries beside known weights")
     source: SourceFileSection

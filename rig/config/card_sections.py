@@ -95,7 +95,7 @@ class SerialCardConfig(CardConfig):
     driver: Literal["serial"]
     signal_units: ClassVar[tuple[str, ...] | None] = ("bar",)
     baud: Literal[115_200, 230_400, 460_800, 500_000, 921_600, 1_000_000] = 500_000
-    sampling_hz: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False, strict=True)] = 250.0
+    sampling_hz: Positive = Field(default=250.0, le=1000)
 
     @model_validator(mode="after")
     def _line_is_fast_enough(self) -> SerialCardConfig:

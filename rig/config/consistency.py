@@ -16,11 +16,10 @@ from protocols.validation import ValidationFault
 from rig.config import section_consistency, trigger_consistency, unit_consistency
 
 if TYPE_CHECKING:
-    from rig.config.arm_sections import ArmConfig
     from rig.config.board_sections import BoardConfig
     from rig.config.card_sections import CardConfig
     from rig.config.input_sections import AuxiliaryInput, EmergencyStop
-    from rig.config.sections import CameraConfig, GeometryConfig, Sensor
+    from rig.config.sections import ArmConfig, CameraConfig, GeometryConfig, Sensor
     from rig.config.simulator_sections import Simulator
     from rig.config.tracker_sections import TrackerConfig
     from rig.sections.control import Control, Limits

@@ -11,16 +11,24 @@ import importlib
 import operator
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
 
 from rig.sections.plugins import PluginError, PluginGroup, PluginSections, package_of
 
-if TYPE_CHECKING:
-    from rig.config.finding import Finding
 
-Examine = Callable[[Any, str], Iterable["Finding"]]
+@dataclass(frozen=True)
+class Finding:
+    """One check of `rig doctor`: its result, and the remedy for a missing part."""
+
+    topic: str
+    verdict: Literal["ok", "missing", "note"]
+    found: str
+    remedy: str = ""
+
+
+Examine = Callable[[Any, str], Iterable[Finding]]
 """Examines the device of a rig: (RigConfig, name of the device) to findings."""
 
 Silence = Callable[[Any], float]

@@ -13,11 +13,10 @@ from pydantic import Field
 
 from calibration.vision.transforms import RigidTransform
 from protocols import BadInputError, document
-from rig.config.arm_sections import ActuationConfig
 from rig.config.calibration_overlay import as_stated
 from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
-from rig.config.sections import GeometryConfig, MaterialConfig, Placement, Variant
+from rig.config.sections import ActuationConfig, GeometryConfig, MaterialConfig, Placement, Variant
 from rig.sections.base import Section
 from rig.sections.quantities import Count, Flag, NonNegative, Number, Positive, Triple, Word
 

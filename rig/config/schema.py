@@ -13,14 +13,12 @@ from pydantic.json_schema import SkipJsonSchema
 from protocols import arguments
 from protocols.validation import faults
 from rig.config import consistency
-from rig.config.arm_sections import ArmConfig
 from rig.config.board_sections import AnyBoard, MeasuredSection
 from rig.config.card_sections import AnyCard
 from rig.config.input_sections import AuxiliaryInput, EmergencyStop
 from rig.config.metadata import Metadata
-from rig.config.sections import AnyCamera, CameraConfig, ModelConfig, Recording, Sensor
+from rig.config.sections import AnyCamera, ArmConfig, CameraConfig, ModelConfig, Recording, Sensor, TipControlSection
 from rig.config.simulator_sections import Simulator
-from rig.config.tip_control_section import TipControlSection
 from rig.config.tracker_sections import AnyTracker, TrackerConfig
 from rig.config.uncertainties import Uncertainties
 from rig.sections.base import Section

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from protocols.validation import ValidationFault
 
 if TYPE_CHECKING:
-    from rig.config.arm_sections import ArmConfig
     from rig.config.board_sections import BoardConfig, MeasuredSection
+    from rig.config.sections import ArmConfig
 
 
 def check(

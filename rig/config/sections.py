@@ -4,25 +4,33 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+import re
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
+from model import variants
+from model.actuation import ACTUATION_LAWS, MOST_STOPS, ActuationLaw, Proportional, StopElement, actuation_law_named
 from model.material import MOST_BRANCHES
 from model.units import PA_PER_BAR
-from model.variants import VARIANTS, variant_named
+from model.variants import VARIANTS
+from protocols.arguments import shown
+from protocols.problems import bad_input, closest
 from protocols.validation import ValidationFault, faults
 from rig.config.drivers import CAMERA_DRIVERS
+from rig.config.tip_controllers import CONTROLLERS, FEED_FORWARD, KNOWN
 from rig.sections.base import Section
 from rig.sections.quantities import (
     ActuatorNumber,
     BarSpan,
     Count,
+    Flag,
     Index,
     LengthMm,
+    MassG,
     ModulusPa,
     NonNegative,
     Number,
@@ -36,11 +44,19 @@ from rig.sections.quantities import (
 
 
 def _variant(name: str) -> str:
-    variant_named(name)
+    variants.variant_named(name)
     return name
 
 
 Variant = Annotated[str, AfterValidator(_variant), Field(json_schema_extra={"enum": list(VARIANTS)})]
+
+
+def variant_named(name: str | None) -> Variant | None:
+    """Return the model variant of a name, None for None; raise `BadInputError` for an unknown one."""
+    if name is not None and not (isinstance(name, str) and name in VARIANTS):
+        expected = f"one of {', '.join(VARIANTS)}"
+        raise bad_input("--model", shown(name), expected, closest(str(name), VARIANTS))
+    return name
 
 
 class Sensor(Section):
@@ -196,33 +212,68 @@ class GeometryConfig(Section):
 class BranchConfig(Section):
     """A Maxwell branch of the walls, one term of a Prony series."""
 
-    relative_modulus: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False, strict=True)] = Field(
-        description="over the modulus at rest"
-    )
-    time_s: Annotated[float, Field(ge=1e-3, le=1e5, allow_inf_nan=False, strict=True)] = Field(
-        description="relaxation time"
-    )
+    relative_modulus: NonNegative = Field(le=10, description="over the modulus at rest")
+    time_s: Number = Field(ge=1e-3, le=1e5, description="relaxation time")
 
 
 class MaterialConfig(Section):
     """Eqs 16, 30, 32, the identified gamma, and what makes the walls viscous."""
 
     youngs_modulus_pa: ModulusPa = Field(description="homogeneous section")
-    a1_per_N: Annotated[float, Field(ge=1e-6, le=10, allow_inf_nan=False, strict=True)] = Field(description="eq 32")
-    a2_per_N2: Annotated[float, Field(ge=0, le=1_000, allow_inf_nan=False, strict=True)] = Field(description="eq 32")
-    rpe_per_bar: Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False, strict=True)] = Field(
-        description="a of eq 30"
-    )
-    shear_ratio: Annotated[float, Field(ge=0.01, le=100, allow_inf_nan=False, strict=True)] = Field(
-        description="gamma = G / E"
-    )
-    density_kg_m3: Annotated[float, Field(ge=1, le=25_000, allow_inf_nan=False, strict=True)] = 1080.0
-    damping_s: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False, strict=True)] = Field(
-        default=0.0, description="Kelvin-Voigt retardation time"
-    )
+    a1_per_N: Number = Field(ge=1e-6, le=10, description="eq 32")
+    a2_per_N2: NonNegative = Field(le=1_000, description="eq 32")
+    rpe_per_bar: Number = Field(ge=-10, le=10, description="a of eq 30")
+    shear_ratio: Number = Field(ge=0.01, le=100, description="gamma = G / E")
+    density_kg_m3: Number = Field(default=1080.0, ge=1, le=25_000)
+    damping_s: NonNegative = Field(default=0.0, le=10, description="Kelvin-Voigt retardation time")
     branches: Annotated[tuple[BranchConfig, ...], Field(max_length=MOST_BRANCHES)] = Field(
         default=(), description="Prony series of the walls' slow relaxation"
     )
+
+
+def _actuation_law(name: str) -> str:
+    actuation_law_named(name)
+    return name
+
+
+class StopConfig(Section):
+    """A stop element of every actuator: a spring in series with a slider."""
+
+    weight: NonNegative = Field(le=1, description="share of the pressure that the spring takes")
+    width_bar: Number = Field(ge=1e-4, le=100, description="pressure at which the slider slips")
+
+
+class ActuationConfig(Section):
+    """Law of the push of the pressures on the caps, and friction of the actuators."""
+
+    law: Annotated[str, AfterValidator(_actuation_law), Field(json_schema_extra={"enum": list(ACTUATION_LAWS)})] = (
+        Proportional.name
+    )
+    growth_per_bar: Number = Field(default=0.0, ge=-0.5, le=5, description="k, relative growth of the push per bar")
+    stops: Annotated[tuple[StopConfig, ...], Field(max_length=MOST_STOPS)] = Field(
+        default=(), description="Prandtl-Ishlinskii elements of the hysteresis"
+    )
+
+    @model_validator(mode="after")
+    def _check_growth(self) -> Self:
+        self.as_law()
+        return self
+
+    def as_law(self) -> ActuationLaw:
+        """Return the law; ValueError for a growth that it does not have."""
+        stops = tuple(StopElement(stop.weight, stop.width_bar * PA_PER_BAR) for stop in self.stops)
+        return actuation_law_named(self.law)(self.growth_per_bar, stops)
+
+
+class ArmConfig(Section):
+    """The manipulator. `gravity_direction` is that of the weight in the rod-base frame."""
+
+    geometry: GeometryConfig
+    material: MaterialConfig
+    actuation: ActuationConfig = ActuationConfig()
+    cap_mass_g: MassG = 50.0
+    gravity_direction: Triple = (0.0, 0.0, 1.0)
+    gravity_on_rod: Flag = False
 
 
 class ModelConfig(Section):
@@ -230,8 +281,11 @@ class ModelConfig(Section):
 
     variant: Variant = "inhomogeneous+rpe"
     mode: Literal["static", "dynamic"] = "dynamic"
-    rate_hz: Annotated[float, Field(ge=1, le=1000, allow_inf_nan=False, strict=True)] = Field(
-        default=30.0, description="predictions per second of a rig without cameras; a camera gives its own rate"
+    rate_hz: Number = Field(
+        default=30.0,
+        ge=1,
+        le=1000,
+        description="predictions per second of a rig without cameras; a camera gives its own rate",
     )
 
 
@@ -241,3 +295,25 @@ class Recording(Section):
     keep_every: Count = 3
     encoding: Literal["jpeg", "png"] = "jpeg"
     jpeg_quality: Annotated[int, Field(ge=1, le=100, strict=True)] = 90
+
+
+_CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+
+
+class TipControlSection(Section):
+    """How the tip follows the reference of a protocol's `tip` steps."""
+
+    controller: Word = Field(default=FEED_FORWARD, description=f"{KNOWN}, or package:Class")
+    delay_ms: Positive = Field(
+        default=50.0, le=500, description="from the exposure of a frame to the plan that it leads to"
+    )
+    pressure_lag_ms: NonNegative = Field(
+        default=10.0, le=500, description="from a moving set-point to the pressure in the chamber"
+    )
+
+    @field_validator("controller")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        if name in (FEED_FORWARD, *CONTROLLERS) or _CLASS.fullmatch(name):
+            return name
+        raise ValueError(f"one of {KNOWN}, or package:Class of your own")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
@@ -11,7 +9,7 @@ from rig.arm_effects.registry import ArmEffectEntry
 from rig.config.input_sections import SimulatedInput
 from rig.config.sections import GeometryConfig, LensConfig, MaterialConfig, Placement, Sensor
 from rig.sections.base import Section
-from rig.sections.quantities import MassG, NonNegative
+from rig.sections.quantities import MassG, NonNegative, Number, Positive
 from rig.valves.base import SimulatedValve
 from rig.valves.registry import Valve
 
@@ -19,12 +17,12 @@ from rig.valves.registry import Valve
 class SimulatedChamber(Section):
     """True parameters of every chamber."""
 
-    dead_volume_ml: Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False, strict=True)]
-    tube_l_s_bar: Annotated[float, Field(ge=1e-3, le=1e6, allow_inf_nan=False, strict=True)] = Field(
-        default=0.5, description="sonic conductance of the tube from valve to chamber"
+    dead_volume_ml: NonNegative = Field(le=10_000)
+    tube_l_s_bar: Number = Field(
+        default=0.5, ge=1e-3, le=1e6, description="sonic conductance of the tube from valve to chamber"
     )
-    temperature_k: Annotated[float, Field(ge=200, le=400, allow_inf_nan=False, strict=True)] = 293.15
-    polytropic: Annotated[float, Field(ge=1, le=1.4, strict=True)] = 1.0
+    temperature_k: Number = Field(default=293.15, ge=200, le=400)
+    polytropic: Number = Field(default=1.0, ge=1, le=1.4)
 
 
 class SimulatedSensor(Section):
@@ -32,15 +30,15 @@ class SimulatedSensor(Section):
 
     noise_bar: NonNegative
     offset_bar: NonNegative = Field(default=0.0, description="standard deviation of the sensors' offsets")
-    lag_ms: Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False, strict=True)]
+    lag_ms: NonNegative = Field(le=10_000)
 
 
 class SimulatedScene(Section):
     """True parameters of the image."""
 
-    blur_px: Annotated[float, Field(ge=0, le=50, allow_inf_nan=False, strict=True)]
-    noise_grey: Annotated[float, Field(ge=0, le=255, allow_inf_nan=False, strict=True)]
-    lighting: Annotated[float, Field(gt=0, le=1, strict=True)] = 0.9
+    blur_px: NonNegative = Field(le=50)
+    noise_grey: NonNegative = Field(le=255)
+    lighting: Positive = Field(default=0.9, le=1)
     skew_ms: NonNegative = Field(default=0.0, description="virtual time: each camera exposes so long after the last")
     stamp_delay_ms: NonNegative = Field(
         default=0.0, description="how much later than the true one the mid-exposure is that a camera's driver gives"

@@ -12,7 +12,7 @@ from protocols.validation import ValidationFault, faults
 from rig.config.drivers import Driver, DriverRegistry
 from rig.config.sections import Placement
 from rig.sections.base import Section
-from rig.sections.quantities import NonNegative, Positive
+from rig.sections.quantities import NonNegative, Number, Positive
 
 
 def _address(text: str) -> str:
@@ -34,18 +34,14 @@ class TrackerConfig(Section):
     """
 
     driver: Annotated[str, Field(min_length=1)]
-    rate_hz: Annotated[float, Field(ge=1, le=1000, allow_inf_nan=False, strict=True)] = Field(
-        default=100.0, description="poses per second that the tracker sends"
-    )
+    rate_hz: Number = Field(default=100.0, ge=1, le=1000, description="poses per second that the tracker sends")
     placement: Placement = Placement()
     body: Placement = Placement()
     delay_ms: Milliseconds = Field(
         default=0.0, description="constant part of the delay from the pose to its arrival; one-way messages hide it"
     )
     delay_std_ms: Milliseconds = Field(default=0.0, description="standard uncertainty of delay_ms")
-    largest_drift_ppm: Annotated[float, Field(gt=0, le=10_000, allow_inf_nan=False, strict=True)] = Field(
-        default=200.0, description="the sender's clock drifts by less"
-    )
+    largest_drift_ppm: Positive = Field(default=200.0, le=10_000, description="the sender's clock drifts by less")
     latest_ms: Positive = Field(default=200.0, description="a message that arrives later after its pose is not used")
     reach_mm: Positive | SkipJsonSchema[None] = Field(
         default=None, description="a tip farther from the rod base is no pose; default: three lengths of the arm"
@@ -80,15 +76,11 @@ class MockTrackerConfig(TrackerConfig):
     noise_deg: NonNegative = Field(default=0.1, description="standard deviation of the orientation, per axis")
     true_delay_ms: Milliseconds = Field(default=2.0, description="true constant part of the delay")
     jitter_ms: Milliseconds = Field(default=1.0, description="mean of the exponential part of the delay")
-    drift_ppm: Annotated[float, Field(ge=-10_000, le=10_000, allow_inf_nan=False, strict=True)] = Field(
-        default=50.0, description="true drift of the sender's clock"
-    )
-    step_ms: Annotated[float, Field(ge=-10_000, le=10_000, allow_inf_nan=False, strict=True)] = Field(
-        default=0.0, description="the sender's clock is set by this, once"
-    )
+    drift_ppm: Number = Field(default=50.0, ge=-10_000, le=10_000, description="true drift of the sender's clock")
+    step_ms: Number = Field(default=0.0, ge=-10_000, le=10_000, description="the sender's clock is set by this, once")
     step_s: NonNegative = Field(default=0.0, description="time of that step after the first message")
-    lost: Annotated[float, Field(ge=0, lt=1, strict=True)] = Field(default=0.0, description="share of lost messages")
-    doubled: Annotated[float, Field(ge=0, lt=1, strict=True)] = Field(default=0.0, description="share sent twice")
+    lost: NonNegative = Field(default=0.0, lt=1, description="share of lost messages")
+    doubled: NonNegative = Field(default=0.0, lt=1, description="share sent twice")
 
     @model_validator(mode="after")
     def _noise_is_stated(self) -> MockTrackerConfig:

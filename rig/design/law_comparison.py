@@ -23,7 +23,7 @@ from rig.design.expected_poses import errors_text, expected_poses, stated_errors
 from rig.design.levels import ends_s, in_order, level_s, levels, steps
 from rig.experiment.preflight import check
 from rig.identify.estimation import rig_uncertainties, sensor_priors
-from rig.identify.law_names import BASE, laws_named
+from rig.identify.model_comparison import BASE, laws_named
 
 RIGHT = 0.95
 """Expected share of right decisions that a design should reach."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from protocols import arguments
-from rig.config.finding import Finding
+from rig.config.drivers import Finding
 from rig.config.schema import RigConfig, checked_config
 from rig.doctor import boards, cameras, cards, devices, machine
 

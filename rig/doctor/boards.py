@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rig.config.finding import Finding
+from rig.config.drivers import Finding
 from rig.config.schema import RigConfig
 
 

@@ -7,7 +7,7 @@ import os
 import struct
 from pathlib import Path
 
-from rig.config.finding import Finding
+from rig.config.drivers import Finding
 from rig.doctor.machine import group_name
 
 _VIDIOC_QUERYCAP = 0x80685600

@@ -6,7 +6,7 @@ import platform
 from collections import Counter
 from pathlib import Path
 
-from rig.config.finding import Finding
+from rig.config.drivers import Finding
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.comedi_device import closed, device_paths, require
 from rig.hardware.cards.comedi_survey import ComediCardSurvey, survey

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rig.config.finding import Finding
+from rig.config.drivers import Finding
 from rig.config.schema import RigConfig
 from rig.doctor.cards import POWER_UP
 from rig.hardware.cards.base import CardError

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from rig.config.card_sections import CARD_DRIVERS
-from rig.config.drivers import CAMERA_DRIVERS, Driver
-from rig.config.finding import Finding
+from rig.config.drivers import CAMERA_DRIVERS, Driver, Finding
 from rig.config.schema import RigConfig
 from rig.config.tracker_sections import TRACKER_DRIVERS
 

@@ -13,7 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from rig.config.finding import Finding
+from rig.config.drivers import Finding
 
 PRIORITY = 60
 """The highest priority that a run uses: the watchdog's."""

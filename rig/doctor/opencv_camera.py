@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rig.config.finding import Finding
+from rig.config.drivers import Finding
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
 from rig.doctor.cameras import PLUG_IN, examine_video, video_devices

@@ -6,7 +6,7 @@ import importlib
 from pathlib import Path
 from typing import Any
 
-from rig.config.finding import Finding
+from rig.config.drivers import Finding
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
 from rig.doctor.cameras import PLUG_IN

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import closing
 
-from rig.config.finding import Finding
+from rig.config.drivers import Finding
 from rig.config.schema import RigConfig
 from rig.config.tracker_sections import UdpTrackerConfig
 from rig.hardware.trackers.base import TrackerError

@@ -15,7 +15,7 @@ from calibration.identify.results import NORMAL_95, Estimate, RunFit, Verdict
 from calibration.identify.setup import Setup
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
-from rig.config.model_variant import variant_named
+from rig.config.sections import variant_named
 from rig.identify.initial_setup import baseline_geometry
 from runs.columns import Adaptation
 from runs.records import DetectionStatus

@@ -21,9 +21,8 @@ from protocols import BadInputError, Problem, Protocol, SetPointTrajectory
 from protocols.arguments import text_problems, whole_number_problems
 from protocols.problems import bad_input
 from rig.config.loader import RigChoice, RigFile, Source, read
-from rig.config.model_variant import variant_named
 from rig.config.schema import RigConfig
-from rig.config.sections import Variant
+from rig.config.sections import Variant, variant_named
 from rig.execution.plan import UNRECORDED, OperatorInterface, RunPlan, StartError
 from rig.execution.virtual_time import require_mocks
 from rig.experiment import report_process

@@ -6,14 +6,43 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from calibration.identify.candidates import candidates
+from calibration.identify.candidates import Candidate, candidates
 from calibration.identify.model_comparison import ModelComparison, compare_models, compared
 from calibration.identify.parameter import Prior
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
+from model.variants import POINTWISE
+from protocols import arguments
+from protocols.problems import bad_input, closest
 from rig.config.schema import RigConfig
 from rig.identify.estimation import Progress, check_priors, rig_uncertainties, sensor_priors
-from rig.identify.law_names import BASE, laws_named
+
+BASE = ("base",)
+"""What is free in every law, beside its own parameters."""
+
+
+def laws_named(names: Sequence[str], start: Setup, option: str, free: Sequence[str] = BASE) -> tuple[Candidate, ...]:
+    """The two laws by name, from a setup. A variant alone means its pointwise law; rules and push laws need no variant.
+
+    option: where the names come from, for the message.
+
+    Raises:
+        BadInputError: an unknown name, or not two different laws.
+    """
+    names = arguments.names(option, names)
+    every = {law.name: law for law in candidates(start, free)}
+    short = {name.rpartition(", ")[2]: name for name in every}
+    short |= {name.removesuffix(f", {POINTWISE}"): name for name in every}
+    found = []
+    for name in names:
+        full = name if name in every else short.get(name)
+        if full is None:
+            expected = "one of " + "; ".join(every)
+            raise bad_input(option, name, expected, closest(name, {**every, **short}))
+        found.append(every[full])
+    if len({law.name for law in found}) != 2:
+        raise bad_input(option, " ".join(names), "two different laws")
+    return tuple(found)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from model.units import PA_PER_BAR
 from protocols.validation import ValidationFault
 from rig.sections.base import Section
 from rig.sections.control import Control, Limits
-from rig.sections.quantities import ActuatorNumber, Index, NonNegative, VoltSpan, Word
+from rig.sections.quantities import ActuatorNumber, Index, NonNegative, Number, VoltSpan, Word
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from rig.valves.metering import FlowMetering, MeasuredFlow
 
@@ -107,12 +107,12 @@ class ValveTruth:
 class SimulatedValve(Section):
     """True parameters of every valve. `spool_*` apply to all types, the others to flow-metering valves."""
 
-    spool_hz: Annotated[float, Field(ge=0.1, le=1_000, allow_inf_nan=False, strict=True)]
-    spool_damping: Annotated[float, Field(ge=0.01, le=100, allow_inf_nan=False, strict=True)] = 0.7
-    hysteresis_percent: Annotated[float, Field(ge=0, le=20, allow_inf_nan=False, strict=True)] = 0.4
+    spool_hz: Number = Field(ge=0.1, le=1_000)
+    spool_damping: Number = Field(default=0.7, ge=0.01, le=100)
+    hysteresis_percent: NonNegative = Field(default=0.4, le=20)
     leakage_l_min: NonNegative
     dead_zone_V: NonNegative
-    flow_scale: Annotated[float, Field(ge=0.1, le=10, allow_inf_nan=False, strict=True)] = 1.0
+    flow_scale: Number = Field(default=1.0, ge=0.1, le=10)
 
 
 class ValveSection(Section, ABC):

@@ -108,7 +108,7 @@ class FlowValve(VoltageValve):
     flow_curve_V: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="volts from closed")
     flow_curve_percent: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="of full flow")
     supply_bar: Bar = Field(description="gauge pressure at the supply port")
-    critical_ratio: Annotated[float, Field(gt=0, lt=1, strict=True)] = Field(default=0.3, description="b of ISO 6358")
+    critical_ratio: Positive = Field(default=0.3, lt=1, description="b of ISO 6358")
 
     @property
     def fill_sign(self) -> float:

@@ -12,9 +12,8 @@ from pydantic import ConfigDict, Field
 from rig.sections.control import Control, Limits
 from rig.sections.plugins import PluginError, PluginGroup, PluginSections
 from rig.valves.base import Regulator, SimulatedValve, ValveSection, ValveTruth
-from rig.valves.bus import BusValve
 from rig.valves.flow import FlowValve
-from rig.valves.pressure import PressureValve
+from rig.valves.pressure import BusValve, PressureValve
 
 VALVE_TYPES: tuple[type[ValveSection], ...] = (
     FlowValve,

@@ -21,7 +21,7 @@ from model.arm import Arm
 from model.variants import ModelVariant, register
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
-from rig.config.model_variant import variant_named
+from rig.config.sections import variant_named
 from rig.observation.online_estimation import default_parameters
 from tests.support import neo_hookean
 from tests.support.neo_hookean import EQUAL_PA, NAME, UNEQUAL_PA, NeoHookean, registered

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rig.config.card_sections import CardConfig
-from rig.config.drivers import Plugin
-from rig.config.finding import Finding
+from rig.config.drivers import Finding, Plugin
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError, CardSetup, Scans
 from rig.sections.quantities import Positive

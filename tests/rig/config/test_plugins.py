@@ -48,7 +48,7 @@ class Box:
         pass
 
 def examine(config, name):
-    from rig.config.finding import Finding
+    from rig.config.drivers import Finding
     gain, used = config.cards[name].gain, sum(valve.card == name for valve in config.valves)
     if gain > 100:
         raise RuntimeError("no such gain")

@@ -22,8 +22,7 @@ from rig.design.law_comparison import LawDesign, design_comparison
 from rig.design.levels import in_order, levels
 from rig.experiment.preflight import check
 from rig.identify.estimation import rig_uncertainties, sensor_priors
-from rig.identify.law_names import laws_named
-from rig.identify.model_comparison import compare
+from rig.identify.model_comparison import compare, laws_named
 from tests.support.command_line import status_of
 
 pytestmark = pytest.mark.slow

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 import rig.config.loader
-from rig.config.finding import Finding
+from rig.config.drivers import Finding
 from rig.config.schema import RigConfig
 from rig.doctor import cameras, examine, opencv_camera, realsense_camera
 from rig.doctor import machine as computer

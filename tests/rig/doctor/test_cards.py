@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import rig.config.loader
-from rig.config.finding import Finding
+from rig.config.drivers import Finding
 from rig.doctor import cards, comedi_card
 from rig.doctor.devices import rig_devices
 from rig.hardware.cards.base import CardError
