@@ -49,11 +49,7 @@ def is_private(folder: Path) -> bool:
 
 
 def subfolder(name: str) -> Path:
-    """A folder inside `runtime_folder`.
-
-    Raises:
-        OSError: it cannot be made, or is open to other users.
-    """
+    """A folder inside `runtime_folder`. Raises OSError: it cannot be made, or is open to other users."""
     folder = runtime_folder() / name
     folder.mkdir(mode=_MODE, exist_ok=True)
     if not is_private(folder):

@@ -232,11 +232,7 @@ class WatchdogOutputs:
         return self._outputs is not None
 
     def make_safe(self, *, vent: bool) -> None:
-        """Write the safe state.
-
-        Raises:
-            CardError: a card cannot be opened or written.
-        """
+        """Write the safe state. Raises CardError: a card cannot be opened or written."""
         if self._outputs is not None:
             self._outputs.make_safe(vent=vent)
             return

@@ -21,22 +21,14 @@ class TrackerSource:
     """Gives the readings of the rig's tracker as frame sets."""
 
     def __init__(self, config: RigConfig, seed: int) -> None:
-        """Open the tracker.
-
-        Raises:
-            TrackerError: it cannot be opened.
-        """
+        """Open the tracker. Raises TrackerError: it cannot be opened."""
         self._config = config
         self._name = next(iter(config.trackers))
         self._tracker = open_tracker(config, self._name, seed)
         self._sequence: ReadingSequence | None = None
 
     def await_all(self, timeout_s: float) -> None:
-        """Wait for the first pose, which needs the sender's clock.
-
-        Raises:
-            TrackerError: there is none.
-        """
+        """Wait for the first pose, which needs the sender's clock. Raises TrackerError: there is none."""
         reading = self._read(timeout_s)
         if reading is None:
             raise self._silence(timeout_s)
@@ -89,7 +81,6 @@ class TrackerSource:
         return reading
 
     def close(self) -> None:
-        """Close the tracker."""
         release((self._tracker,))
 
     def _silence(self, timeout_s: float) -> TrackerError:

@@ -75,11 +75,7 @@ class ControlSocket:
     """The listening control socket of one run. `close` may be called more than once."""
 
     def __init__(self, plan: RunPlan, memory: SharedState, stream: StreamReceiver) -> None:
-        """Create and bind the socket.
-
-        Raises:
-            OSError: the socket cannot be created.
-        """
+        """Create and bind the socket. Raises OSError: the socket cannot be created."""
         self._memory, self._stream = memory, stream
         self._clients: dict[socket.socket, int] = {}
         """The connections, each with its number."""

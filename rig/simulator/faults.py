@@ -122,11 +122,7 @@ class Faults:
         return np.array([c >= MOST or not is_open[c] for c in channels], bool)
 
     def before_read(self, device: str, *, waits: bool) -> None:
-        """Apply the faults of a read of the card; `waits` in real time only.
-
-        Raises:
-            CardError: this read fails.
-        """
+        """Apply the faults of a read of the card; `waits` in real time only. Raises CardError: this read fails."""
         if not self.active:
             return
         if waits and (delay_ns := int(self.row["read_delay_ns"][0])):
@@ -136,11 +132,7 @@ class Faults:
             raise CardError(f"mock card {device}: the inputs cannot be read: Input/output error")
 
     def before_write(self, device: str) -> None:
-        """Apply the faults of a write to the card.
-
-        Raises:
-            CardError: this write fails.
-        """
+        """Apply the faults of a write to the card. Raises CardError: this write fails."""
         if self.active and self.row["failing_writes"][0] > 0:
             self.row["failing_writes"][0] -= 1
             raise CardError(f"mock card {device}: the outputs cannot be written: Input/output error")

@@ -41,7 +41,6 @@ class Exposure:
 
 
 def driver() -> type[MockCameraDriver]:
-    """The driver `mock`."""
     return MockCameraDriver
 
 
@@ -49,11 +48,7 @@ class MockCameraDriver:
     """Opens the mock camera of the plant behind the rig's mock card, from any process."""
 
     def open(self, config: RigConfig, name: str, seed: int) -> MockCamera:
-        """Open a camera of the rig.
-
-        Raises:
-            CameraError: the rig has no mock card, or its plant does not run.
-        """
+        """Open a camera of the rig. Raises CameraError: the rig has no mock card, or its plant does not run."""
         try:
             registers = Registers.behind(config.cards.values())
             trigger = config.cameras[name].trigger

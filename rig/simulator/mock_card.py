@@ -17,7 +17,6 @@ from rig.simulator.registers import DIGITAL_OUTPUTS, Registers, path_of
 
 
 def driver() -> type[MockCard]:
-    """The driver `mock`."""
     return MockCard
 
 
@@ -28,11 +27,7 @@ class MockCard:
     """
 
     def __init__(self, setup: CardSetup) -> None:
-        """Attach to the mock device.
-
-        Raises:
-            CardError: it does not exist or lacks a channel.
-        """
+        """Attach to the mock device. Raises CardError: it does not exist or lacks a channel."""
         self._device = setup.device
         self._exclusive_lock = _lock_exclusively(setup.device) if setup.section.one_opener else -1
         try:
@@ -87,19 +82,16 @@ class MockCard:
             self._registers.write(channel.number, value, now)
 
     def write_digital(self, *, high: bool) -> None:
-        """Set the digital outputs."""
         self._registers.faults.before_write(self._device)
         now = time.monotonic_ns()
         for number in self._digital_outputs:
             self._registers.write_digital(number, now, high=high)
 
     def readback(self) -> NDArray[np.float64]:
-        """The outputs."""
         outputs: NDArray[np.float64] = self._registers.outputs["value"][[c.number for c in self._outputs]]
         return outputs
 
     def close(self) -> None:
-        """Release the device; the outputs keep their values."""
         self._registers.close()
         self._unlock()
 

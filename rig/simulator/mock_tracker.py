@@ -29,7 +29,6 @@ _OTHER_NOISE = 7_000_003
 
 
 def driver() -> type[MockTrackerDriver]:
-    """The driver `mock`."""
     return MockTrackerDriver
 
 
@@ -37,11 +36,7 @@ class MockTrackerDriver:
     """Opens the mock tracker of the plant behind the rig's mock card, from any process."""
 
     def open(self, config: RigConfig, name: str, seed: int) -> MockTracker:
-        """Open a tracker of the rig.
-
-        Raises:
-            TrackerError: the rig has no mock card, or its plant does not run.
-        """
+        """Open a tracker of the rig. Raises TrackerError: the rig has no mock card, or its plant does not run."""
         try:
             registers = Registers.behind(config.cards.values())
             return MockTracker(config, registers, name, seed, registers.faults, time.monotonic_ns())
@@ -76,7 +71,6 @@ class MockTracker:
         return found
 
     def read(self, timeout_s: float) -> TrackerReading | None:
-        """Wait for the next reading; None without one within the time-out."""
         until_ns = time.monotonic_ns() + round(timeout_s * 1e9)
         while True:
             now_ns = time.monotonic_ns()
@@ -101,11 +95,9 @@ class MockTracker:
         return None
 
     def pass_over(self, t_ns: int) -> None:
-        """State that a time has been given as one without a measurement."""
         self._receiver.pass_over(t_ns)
 
     def counts(self) -> tuple[int, ...]:
-        """`DATAGRAM_COUNTS` since the tracker was opened."""
         return self._receiver.counts
 
     def close(self) -> None:

@@ -108,17 +108,12 @@ class Plant:
         return self._air.volume_m3.copy()
 
     def card(self, name: str) -> PlantCard:
-        """One of the rig's mock cards.
-
-        Raises:
-            CardError: the rig's card of that name is not a mock.
-        """
+        """One of the rig's mock cards. Raises CardError: the rig's card of that name is not a mock."""
         if name not in self._cards:
             raise CardError(f"card {name} of rig {self._config.name} is not simulated")
         return self._cards[name]
 
     def pose_at(self, t_ns: int) -> TipPose:
-        """The tip at a time within the last second, interpolated between the arm's steps."""
         first = max(0, self._kept - REMEMBERED_POSES)
         return pose_among(self._poses[first : self._kept], t_ns)
 
@@ -233,11 +228,9 @@ class PlantCard:
 
     @property
     def period_ns(self) -> int:
-        """Time between two scans."""
         return self._every * STEP_NS
 
     def start(self) -> None:
-        """Begin sampling at the plant's present time."""
         self._sampling, self._filled, self._lost = True, 0, 0
 
     def take(self, first_step: int, scans: NDArray[np.float64]) -> None:
@@ -260,7 +253,6 @@ class PlantCard:
         self._lost += count - fit
 
     def read(self) -> Scans:
-        """Scans since the last call."""
         self.faults.before_read(self._device, waits=False)
         scans = Scans(self._t_ns[: self._filled].copy(), self._signals[: self._filled].copy(), self._lost)
         self._filled = self._lost = 0
@@ -277,7 +269,6 @@ class PlantCard:
             self._plant.set_output(valve, quantised_output(v, low, high))
 
     def write_digital(self, *, high: bool) -> None:
-        """Set the digital outputs, all at once."""
         self.faults.before_write(self._device)
         if high and not self.digital_high:
             self._rises, self._rise_ns = self._rises + 1, self._plant.t_ns
@@ -288,9 +279,7 @@ class PlantCard:
         return self._rises, self._rise_ns
 
     def readback(self) -> NDArray[np.float64]:
-        """The voltages of the outputs."""
         return np.array([self._plant.output(valve) for valve in self._valves])
 
     def close(self) -> None:
-        """Stop sampling; the outputs keep their voltages."""
         self._sampling = False

@@ -31,11 +31,7 @@ class Simulation:
         self._registers: Registers | None = None
 
     def ready(self) -> bool:
-        """True once its cards exist; does not wait.
-
-        Raises:
-            CardError: the plant did not start.
-        """
+        """True once its cards exist; does not wait. Raises CardError: the plant did not start."""
         assert self._process.stdout is not None
         if self._output == READY:
             return True
@@ -111,11 +107,7 @@ def started(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None =
 
 @contextmanager
 def simulated(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None = None) -> Iterator[Simulation | None]:
-    """As `started`, but ready.
-
-    Raises:
-        CardError: the plant did not start.
-    """
+    """As `started`, but ready. Raises CardError: the plant did not start."""
     with started(config, rig_file, seed, waits_ns) as simulation:
         while simulation is not None and not simulation.ready():
             time.sleep(POLL_S)

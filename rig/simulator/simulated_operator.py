@@ -64,7 +64,6 @@ class TurnedTip:
         self.turned_deg = 0.0
 
     def pose_at(self, t_ns: int) -> TipPose:
-        """The pose, at any time."""
         turn = RigidTransform.from_vectors((0.0, 0.0, np.deg2rad(self.turned_deg)), (0, 0, 0)).rotation
         return TipPose(t_ns, self._position_m, np.asarray(self._rotation @ turn))
 

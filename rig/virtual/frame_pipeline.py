@@ -198,11 +198,7 @@ class FramePipeline:
         self._results.close()
 
     def submit(self, index: int, due_ns: int, exposures: Sequence[Exposure | None], samples: FrameSamples) -> None:
-        """Pass on the next frame set, due at a time.
-
-        Raises:
-            FrameProcessError: a child has ended.
-        """
+        """Pass on the next frame set, due at a time. Raises FrameProcessError: a child has ended."""
         assert self.in_flight < MOST_IN_FLIGHT
         self._unsent.append(((index, due_ns, exposures), samples))
         self.in_flight += 1

@@ -25,7 +25,6 @@ class PressureRange(ActuatorInterlock):
 
     @classmethod
     def of(cls, config: RigConfig, sensor: Sensor) -> Self:
-        """The limits of the rig file."""
         limits, margin_bar = config.limits, config.limits.pressure_margin_bar
         lowest_bar, highest_bar = limits.lowest_pressure_bar - margin_bar, limits.pressure_bar + margin_bar
         return cls(sensor.actuator, lowest_bar * PA_PER_BAR, highest_bar * PA_PER_BAR)
@@ -47,7 +46,6 @@ class PressureRate(ActuatorInterlock):
 
     @classmethod
     def of(cls, config: RigConfig, sensor: Sensor) -> Self:
-        """The limit of the rig file."""
         limits = config.limits
         return cls(sensor.actuator, (limits.rate_bar_per_s + limits.rate_margin_bar_per_s) * PA_PER_BAR)
 
@@ -68,11 +66,9 @@ class FrozenReading(ActuatorInterlock):
 
     @classmethod
     def of(cls, config: RigConfig, sensor: Sensor) -> Self:
-        """The limit of the rig file."""
         return cls(sensor.actuator, config.limits.frozen_s, sensor.accuracy_bar * PA_PER_BAR)
 
     def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
-        """Compare the time without a change, and the change that should have come."""
         expected = abs(state.expected_change_pa)
         if not (state.unchanged_s >= self.frozen_s and expected > FROZEN_FACTOR * self.accuracy_pa):
             return None
@@ -98,13 +94,11 @@ class UnresponsiveSensor(ActuatorInterlock):
 
     @classmethod
     def of(cls, config: RigConfig, sensor: Sensor) -> Self:
-        """The limits of the rig file, by the valve's type."""
         valve = next(valve for valve in config.valves if sensor.actuator in valve.actuators)
         response_s = 0.0 if valve.closed_output is not None else config.limits.frozen_s
         return cls(sensor.actuator, config.limits.tracking_bar * PA_PER_BAR, response_s)
 
     def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
-        """Compare the way of the reference since the reading last moved."""
         reference_change = demand.reference_pa - state.moved_reference_pa
         if not (abs(reference_change) > self.tracking_pa and state.unmoved_s > self.response_s):
             return None
@@ -125,11 +119,9 @@ class Tracking(ActuatorInterlock):
 
     @classmethod
     def of(cls, config: RigConfig, sensor: Sensor) -> Self:
-        """The limits of the rig file."""
         return cls(sensor.actuator, config.limits.tracking_bar * PA_PER_BAR, config.limits.tracking_s)
 
     def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
-        """Compare the errors and how long they last."""
         name, error = f"actuator {self.actuator}", state.pressure_pa - demand.setpoint_pa
         if state.settled_s >= self.tracking_s and abs(error) > self.tracking_pa:
             return _trip_bar(t_ns, "tracking", f"{name} is off its standing set-point by", error, self.tracking_pa)

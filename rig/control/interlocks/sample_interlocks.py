@@ -18,11 +18,9 @@ class EmergencyStops(SampleInterlock):
 
     @classmethod
     def of(cls, config: RigConfig) -> Self:
-        """The stops of the rig file."""
         return cls(tuple(config.emergency_stops))
 
     def trip(self, sample: Sample, *, new: bool) -> Trip | None:
-        """Look for an open contact, also without a new scan."""
         for name, closed in zip(self.names, sample.stops_closed, strict=True):
             if not closed:
                 message = f"emergency stop '{name}': its contact is open (pressed, or a wire is broken)"
@@ -42,11 +40,9 @@ class StaleSamples(SampleInterlock):
 
     @classmethod
     def of(cls, config: RigConfig) -> Self:
-        """The limit of the rig file."""
         return cls(config.limits.stale_s)
 
     def trip(self, sample: Sample, *, new: bool) -> Trip | None:
-        """Compare the age of the scan."""
         age_s = (sample.t_ns - sample.scan_t_ns) * 1e-9
         if age_s - sample.stalled_ns * 1e-9 <= self.stale_s:
             return None
@@ -66,11 +62,9 @@ class SilentStream(SampleInterlock):
 
     @classmethod
     def of(cls, config: RigConfig) -> Self:
-        """The limit is that of the step."""
         return cls()
 
     def trip(self, sample: Sample, *, new: bool) -> Trip | None:
-        """Compare the time since the last set-point."""
         stream = sample.stream
         if stream is None or stream.silent_s - sample.stalled_ns * 1e-9 <= stream.limit_s:
             return None
@@ -101,7 +95,6 @@ class BrokenSensors(SampleInterlock):
         return cls(tuple(spans), tuple(sensor.unit for sensor in config.sensors_by_actuator))
 
     def trip(self, sample: Sample, *, new: bool) -> Trip | None:
-        """Compare each signal of a new scan."""
         for i, ((low, high, ceiling), signal) in enumerate(
             zip(self.spans, sample.signals.tolist() if new else (), strict=new)
         ):

@@ -25,7 +25,6 @@ _SAME_CLOCK_S = 2.0
 
 
 def driver() -> type[OpenCVDriver]:
-    """The driver `opencv`."""
     return OpenCVDriver
 
 
@@ -33,7 +32,6 @@ class OpenCVDriver:
     """Opens V4L2 devices, and recordings: a folder of pictures or a video file."""
 
     def open(self, config: RigConfig, name: str, seed: int) -> Camera:
-        """Open a camera of the rig. Raises CameraError."""
         camera = config.cameras[name]
         if not is_recording(camera.device):
             return OpenCVCamera(camera)
@@ -42,7 +40,6 @@ class OpenCVDriver:
         return RecordedCamera(camera)
 
     def serial(self, camera: CameraConfig) -> str | None:
-        """Serial number of the USB camera behind the device."""
         return v4l2_serial(camera.device)
 
 
@@ -100,7 +97,6 @@ class OpenCVCamera:
         raise CameraError(f"camera {self._camera.device} {why}")
 
     def read(self, timeout_s: float) -> Frame:
-        """Return the newest picture."""
         until = time.monotonic() + timeout_s
         while not self._grab(until - time.monotonic()):
             if time.monotonic() > until:
@@ -130,5 +126,4 @@ class OpenCVCamera:
         return ready
 
     def close(self) -> None:
-        """Release the device."""
         self._capture.release()

@@ -25,7 +25,6 @@ _EXPOSURE_UNIT_MS = 0.1
 
 
 def driver() -> type[RealSenseDriver]:
-    """The driver `realsense`."""
     return RealSenseDriver
 
 
@@ -33,7 +32,6 @@ class RealSenseDriver:
     """Opens RealSense cameras, which the rig file names by serial number."""
 
     def open(self, config: RigConfig, name: str, seed: int) -> RealSenseCamera:
-        """Open a camera of the rig. Raises CameraError."""
         return RealSenseCamera(config.cameras[name])
 
     def serial(self, camera: CameraConfig) -> str | None:
@@ -91,7 +89,6 @@ class RealSenseCamera:
             sensor.set_option(self._rs.option.gain, self._camera.gain)
 
     def read(self, timeout_s: float) -> Frame:
-        """Return the newest picture."""
         rs = self._rs
         try:
             frame = self._queue.wait_for_frame(round(timeout_s * 1000))
@@ -118,5 +115,4 @@ class RealSenseCamera:
         return Frame(int(frame.get_frame_number()), end_ns - self._half_exposure_ns, image)
 
     def close(self) -> None:
-        """Stop the stream."""
         self._pipeline.stop()

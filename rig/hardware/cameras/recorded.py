@@ -47,7 +47,6 @@ class RecordedCamera:
         return Frame(self._index, t_ns, view.image)
 
     def close(self) -> None:
-        """Stop reading."""
         self._views.close()
 
     def _advance(self) -> View | None:

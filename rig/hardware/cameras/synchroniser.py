@@ -59,11 +59,7 @@ class CameraSynchroniser:
             self._readers = [_Reader(camera, self._changed) for camera in self._cameras]
 
     def await_all(self, timeout_s: float) -> None:
-        """Wait until every camera has given a picture.
-
-        Raises:
-            CameraError: a camera has not.
-        """
+        """Wait until every camera has given a picture. Raises CameraError: a camera has not."""
         with self._changed:
             self._changed.wait_for(lambda: all(r.newest_ns for r in self._readers), timeout_s)
             for name, reader in zip(self._names, self._readers, strict=False):

@@ -72,5 +72,4 @@ class TriggeredCamera:
                 return replace(frame, index=match.pulse, t_ns=match.t_ns, trigger=match)
 
     def close(self) -> None:
-        """Release the device."""
         self._camera.close()

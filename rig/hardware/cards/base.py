@@ -61,11 +61,7 @@ class CardSetup:
     by_instruction: bool = False
 
     def clipped(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values of the outputs, each clipped to the range of its channel.
-
-        Raises:
-            CardError: one is not finite.
-        """
+        """Values of the outputs, each clipped to the range of its channel. Raises CardError: one is not finite."""
         if not np.all(np.isfinite(values)):
             raise CardError(f"card {self.device} cannot set its outputs to {values.tolist()}; nothing was written")
         low, high = [one.low for one in self.outputs], [one.high for one in self.outputs]

@@ -120,12 +120,10 @@ class ComediCard:
 
     @property
     def period_ns(self) -> float | None:
-        """Scan period as rounded by the driver; None if the card does not sample by its own clock."""
         return self._sampler.period_ns if self._sampler is not None else None
 
     @property
     def drift_ppm(self) -> float | None:
-        """Relative error of that period by the computer's clock [ppm]; None if there is none."""
         return self._sampler.drift_ppm if self._sampler is not None else None
 
     def start(self) -> None:
@@ -160,12 +158,10 @@ class ComediCard:
         return self._sampler.read()
 
     def read_digital(self) -> NDArray[np.bool_]:
-        """Whether each digital input is high."""
         assert self._device.digital_inputs is not None
         return np.array(self._device.digital_inputs.read(self._setup.digital_inputs), bool)
 
     def write_digital(self, *, high: bool) -> None:
-        """Set the digital outputs high or low."""
         assert self._device.digital_outputs is not None
         self._device.digital_outputs.write(self._setup.digital_outputs, high=high)
 
@@ -194,7 +190,6 @@ class ComediCard:
         return volts
 
     def close(self) -> None:
-        """Stop sampling and release the device; the outputs keep their voltages."""
         with contextlib.suppress(CardError):
             self._stop()
         self._device.close()

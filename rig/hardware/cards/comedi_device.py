@@ -98,7 +98,6 @@ class AnalogueChannel:
             return int(self._channel.data_read())
 
     def write(self, raw: int) -> None:
-        """Set an output."""
         with _as_card_error(self._path, f"{self._what} cannot be written"):
             self._channel.data_write(raw)
 
@@ -200,11 +199,7 @@ class Device:
     """An open card. Inputs and outputs, also the digital ones, are None where it has none."""
 
     def __init__(self, path: str) -> None:
-        """Open /dev/comediN.
-
-        Raises:
-            CardError: it cannot be opened; the message says why and what to do.
-        """
+        """Open /dev/comediN. Raises CardError: it cannot be opened; the message says why and what to do."""
         pc = _pycomedi()
         self.path = path
         # The error of Comedilib is unreliable, so the kernel is asked first, and again if the card was taken meanwhile.
@@ -259,7 +254,6 @@ class Device:
         return int(self._device.fileno())
 
     def close(self) -> None:
-        """Release the device."""
         # Not by comedi_close: pycomedi's file object has closed the descriptor by then, and the number may already be
         # another thread's file. What leaks is comedilib's description of the card, some kilobytes.
         self._device.file.close()
@@ -271,11 +265,7 @@ def device_paths() -> tuple[str, ...]:
 
 
 def require() -> None:
-    """Import pycomedi.
-
-    Raises:
-        CardError: it is not installed.
-    """
+    """Import pycomedi. Raises CardError: it is not installed."""
     _pycomedi()
 
 

@@ -65,7 +65,6 @@ class NidaqmxCard:
             raise
 
     def start(self) -> None:
-        """Begin sampling, from now on."""
         if not self._setup.inputs:
             return
         self._stop()
@@ -113,7 +112,6 @@ class NidaqmxCard:
         return Scans(np.minimum(self._clock.stamp(volts.shape[1], now_ns), now_ns), np.ascontiguousarray(volts.T), lost)
 
     def read_digital(self) -> NDArray[np.bool_]:
-        """Whether each digital input is high."""
         with self._as_card_error("the digital inputs cannot be read"):
             return np.atleast_1d(np.array(self._digital.read(), bool))
 
@@ -138,7 +136,6 @@ class NidaqmxCard:
         return np.full(len(self._setup.outputs), np.nan)
 
     def close(self) -> None:
-        """Stop sampling and release the device; the outputs keep their voltages."""
         self._inputs = None
         while self._tasks:
             with suppress(self._ni.errors.Error):

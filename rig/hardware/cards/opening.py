@@ -20,11 +20,7 @@ def card_type(card: CardConfig) -> Callable[[CardSetup], Card]:
 
 
 def open_card(card: CardConfig, setup: CardSetup) -> Card:
-    """Open a card.
-
-    Raises:
-        CardError: the card cannot be opened, for any reason.
-    """
+    """Open a card. Raises CardError: the card cannot be opened, for any reason."""
     driver = card_type(card)
     try:
         return driver(setup)
@@ -35,11 +31,7 @@ def open_card(card: CardConfig, setup: CardSetup) -> Card:
 
 
 def open_cards(config: RigConfig, setups: Iterable[CardSetup]) -> dict[str, Card]:
-    """Open cards of a rig; if one fails, release the others.
-
-    Raises:
-        CardError: a card cannot be opened.
-    """
+    """Open cards of a rig; if one fails, release the others. Raises CardError: a card cannot be opened."""
     cards: dict[str, Card] = {}
     try:
         for setup in setups:

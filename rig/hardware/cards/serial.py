@@ -53,7 +53,6 @@ WAIT_S = 0.0005
 
 
 def driver() -> type[SerialCard]:
-    """The driver `serial`."""
     return SerialCard
 
 

@@ -69,11 +69,7 @@ def encode(message: Datagram) -> bytes:
 
 
 def decode(data: bytes) -> Datagram:
-    """Return the message in the bytes of a datagram.
-
-    Raises:
-        DatagramError: wrong size, begin, version or CRC.
-    """
+    """Return the message in the bytes of a datagram. Raises DatagramError: wrong size, begin, version or CRC."""
     if len(data) != BYTES:
         raise DatagramError(f"{len(data)} bytes, not {BYTES}")
     body, (crc,) = data[: _BODY.size], _CRC.unpack(data[_BODY.size :])

@@ -19,7 +19,6 @@ _BUFFER = 1 << 18
 
 
 def driver() -> type[UdpTrackerDriver]:
-    """The driver `udp`."""
     return UdpTrackerDriver
 
 
@@ -27,11 +26,7 @@ class UdpTrackerDriver:
     """Opens the socket of a UDP tracker."""
 
     def open(self, config: RigConfig, name: str, seed: int) -> UdpTracker:
-        """Open a tracker of the rig.
-
-        Raises:
-            TrackerError: the address is not this machine's, or the port is taken.
-        """
+        """Open a tracker of the rig. Raises TrackerError: the address is not this machine's, or the port is taken."""
         return UdpTracker(config, name)
 
 
@@ -77,15 +72,12 @@ class UdpTracker:
                 return reading
 
     def counts(self) -> tuple[int, ...]:
-        """`DATAGRAM_COUNTS` since the tracker was opened."""
         return self._receiver.counts
 
     def pass_over(self, t_ns: int) -> None:
-        """State that a time has been given as one without a measurement."""
         self._receiver.pass_over(t_ns)
 
     def close(self) -> None:
-        """Close the socket."""
         self._socket.close()
 
 
