@@ -27,7 +27,7 @@ from rig.config.calibration_files import rounded, views_beside
 from rig.config.loader import load
 from rig.config.optics import board_in_tip, board_of, board_section, camera_in_base, lens_of, placement_of
 from rig.config.schema import RigConfig
-from rig.hardware.cameras.opening import open_camera
+from rig.hardware.cameras.base import open_camera
 
 STRAIGHT_VIEWS = 5
 TURNS_DEG = (-25.0, -15.0, -8.0, 8.0, 15.0, 25.0)

@@ -17,7 +17,7 @@ from calibration.view_coverage import ViewCoverage, view_geometry
 from calibration.views import View
 from calibration.vision.board import Board, grey
 from rig.config.schema import RigConfig
-from rig.hardware.cameras.opening import open_camera
+from rig.hardware.cameras.base import open_camera
 from runs.overwriting import replacing
 
 Image = NDArray[np.uint8]

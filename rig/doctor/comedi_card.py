@@ -9,7 +9,7 @@ from rig.config.schema import RigConfig
 from rig.doctor.cards import POWER_UP
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.comedi import ComediCard
-from rig.hardware.cards.setup import card_setup
+from rig.hardware.cards.opening import card_setup
 
 
 def examine(config: RigConfig, name: str) -> Iterator[Finding]:

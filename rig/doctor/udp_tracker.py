@@ -7,8 +7,7 @@ from contextlib import closing
 from rig.config.drivers import Finding
 from rig.config.schema import RigConfig
 from rig.config.tracker_sections import UdpTrackerConfig
-from rig.hardware.trackers.base import TrackerError
-from rig.hardware.trackers.opening import open_tracker
+from rig.hardware.trackers.base import TrackerError, open_tracker
 from runs.records import DATAGRAM_COUNTS
 
 LISTENS_S = 1.5

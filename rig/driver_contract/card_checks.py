@@ -12,8 +12,8 @@ from rig.config.card_sections import CARD_DRIVERS
 from rig.driver_contract.card_subject import LEAST_IDLE, CardSubject, Floats, needs_outputs, polled, settled_readback
 from rig.driver_contract.check import BrokenContractError, Check, NotApplicableError, NotJudgedError
 from rig.driver_contract.device_time import CallTime, ScanTimes, idle_wait, judge_scans, judged, timed
-from rig.driver_contract.other_process import holding, in_second_process
 from rig.driver_contract.pressure_checks import PRESSURE_CHECKS
+from rig.driver_contract.second_process import holding, in_second_process
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import open_outputs
 

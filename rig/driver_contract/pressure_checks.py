@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import time
 from contextlib import closing
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from model.units import PA_PER_BAR
-from rig.config.schema import RigConfig
 from rig.driver_contract.card_subject import CardSubject, Floats, needs_outputs, polled
 from rig.driver_contract.check import BrokenContractError, Check, NotApplicableError
+from rig.hardware.bench import Bench
 from rig.hardware.cards.base import Card
 from rig.hardware.vent_verification import VENTED_TOLERANCE_PA, VentVerification, real_time
 from rig.valves.base import RegulatorState, ValveSection
@@ -25,34 +24,6 @@ PRESSURISED_S = 1.0
 """How long a valve is driven; a chamber fills in a few tenths of a second."""
 
 
-@dataclass(frozen=True)
-class CardPressures:
-    """Gauge pressures (n, N) [Pa] at the times (n,) [ns]; an actuator without a sensor on the card reads as vented."""
-
-    t_ns: NDArray[np.int64]
-    pressure_pa: Floats
-
-
-class CardSensors:
-    """The pressure sensors of one open card."""
-
-    def __init__(self, config: RigConfig, name: str, card: Card) -> None:
-        """`card` is the open card with the name `name`, with all its inputs."""
-        self._card = card
-        self._sensors = [(i, s) for i, s in enumerate(config.sensors_by_actuator) if s.card == name]
-        self._vented_pa = np.zeros(config.actuators)
-        for valve in config.valves:
-            self._vented_pa[[a - 1 for a in valve.actuators]] = valve.vented_pa
-
-    def read(self) -> CardPressures:
-        """Pressures since the last read."""
-        scans = self._card.read()
-        pressure_pa = np.tile(self._vented_pa, (len(scans.t_ns), 1))
-        for column, (actuator, sensor) in enumerate(self._sensors):
-            pressure_pa[:, actuator] = sensor.pressure_pa(scans.signals[:, column])
-        return CardPressures(scans.t_ns, pressure_pa)
-
-
 def pressures(subject: CardSubject) -> str:
     """Each valve brings its own chambers to the pressure that its output stands for, and no others."""
     valves = _measured_valves(subject)
@@ -60,7 +31,7 @@ def pressures(subject: CardSubject) -> str:
     found = []
     with closing(subject.open()) as card:
         card.start()
-        sensors = CardSensors(subject.config, subject.name, card)
+        sensors = Bench(subject.config, {subject.name: card})
         for output, valve in valves.items():
             _vent(subject, card, sensors)
             reached_pa = _pressurised(subject, card, sensors, output, valve)
@@ -80,7 +51,7 @@ def vented(subject: CardSubject) -> str:
         card.start()
         for _ in polled(card, subject.period_s, subject.sample_s, []):
             card.write(subject.outputs(TARGET))  # the heartbeat of a device that vents by itself
-        return _vent(subject, card, CardSensors(subject.config, subject.name, card))
+        return _vent(subject, card, Bench(subject.config, {subject.name: card}))
 
 
 def _measured_valves(subject: CardSubject) -> dict[int, ValveSection]:
@@ -97,7 +68,7 @@ def _target_pa(subject: CardSubject) -> float:
     return TARGET * subject.config.limits.pressure_bar * PA_PER_BAR
 
 
-def _pressurised(subject: CardSubject, card: Card, sensors: CardSensors, output: int, valve: ValveSection) -> Floats:
+def _pressurised(subject: CardSubject, card: Card, sensors: Bench, output: int, valve: ValveSection) -> Floats:
     """The pressures (N,) [Pa] after a valve has regulated towards the target, with the others vented."""
     regulator = valve.regulator(subject.config.limits, subject.config.control)
     target_pa = _target_pa(subject)
@@ -131,7 +102,7 @@ def _judge(subject: CardSubject, valve: ValveSection, reached_pa: Floats, raised
             raise BrokenContractError(f"{written} were written and {reads}: are two channels swapped?")
 
 
-def _vent(subject: CardSubject, card: Card, sensors: CardSensors) -> str:
+def _vent(subject: CardSubject, card: Card, sensors: Bench) -> str:
     """Write the outputs that vent, and wait until the sensors show it; return what they show."""
     card.write(np.array([valve.vent_output for valve in subject.valves]))
     config = subject.config.model_copy(update={"valves": tuple(_measured_valves(subject).values())})

@@ -9,11 +9,10 @@ from functools import partial
 from pathlib import Path
 
 from rig.config.schema import RigConfig
-from rig.driver_contract.camera_checks import CAMERA_CHECKS, CameraSubject
 from rig.driver_contract.card_checks import CARD_CHECKS
 from rig.driver_contract.card_subject import CardSubject
 from rig.driver_contract.check import CheckResult
-from rig.driver_contract.tracker_checks import TRACKER_CHECKS, TrackerSubject
+from rig.driver_contract.source_checks import CAMERA_CHECKS, TRACKER_CHECKS, CameraSubject, TrackerSubject
 from rig.hardware.lock import cards_locked
 from rig.simulator.plant_launcher import started
 from rig.simulator.registers import Registers

@@ -12,8 +12,8 @@ from rig.config.input_sections import AuxiliaryInput
 from rig.config.schema import RigConfig
 from rig.config.sections import Sensor
 from rig.hardware.cards.base import Card, CardError, DigitalInputCard, Scans, SelfClockedCard
-from rig.hardware.cards.opening import open_cards
-from rig.hardware.cards.setup import card_setup
+from rig.hardware.cards.opening import card_setup, open_cards
+from rig.hardware.driver_calls import as_error
 from rig.hardware.safe_state import SafeOutputs
 
 LONGEST_MEAN_PERIODS = 2
@@ -56,7 +56,10 @@ class Bench(SafeOutputs):
     """The open cards of a rig: outputs that can be made safe, and inputs. Methods may raise `CardError`."""
 
     def __init__(self, config: RigConfig, cards: Mapping[str, Card]) -> None:
-        """`cards` are open, by their names in the rig, set up by `card_setup`; a part of them suffices for writing."""
+        """`cards` are open, by their names in the rig, set up by `card_setup`.
+
+        A part of them suffices: signals of the others are NaN.
+        """
         super().__init__(config, dict(cards))
         self._sensors = config.sensors_by_actuator
         # A sensor is linear in its signal: two points define it.
@@ -70,6 +73,7 @@ class Bench(SafeOutputs):
         signals: tuple[Sensor | AuxiliaryInput, ...] = (*self._sensors, *self._auxiliary)
         columns = {name: [i for i, s in enumerate(signals) if s.card == name] for name in self._cards}
         self._inputs = {name: column for name, column in columns.items() if column}
+        self._one_has_all = len(next(iter(self._inputs.values()), ())) == len(signals)
         self._pending = {name: _Pending(len(column)) for name, column in self._inputs.items()}
 
     @property
@@ -94,7 +98,7 @@ class Bench(SafeOutputs):
 
         A row is returned once every card has a scan at or after its time: a silent card makes the samples stale.
         """
-        if len(self._inputs) == 1:
+        if self._one_has_all:
             (name,) = self._inputs
             only = self._card_scans(name)
             return self._scans(only.t_ns, only.signals, only.lost, only.late_ns, only.damaged)
@@ -107,7 +111,7 @@ class Bench(SafeOutputs):
             oldest = max((int(scans[o].t_ns[0]) if len(scans[o].t_ns) else _NEVER) for o in others)
             newest = min((int(scans[o].t_ns[-1]) if len(scans[o].t_ns) else -1) for o in others)
             t_ns = t_ns[(t_ns <= newest) & (t_ns >= oldest)]
-        signals = np.empty((len(t_ns), len(self._sensors) + len(self._auxiliary)))
+        signals = np.full((len(t_ns), len(self._sensors) + len(self._auxiliary)), np.nan)
         for name, s in scans.items():
             rows = np.searchsorted(s.t_ns, t_ns, side="right") - 1
             signals[:, self._inputs[name]] = s.signals[rows]
@@ -118,12 +122,8 @@ class Bench(SafeOutputs):
 
     def _card_scans(self, name: str) -> Scans:
         """New scans of one card. Raises CardError, also for an error in the driver's code or wrong scans."""
-        try:
+        with as_error(CardError, f"card {name}: read of its driver failed"):
             scans = self._cards[name].read()
-        except CardError:
-            raise
-        except Exception as error:
-            raise CardError(f"card {name}: read of its driver failed: {type(error).__name__}: {error}") from error
         if not isinstance(scans, Scans):
             raise CardError(f"card {name}: read of its driver returned {type(scans).__name__} instead of Scans")
         for what, array in (("t_ns", scans.t_ns), ("signals", scans.signals)):
@@ -152,12 +152,8 @@ class Bench(SafeOutputs):
         """Set every valve (V,), each in its unit."""
         self._commanded = None
         for name, column in self.columns.items():
-            try:
+            with as_error(CardError, f"card {name}: write of its driver failed"):
                 self._cards[name].write(outputs[column])
-            except CardError:
-                raise
-            except Exception as error:
-                raise CardError(f"card {name}: write of its driver failed: {type(error).__name__}: {error}") from error
         self._commanded = outputs.copy()
 
     def external_write(self) -> str:

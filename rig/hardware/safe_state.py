@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import Card, CardBusyError, CardError, DigitalOutputCard
-from rig.hardware.cards.opening import open_cards
-from rig.hardware.cards.setup import card_setup
-from rig.hardware.release import release
+from rig.hardware.cards.opening import card_setup, open_cards
+from rig.hardware.driver_calls import as_error, release
 
 UNSAFE = "the safe state could not be written, shut the air off by hand"
 """Begin of the message of a failed safe state."""
@@ -112,12 +111,8 @@ class SafeOutputs:
         """The outputs (V,), NaN where a card has no read-back."""
         outputs = np.full(len(self._valves), np.nan)
         for name, column in self.columns.items():
-            try:
+            with as_error(CardError, f"card {name} cannot be read back"):
                 outputs[column] = self._cards[name].readback()
-            except CardError:
-                raise
-            except Exception as error:  # the code of another package may raise anything
-                raise CardError(f"card {name} cannot be read back: {type(error).__name__}: {error}") from error
         return outputs
 
     def unsafe_output(self) -> str:

@@ -10,14 +10,13 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from model.units import PA_PER_BAR
 from rig.config.schema import RigConfig
-from rig.hardware.bench import Bench, open_bench
+from rig.hardware.bench import Bench, BenchScans, open_bench
 from rig.hardware.cards.base import CardError
 
 UNCONFIRMED = "the safe state is NOT confirmed, shut the air off by hand"
@@ -49,25 +48,6 @@ class VentOutcome:
     answered: bool = True
 
 
-class PressureScans(Protocol):
-    """Gauge pressures (n, N) [Pa] at the times (n,) [ns], oldest first."""
-
-    @property
-    def t_ns(self) -> NDArray[np.int64]:
-        """Times."""
-
-    @property
-    def pressure_pa(self) -> NDArray[np.float64]:
-        """Pressures."""
-
-
-class PressureSource(Protocol):
-    """Source of pressures: an open bench."""
-
-    def read(self) -> PressureScans:
-        """Scans since the last call."""
-
-
 class VentVerification:
     """Watches the chambers whose safe state is vented empty; with `vent`, all chambers.
 
@@ -79,7 +59,7 @@ class VentVerification:
     def __init__(
         self,
         config: RigConfig,
-        bench: PressureSource,
+        bench: Bench | _OpenedBench,
         *,
         vent: bool = False,
         patience_s: float = VENTING_S,
@@ -229,7 +209,7 @@ class _OpenedBench:
         self._config = config
         self._bench: Bench | None = None
 
-    def read(self) -> PressureScans:
+    def read(self) -> BenchScans:
         if self._bench is None:
             # A card whose interrupts are lost still answers.
             bench = open_bench(self._config, by_instruction=True)

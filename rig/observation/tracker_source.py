@@ -8,9 +8,8 @@ import numpy as np
 
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import FrameSet
-from rig.hardware.release import release
-from rig.hardware.trackers.base import TrackerError, TrackerReading
-from rig.hardware.trackers.opening import open_tracker
+from rig.hardware.driver_calls import as_error, release
+from rig.hardware.trackers.base import TrackerError, TrackerReading, open_tracker
 from rig.observation.reading_sequence import ReadingSequence
 from runs.records import DATAGRAM_COUNTS
 
@@ -56,13 +55,9 @@ class TrackerSource:
     def _read(self, timeout_s: float) -> TrackerReading | None:
         """Read the tracker. Raises TrackerError, also for an error in the driver's code or a wrong reading."""
         where = f"tracker {self._name}: read of its driver"
-        try:
+        with as_error(TrackerError, f"{where} failed"):
             reading = self._tracker.read(timeout_s)
             fault = "" if reading is None else _fault(reading)
-        except TrackerError:
-            raise
-        except Exception as error:  # the code of another package may raise anything
-            raise TrackerError(f"{where} failed: {type(error).__name__}: {error}") from error
         if fault:
             raise TrackerError(f"{where} returned {fault}")
         return reading

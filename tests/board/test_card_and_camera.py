@@ -19,7 +19,7 @@ import pytest
 
 import runs
 from rig.config.loader import load
-from rig.hardware.cameras.opening import open_camera
+from rig.hardware.cameras.base import open_camera
 from runs.records import DetectionStatus, Status
 from runs.run import Run
 from scripts.vm.pci1716.shared_picture import SharedPicture, Subject

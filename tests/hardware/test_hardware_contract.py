@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rig.config.loader import load
-from rig.driver_contract import card_checks, device_time, other_process
+from rig.driver_contract import card_checks, device_time, second_process
 from rig.driver_contract.card_checks import CARD_CHECKS
 from rig.driver_contract.card_subject import CardSubject
 from rig.driver_contract.check import Check, CheckVerdict
@@ -23,7 +23,7 @@ SKIPPED = ("vanished device", "silence")
 
 @pytest.mark.parametrize("check", CARD_CHECKS, ids=lambda check: check.name.replace(" ", "-"))
 def test_the_comedi_driver_keeps_the_contract(check: Check[CardSubject], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(other_process, "START_S", EMULATED_S)
+    monkeypatch.setattr(second_process, "START_S", EMULATED_S)
     monkeypatch.setattr(card_checks, "FREED_S", EMULATED_S)
     monkeypatch.setattr("rig.driver_contract.check.LONGEST_S", 3 * EMULATED_S)
     monkeypatch.setattr(device_time, "MOST_SLOW", EMULATED_SLOW)

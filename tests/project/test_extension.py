@@ -17,8 +17,8 @@ from model.arm import Arm
 from rig.config import loader
 from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.hardware.bench import open_bench
-from rig.hardware.cameras.opening import open_camera
-from rig.hardware.trackers.opening import open_tracker
+from rig.hardware.cameras.base import open_camera
+from rig.hardware.trackers.base import open_tracker
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from scripts.faults import virtual
 from scripts.faults.catalogue import CATALOGUE

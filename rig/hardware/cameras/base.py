@@ -1,4 +1,4 @@
-"""The camera interface."""
+"""The camera interface, and how a camera of a rig is opened."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.config.drivers import CAMERA_DRIVERS
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
 from rig.hardware.tip_source import TipSourceError
@@ -112,3 +113,14 @@ class Camera(Protocol):
 
     def close(self) -> None:
         """Release the device."""
+
+
+def camera_driver(camera: CameraConfig) -> CameraDriver:
+    """The driver of a camera, loaded."""
+    driver: CameraDriver = CAMERA_DRIVERS[camera.driver].load()()
+    return driver
+
+
+def open_camera(config: RigConfig, name: str, seed: int = 0) -> Camera:
+    """Open the rig's camera `name`; `seed` is for simulated cameras. Raises CameraError."""
+    return camera_driver(config.cameras[name]).open(config, name, seed)

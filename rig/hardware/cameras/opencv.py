@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
 from rig.hardware.cameras.base import Camera, CameraError, Frame
-from rig.hardware.cameras.identity import v4l2_serial
 from rig.hardware.cameras.recorded import RecordedCamera, is_recording
 
+VIDEO_DEVICES = Path("/sys/class/video4linux")
 # V4L2's auto_exposure menu, as OpenCV passes it through.
 _MANUAL_EXPOSURE = 1
 # The control counts in units of 100 us.
@@ -127,3 +127,17 @@ class OpenCVCamera:
 
     def close(self) -> None:
         self._capture.release()
+
+
+def v4l2_serial(device: str | int, devices: Path = VIDEO_DEVICES) -> str | None:
+    """Serial number of the USB device behind a V4L2 camera; None where there is none or it has none."""
+    name = f"video{device}" if isinstance(device, int) else Path(device).resolve().name
+    node = devices / name / "device"
+    if not node.exists():
+        return None
+    # The interface's folder stands inside the device's, which has the number.
+    for folder in (node.resolve(), *node.resolve().parents[:3]):
+        number = folder / "serial"
+        if number.is_file():
+            return number.read_text(encoding="ascii", errors="replace").strip() or None
+    return None

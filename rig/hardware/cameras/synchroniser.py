@@ -12,10 +12,9 @@ from collections import deque
 from collections.abc import Callable, Sequence
 
 from rig.config.schema import RigConfig
-from rig.hardware.cameras.base import Camera, CameraError, Frame, FrameSet
-from rig.hardware.cameras.opening import open_camera
+from rig.hardware.cameras.base import Camera, CameraError, Frame, FrameSet, open_camera
 from rig.hardware.cameras.trigger import PulseRows, TriggeredCamera
-from rig.hardware.release import release
+from rig.hardware.driver_calls import release
 
 KEPT = 4
 """Buffered frames per camera."""

@@ -1,4 +1,4 @@
-"""The tracker interface."""
+"""The tracker interface, and how a tracker of a rig is opened."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
+from rig.config.tracker_sections import TRACKER_DRIVERS
 from rig.hardware.tip_source import TipSourceError
 from runs.records import DATAGRAM_COUNTS
 
@@ -79,3 +80,9 @@ class TrackerDriver(Protocol):
 
     def open(self, config: RigConfig, name: str, seed: int) -> Tracker:
         """Open the tracker `name` of the rig; `seed` is for simulated trackers. Raises TrackerError."""
+
+
+def open_tracker(config: RigConfig, name: str, seed: int = 0) -> Tracker:
+    """Open the rig's tracker `name`; `seed` is for simulated trackers. Raises TrackerError."""
+    driver: TrackerDriver = TRACKER_DRIVERS[config.trackers[name].driver].load()()
+    return driver.open(config, name, seed)

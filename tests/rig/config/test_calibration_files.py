@@ -19,7 +19,7 @@ from rig.config.board_sections import CheckerboardPattern
 from rig.config.calibration_files import parse, read, text_of, write
 from rig.config.optics import camera_in_base, lens_of, rigid
 from rig.config.sections import LensConfig, Placement
-from rig.hardware.cameras.identity import v4l2_serial
+from rig.hardware.cameras.opencv import v4l2_serial
 from runs.overwriting import WouldOverwriteError
 from tests.support.budget import examples
 from tests.support.command_line import invoke

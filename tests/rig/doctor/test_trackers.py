@@ -9,9 +9,9 @@ import pytest
 
 from rig.config import loader
 from rig.doctor.devices import rig_devices
-from rig.driver_contract import tracker_checks
+from rig.driver_contract import source_checks
 from rig.driver_contract.runner import bench_of
-from rig.driver_contract.tracker_checks import TRACKER_CHECKS, TrackerSubject
+from rig.driver_contract.source_checks import TRACKER_CHECKS, TrackerSubject
 from rig.hardware.installed_drivers import installed_drivers
 from tests.rig.hardware.test_udp_tracker import free_port
 from tests.rig.realtime.test_tracker import example, udp_rig
@@ -55,7 +55,7 @@ class Patient:
 
 
 def test_a_tracker_that_waits_in_spite_of_its_time_out_breaks_the_contract(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracker_checks, "open_tracker", lambda *_: Patient())
+    monkeypatch.setattr(source_checks, "open_tracker", lambda *_: Patient())
     check = next(check for check in TRACKER_CHECKS if check.name == "time-outs")
     result = check.result("tracker pose", TrackerSubject(loader.load("mock-tracker"), "pose"))
     assert result.failed

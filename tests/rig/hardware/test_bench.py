@@ -13,7 +13,7 @@ from rig.config.card_sections import CardConfig
 from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
-from rig.hardware.cards.setup import card_setup
+from rig.hardware.cards.opening import card_setup
 from rig.hardware.safe_state import armed_sentence, make_safe
 from rig.hardware.vent import vent
 from tests.support.plant_bench import mock_rig

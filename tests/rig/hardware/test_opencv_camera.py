@@ -12,8 +12,7 @@ import pytest
 import rig.config.loader
 import rig.config.schema
 from rig.config.sections import CameraTrigger
-from rig.hardware.cameras.base import CameraError
-from rig.hardware.cameras.opening import open_camera
+from rig.hardware.cameras.base import CameraError, open_camera
 
 
 @pytest.fixture(scope="module")

@@ -15,9 +15,8 @@ from rig.config import loader
 from rig.config.schema import RigConfig
 from rig.config.tracker_sections import UdpTrackerConfig
 from rig.hardware.trackers import udp
-from rig.hardware.trackers.base import Tracker, TrackerError, TrackerReading
+from rig.hardware.trackers.base import Tracker, TrackerError, TrackerReading, open_tracker
 from rig.hardware.trackers.datagram import Datagram, encode
-from rig.hardware.trackers.opening import open_tracker
 from runs.records import DATAGRAM_COUNTS
 
 MESSAGES, READINGS, MOST_MESSAGES = 120, 10, 1200
