@@ -32,7 +32,7 @@ from rig.realtime.scheduling import (
     enable_realtime_scheduling,
     wait_until,
 )
-from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
+from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import TimingLimits, timing_limits
 from rig.simulator.plant import Plant
 
@@ -146,7 +146,7 @@ def _verify_venting(config: RigConfig, bench: Bench, *, vent: bool, since_ns: in
 @contextmanager
 def _watched(config: RigConfig, rig_file: Path) -> Iterator[tuple[SharedState, ProcessMonitor]]:
     """Run the watchdog. The process that it monitors ends with this context, or when this process dies."""
-    memory = SharedState.create(StateLayout.of(config))
+    memory = SharedState.create(config)
     nothing = SetPointTrajectory(0.0, config.actuators, (), (), "")
     plan = RunPlan(config, rig_file, nothing, config.model.variant, 0)
     watchdog = spawn("rig.realtime.watchdog_process", ChildJob(plan, memory.fd, os.getpid()))

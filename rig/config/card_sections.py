@@ -128,7 +128,7 @@ CARD_DRIVERS = DriverRegistry(
         "cards with a Comedi driver (Linux), such as PCI-1716",
         _KEPT,
         section=ComediCardConfig,
-        checks="rig.doctor.comedi_card",
+        checks="rig.doctor.cards:examine_comedi",
     ),
     Driver(
         "serial",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import importlib
 import operator
+import pkgutil
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -63,7 +64,7 @@ class Driver:
     """A registered driver: `module` holds its `driver()` function, or `plugin` is the object of another package.
 
     `section` is the model of its section in the rig file, where a driver of softrig has one of its own. `checks` names
-    the module whose `examine` serves `rig doctor` as that of a plug-in does.
+    `module:function`, which serves `rig doctor` as `examine` of a plug-in does.
     """
 
     name: str
@@ -92,7 +93,9 @@ class Driver:
         """Return the function that examines a device for `rig doctor`; None where the driver has none."""
         if self.plugin is not None:
             return self.plugin.examine
-        examine: Examine | None = importlib.import_module(self.checks).examine if self.checks else None
+        if not self.checks:
+            return None
+        examine: Examine = pkgutil.resolve_name(self.checks)
         return examine
 
 
@@ -215,13 +218,13 @@ CAMERA_DRIVERS = DriverRegistry(
         "opencv",
         "rig.hardware.cameras.opencv",
         "V4L2 cameras, folders of pictures and video files",
-        checks="rig.doctor.opencv_camera",
+        checks="rig.doctor.cameras:examine_opencv",
     ),
     Driver(
         "realsense",
         "rig.hardware.cameras.realsense",
         "Intel RealSense by librealsense (softrig[realsense])",
-        checks="rig.doctor.realsense_camera",
+        checks="rig.doctor.cameras:examine_realsense",
     ),
     Driver("mock", "rig.simulator.mock_camera", "a camera of the simulated bench", simulated=True),
 )

@@ -103,7 +103,7 @@ TRACKER_DRIVERS = DriverRegistry(
         "rig.hardware.trackers.udp",
         "poses in UDP datagrams from another program",
         section=UdpTrackerConfig,
-        checks="rig.doctor.udp_tracker",
+        checks="rig.doctor.udp_tracker:examine",
     ),
     Driver(
         "mock",

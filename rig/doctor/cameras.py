@@ -1,13 +1,16 @@
-"""Checks of the machine's cameras."""
+"""Checks of the machine's cameras, and of a rig's cameras by their drivers."""
 
 from __future__ import annotations
 
 import fcntl
+import importlib
 import os
 import struct
 from pathlib import Path
+from typing import Any
 
 from rig.config.drivers import Finding
+from rig.config.schema import RigConfig
 from rig.doctor.machine import group_name
 
 _VIDIOC_QUERYCAP = 0x80685600
@@ -80,3 +83,43 @@ def _gives_pictures(device: Path, hardware: bool) -> bool:
         os.close(opened)
     *_, of_all, of_node = struct.unpack(_CAPABILITIES, answer)
     return bool((of_node if of_all & _HAS_NODE_CAPABILITIES else of_all) & _VIDEO_CAPTURE)
+
+
+def examine_opencv(config: RigConfig, name: str, root: Path = Path("/")) -> list[Finding]:
+    """Check that the device or recording is there and may be opened; opens no video, a run may be using it."""
+    from rig.hardware.cameras.recorded import is_recording  # brings OpenCV with it
+
+    topic, camera = f"rig's camera {name}", config.cameras[name]
+    if is_recording(camera.device):
+        return [_recording(topic, Path(str(camera.device)))]
+    path = f"/dev/video{camera.device}" if isinstance(camera.device, int) else camera.device
+    device = root / Path(path).absolute().relative_to("/")
+    if device.exists():
+        return [examine_video(device, root, topic, wanted=True)]
+    present = ", ".join(f"/dev/{other.name}" for other in video_devices(root)) or "none"
+    remedy = f"{PLUG_IN}, or correct `device` in the rig's file; /dev/v4l/by-id has names that stay"
+    return [Finding(topic, "missing", f"{path} does not exist (video devices present: {present})", remedy)]
+
+
+def examine_realsense(config: RigConfig, name: str) -> list[Finding]:
+    """Check that librealsense lists the camera, or that its recording is there; opens none, a run may be using it."""
+    from rig.hardware.cameras.realsense import ANY, RECORDINGS, why_unusable
+
+    topic, wanted = f"rig's camera {name}", str(config.cameras[name].device)
+    if Path(wanted).suffix in RECORDINGS:
+        return [_recording(topic, Path(wanted))]
+    try:
+        rs: Any = importlib.import_module("pyrealsense2")
+    except ImportError as why:
+        return [Finding(topic, "missing", *why_unusable(why))]
+    serials = [device.get_info(rs.camera_info.serial_number) for device in rs.context().query_devices()]
+    if wanted in serials or (wanted == ANY and serials):
+        return [Finding(topic, "ok", f"RealSense {wanted}")]
+    present = ", ".join(serials) or "none"
+    return [Finding(topic, "missing", f"no RealSense {wanted} (present: {present})", f"{PLUG_IN}, or correct `device`")]
+
+
+def _recording(topic: str, path: Path) -> Finding:
+    if path.exists():
+        return Finding(topic, "ok", f"recording {path}")
+    return Finding(topic, "missing", f"recording {path} does not exist", "correct `device` in the rig's file")

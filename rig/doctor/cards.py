@@ -1,16 +1,20 @@
-"""Checks of the machine's cards: board, driver, device, channels, and the reason why one cannot be used."""
+"""Checks of the machine's cards, from the board to its channels, and of a rig's Comedi card."""
 
 from __future__ import annotations
 
 import platform
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 from rig.config.drivers import Finding
+from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
+from rig.hardware.cards.comedi import ComediCard
 from rig.hardware.cards.comedi_device import closed, device_paths, require
 from rig.hardware.cards.comedi_survey import ComediCardSurvey, survey
 from rig.hardware.cards.kernel_devices import ComediModule, PciCard, comedi, has_module, pci_cards
+from rig.hardware.cards.opening import card_setup
 
 ADVANTECH = "0x13fe"
 FAMILY_DRIVER = "adv_pci1710"
@@ -166,3 +170,31 @@ def _card(found: ComediCardSurvey, kernel: ComediModule | None) -> list[Finding]
         at_zero = "attaching the driver put every output to 0 V, where a 5/3 valve (MPYE) is fully open"
         findings.append(Finding("power-up", "note", at_zero, POWER_UP))
     return findings
+
+
+def examine_comedi(config: RigConfig, name: str) -> Iterator[Finding]:
+    """Check one card against the channels and ranges that the rig uses; opens it, and writes no channel."""
+    topic = f"rig's card {name}"
+    try:
+        opened = ComediCard(card_setup(config, name))
+    except CardError as error:
+        remedy = error.remedy or f"change card '{name}' of the rig, or use another card"
+        yield Finding(topic, "missing", error.what, remedy)
+    else:
+        used = sum(valve.card == name for valve in config.valves)
+        left = opened.outputs_there - used
+        yield Finding(
+            topic,
+            "ok",
+            f"{opened.description} has every channel and range that the rig uses; "
+            f"{used} of {opened.outputs_there} outputs used, {left or 'none'} left",
+        )
+        opened.close()
+    for number, valve in enumerate(config.valves, 1):
+        if valve.card == name and valve.fills_at_power_up:
+            yield Finding(
+                f"rig's valve {number}",
+                "note",
+                "at 0 V, where attaching the driver puts it, it FILLS its chamber up to the supply's pressure",
+                f"connect the chamber to port 4 (fills: above); until then {POWER_UP}",
+            )

@@ -12,7 +12,7 @@ from typing import Any
 
 from rig.execution.plan import RunPlan, StartError
 from rig.realtime.control_socket import PACKET_BYTES, socket_paths
-from rig.realtime.shared_state import SharedState, StateLayout
+from rig.realtime.shared_state import SharedState
 
 TIMEOUT_S = 5.0
 
@@ -65,7 +65,7 @@ class ClientSession:
         with os.fdopen(plan_fd, "rb") as file:
             file.seek(0)
             self.plan: RunPlan = pickle.load(file)  # written by a run of this user, in a folder of mode 0700
-        self.memory = SharedState(memory_fd, StateLayout.of(self.plan.config, len(self.plan.adapted)), readonly=True)
+        self.memory = SharedState(memory_fd, self.plan.config, len(self.plan.adapted), readonly=True)
         connection.setblocking(False)
         self.ended = False
 

@@ -16,7 +16,7 @@ from typing import NoReturn
 from rig.execution.plan import RunPlan
 from rig.hardware.vent_verification import VentOutcome
 from rig.realtime.process_monitor import ProcessMonitor
-from rig.realtime.shared_state import SharedState, StateLayout, Stop
+from rig.realtime.shared_state import SharedState, Stop
 
 POLL_S = 0.002
 
@@ -63,8 +63,7 @@ def receive_job(*, tip_controller: bool = False) -> tuple[ChildJob, SharedState]
     """In the child: the job and the shared memory, of which the tip controller can write its own pages only."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     job: ChildJob = pickle.load(sys.stdin.buffer)  # written by the parent process
-    layout = StateLayout.of(job.plan.config, len(job.plan.adapted))
-    return job, SharedState(job.fd, layout, tip_controller=tip_controller)
+    return job, SharedState(job.fd, job.plan.config, len(job.plan.adapted), tip_controller=tip_controller)
 
 
 def exit_process(status: int) -> NoReturn:

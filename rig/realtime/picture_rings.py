@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.config.schema import RigConfig
 from rig.realtime.ring import RingBuffer, ring_bytes
 from runs.journal.messages import marks_from_bytes, marks_to_bytes
 from runs.records import Picture
@@ -25,13 +26,14 @@ _PICTURE = np.dtype(
 )
 
 
-def view_dtype(corners: int, actuators: int) -> np.dtype[np.void]:
-    """Row type of the live view of one camera frame, with its overlay.
+def view_dtype(config: RigConfig) -> np.dtype[np.void]:
+    """Row type of the live view of one camera frame of a rig, with its overlay.
 
-    Pixels (u, v) of the board's `corners` (the first `found` are valid), of the measured tip and of the model's tip,
+    Pixels (u, v) of the board's corners (the first `found` are valid), of the measured tip and of the model's tip,
     NaN where there is none; `lines_m`: axes of the arm and of its actuators in the rod-base frame; `shape`: of the
     picture.
     """
+    corners = 0 if config.board is None else config.board.corner_count
     return np.dtype(
         [
             ("number", "<i8"),
@@ -42,7 +44,7 @@ def view_dtype(corners: int, actuators: int) -> np.dtype[np.void]:
             ("corners_px", "<f4", (corners, 2)),
             ("tip_px", "<f4", (2,)),
             ("model_px", "<f4", (2,)),
-            ("lines_m", "<f4", (1 + actuators, LINE_POINTS, 3)),
+            ("lines_m", "<f4", (1 + config.actuators, LINE_POINTS, 3)),
         ]
     )
 

@@ -24,7 +24,7 @@ class PreviewPublisher:
     def __init__(self, config: RigConfig, memory: SharedState) -> None:
         self._config, self._memory = config, memory
         self._projectors = [OverlayProjector(config, name, LINE_POINTS) for name in config.cameras]
-        self._row = np.zeros((), view_dtype(memory.layout.corners, memory.layout.actuators))
+        self._row = np.zeros((), view_dtype(config))
 
     def publish(self, frame_set: FrameSet, observer: Observer) -> None:
         """Publish the leading frame of the frame set that the observer has just observed, if there is a viewer.

@@ -9,7 +9,6 @@ import itertools
 import mmap
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Generic, TypeVar
 
@@ -107,40 +106,6 @@ _EVENT = np.dtype([("t_ns", "<i8"), ("level", "S8"), ("source", "S32"), ("messag
 _TEXT_FIELDS = ("source", "message")
 
 
-@dataclass(frozen=True)
-class StateLayout:
-    """Sizes of the shared memory, computed from the rig by every process."""
-
-    actuators: int
-    valves: int
-    picture_bytes: int
-    corners: int
-    cameras: int = 1
-    tracker: bool = False
-    adapted: int = 0
-    inputs: int = 0
-    triggered: bool = False
-    sections: int = 0
-
-    @classmethod
-    def of(cls, config: RigConfig, adapted: int = 0) -> StateLayout:
-        """The layout for one rig and `adapted` estimated parameters. A picture slot holds the largest camera frame."""
-        largest = max((c.width_px * c.height_px for c in config.cameras.values()), default=0)
-        corners = 0 if config.board is None else config.board.corner_count
-        return cls(
-            actuators=config.actuators,
-            valves=len(config.valves),
-            picture_bytes=largest * 3 + 4096,
-            corners=corners,
-            cameras=len(config.cameras),
-            tracker=bool(config.trackers),
-            adapted=adapted,
-            inputs=len(config.inputs),
-            triggered=config.triggered,
-            sections=len(config.sections),
-        )
-
-
 class _Flag(Generic[T]):
     """A typed property of `SharedState` over the field of `flags` of the same name."""
 
@@ -207,62 +172,74 @@ class SharedState:
     unverified_cards = _Flag(int)
     """Cards without read-back, found when the bench was armed."""
 
-    def __init__(self, fd: int, layout: StateLayout, *, readonly: bool = False, tip_controller: bool = False) -> None:
-        """Map the memory; with `readonly` (viewers) the mapping itself is read-only.
+    def __init__(
+        self, fd: int, config: RigConfig, adapted: int = 0, *, readonly: bool = False, tip_controller: bool = False
+    ) -> None:
+        """Map the memory of a run on a rig with `adapted` estimated parameters; viewers map it `readonly`.
 
         With `tip_controller` all is read-only but the pages of the tip controller.
         """
         self.fd = fd
-        self.layout = layout
-        sample = sample_dtype(layout.actuators, layout.valves, layout.inputs)
-        observation = observation_dtype(
-            layout.actuators, layout.cameras, layout.tracker, layout.triggered, layout.sections
+        valves, streamed, view = len(config.valves), streamed_dtype(config.actuators), view_dtype(config)
+        rings = (
+            (sample_dtype(config.actuators, valves, len(config.inputs)), SAMPLES),
+            (
+                observation_dtype(
+                    config.actuators,
+                    len(config.cameras),
+                    bool(config.trackers),
+                    config.triggered,
+                    len(config.sections),
+                ),
+                OBSERVATIONS,
+            ),
+            (adaptation_dtype(adapted), OBSERVATIONS),
+            (tip_control_dtype(valves), PLANS),
+            (streamed, SETPOINTS),
+            (streamed, SETPOINTS),
+            (pulse_dtype(), PULSES),
+            (_EVENT, EVENTS),
         )
-        streamed = streamed_dtype(layout.actuators)
-        view = view_dtype(layout.corners, layout.actuators)
+        # A slot holds the largest picture of a camera, with its marks.
+        slot = max((c.width_px * c.height_px for c in config.cameras.values()), default=0) * 3 + 4096
         sizes = (
             -(-_FLAGS.itemsize // 64) * 64,
-            ring_bytes(sample, SAMPLES),
-            ring_bytes(observation, OBSERVATIONS),
             PictureRing.row_bytes(),
-            layout.picture_bytes * PICTURES,
-            ring_bytes(_EVENT, EVENTS),
+            slot * PICTURES,
             ring_bytes(view, VIEWS),
-            layout.picture_bytes * VIEWS,
-            ring_bytes(adaptation_dtype(layout.adapted), OBSERVATIONS),
-            ring_bytes(tip_control_dtype(layout.valves), PLANS),
-            ring_bytes(streamed, SETPOINTS),
-            ring_bytes(streamed, SETPOINTS),
-            ring_bytes(pulse_dtype(), PULSES),
+            slot * VIEWS,
+            *(ring_bytes(rows, capacity) for rows, capacity in rings),
         )
-        edges = [0, *np.cumsum(sizes).tolist()]
+        edges = [0, *itertools.accumulate(sizes)]
         own_start = -(-edges[-1] // mmap.ALLOCATIONGRANULARITY) * mmap.ALLOCATIONGRANULARITY
-        own_size = _ROW_BYTES + ring_bytes(plan_dtype(layout.valves), PLANS)
+        own_size = _ROW_BYTES + ring_bytes(plan_dtype(valves), PLANS)
         if os.fstat(fd).st_size == 0:
             os.ftruncate(fd, own_start + own_size)
         access = mmap.ACCESS_READ if readonly or tip_controller else mmap.ACCESS_WRITE
         memory = memoryview(mmap.mmap(fd, edges[-1], access=access))
         own_access = mmap.ACCESS_READ if readonly else mmap.ACCESS_WRITE
         own = memoryview(mmap.mmap(fd, own_size, access=own_access, offset=own_start))
-        parts = [memory[a:b] for a, b in itertools.pairwise(edges)]
-        self.flags: NDArray[np.void] = np.frombuffer(parts[0], _FLAGS, 1)
-        self.samples: RingBuffer[np.void] = RingBuffer(parts[1], sample, SAMPLES)
-        self.observations: RingBuffer[np.void] = RingBuffer(parts[2], observation, OBSERVATIONS)
-        self.pictures = PictureRing(parts[3], parts[4], layout.picture_bytes)
-        self._events: RingBuffer[np.void] = RingBuffer(parts[5], _EVENT, EVENTS)
-        self.views = ViewRing(parts[6], parts[7], layout.picture_bytes, view)
-        self.adaptations: RingBuffer[np.void] = RingBuffer(parts[8], adaptation_dtype(layout.adapted), OBSERVATIONS)
-        self.plans: RingBuffer[np.void] = RingBuffer(parts[9], tip_control_dtype(layout.valves), PLANS)
-        self.new_setpoints: RingBuffer[np.void] = RingBuffer(parts[10], streamed, SETPOINTS)
-        self.streamed: RingBuffer[np.void] = RingBuffer(parts[11], streamed, SETPOINTS)
-        self.pulses: RingBuffer[np.void] = RingBuffer(parts[12], pulse_dtype(), PULSES)
-        self.new_plans: RingBuffer[np.void] = RingBuffer(own[_ROW_BYTES:], plan_dtype(layout.valves), PLANS)
+        flags, pictures, picture_slots, views, view_slots, *parts = (memory[a:b] for a, b in itertools.pairwise(edges))
+        self.flags: NDArray[np.void] = np.frombuffer(flags, _FLAGS, 1)
+        self.pictures = PictureRing(pictures, picture_slots, slot)
+        self.views = ViewRing(views, view_slots, slot, view)
+        (
+            self.samples,
+            self.observations,
+            self.adaptations,
+            self.plans,
+            self.new_setpoints,
+            self.streamed,
+            self.pulses,
+            self._events,
+        ) = (RingBuffer[np.void](part, *ring) for part, ring in zip(parts, rings, strict=True))
+        self.new_plans: RingBuffer[np.void] = RingBuffer(own[_ROW_BYTES:], plan_dtype(valves), PLANS)
         self._tip_controller: NDArray[np.void] = np.frombuffer(own, _PROCESS, 1)
 
     @classmethod
-    def create(cls, layout: StateLayout) -> SharedState:
+    def create(cls, config: RigConfig, adapted: int = 0) -> SharedState:
         """Create the memory of a new run, all zero; no prompt is waiting."""
-        memory = cls(os.memfd_create("softrig", 0), layout)
+        memory = cls(os.memfd_create("softrig", 0), config, adapted)
         memory.waiting_prompt = -1
         return memory
 

@@ -15,7 +15,7 @@ from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.operator_session import OperatorSession
 from rig.realtime.process_group import PROCESSES, WATCHDOG_TRIPPED, ProcessGroup
 from rig.realtime.scheduling import PLANNING_NICENESS, REAL_TIME, Scheduling, obtainable, steal_time_ms
-from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, StateLayout, Stop
+from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, Stop
 from rig.realtime.shutdown import Shutdown
 from rig.realtime.timing_limits import TimingProfile, remedies, timing_limits, timing_sentence
 from rig.realtime.tip_controller_monitor import TipControllerMonitor
@@ -81,7 +81,7 @@ class Supervisor:
     ) -> None:
         """`plant` is the simulated plant, if the rig has one; `expected` is the scheduling that can be had."""
         self.timing = timing_limits(plan.config, expected)
-        self.memory = SharedState.create(StateLayout.of(plan.config, len(plan.adapted)))
+        self.memory = SharedState.create(plan.config, len(plan.adapted))
         self.processes = ProcessGroup(plan, self.memory, plant, PERIOD_S)
         self.shutdown = Shutdown(plan.config, self.memory, self.processes)
         self._tip_controller = TipControllerMonitor(self.processes, self.memory)

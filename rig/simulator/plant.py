@@ -20,8 +20,7 @@ from rig.simulator.converter import quantised_output
 from rig.simulator.faults import Faults
 from rig.simulator.faulty_devices import FaultySensors, FaultyValves
 from rig.simulator.pneumatics import STEP_NS
-from rig.simulator.pose_history import pose_among, pose_dtype
-from rig.simulator.tip_pose import TipPose
+from rig.simulator.tip_pose import TipPose, pose_among, pose_dtype
 from rig.valves.iso6358 import ATMOSPHERE_PA
 
 ARM_STEPS = 50

@@ -25,8 +25,7 @@ from rig.config.card_sections import CardConfig
 from rig.hardware.cards.base import CardError, Scans
 from rig.hardware.runtime_folder import open_private, runtime_folder
 from rig.simulator.faults import FAULTS_DTYPE, Faults
-from rig.simulator.pose_history import pose_among, pose_dtype
-from rig.simulator.tip_pose import TipPose
+from rig.simulator.tip_pose import TipPose, pose_among, pose_dtype
 
 MAGIC = b"softrig\0"
 VERSION = 1

@@ -21,7 +21,7 @@ from queue import SimpleQueue
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.hardware.cameras.base import Frame, FrameSet, TriggerMatch
+from rig.hardware.cameras.base import Frame, FrameSet
 from rig.hardware.trackers.base import TrackerReading
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
@@ -64,27 +64,6 @@ class FrameResult:
     observation: bytes
     adaptation: bytes | None
     pictures: list[Picture]
-
-
-@dataclass(frozen=True)
-class _RenderedFrame:
-    """A frame whose picture is in shared memory."""
-
-    index: int
-    t_ns: int
-    shape: tuple[int, int]
-    truth_m: NDArray[np.float64] | None
-    trigger: TriggerMatch | None
-
-
-@dataclass(frozen=True)
-class _RenderedSet:
-    """A frame set whose pictures are in one slot of the shared memory; None is a camera without a frame."""
-
-    index: int
-    due_ns: int
-    slot: int
-    frames: tuple[_RenderedFrame | None, ...]
 
 
 @dataclass(frozen=True)
@@ -257,26 +236,26 @@ def _render(stages: FrameStages, exposures: Connection, pictures: NDArray[np.uin
     """Render batches of frame sets into the slots of the shared memory, in turn."""
     slot = 0
     while True:
-        batch: list[_RenderedSet | _Failure] = []
+        batch: list[tuple[int, FrameSet] | _Failure] = []
         for index, due_ns, exposed in exposures.recv():
             try:
                 frame_set = stages.render(index, due_ns, exposed)
             except Exception as error:
                 rendered.send([*batch, _failure(error)])
                 return
-            heads = tuple(map(_copied, pictures[slot], frame_set.frames))
-            batch.append(_RenderedSet(index, due_ns, slot, heads))
+            without_pictures = tuple(map(_copied, pictures[slot], frame_set.frames))
+            batch.append((slot, replace(frame_set, frames=without_pictures)))
             slot = (slot + 1) % len(pictures)
         rendered.send(batch)
 
 
-def _copied(slot: NDArray[np.uint8], frame: Frame | None) -> _RenderedFrame | None:
-    """Copy the picture of a frame into the shared memory."""
+def _copied(slot: NDArray[np.uint8], frame: Frame | None) -> Frame | None:
+    """Copy the picture of a frame into the shared memory; an empty one of its size stays in the frame."""
     if frame is None:
         return None
     height, width = frame.image.shape
     slot[:height, :width] = frame.image
-    return _RenderedFrame(frame.index, frame.t_ns, (height, width), frame.truth_m, frame.trigger)
+    return replace(frame, image=np.empty((height, width, 0), np.uint8))
 
 
 def _measure(
@@ -293,21 +272,22 @@ def _measure(
             if isinstance(rendered, _Failure):
                 results.send([*batch, rendered])
                 return
-            frames = tuple(map(_in_memory, rendered.frames, pictures[rendered.slot]))
+            slot, frame_set = rendered
+            frames = tuple(map(_in_memory, frame_set.frames, pictures[slot]))
             try:
-                batch.append(stages.measure(FrameSet(rendered.index, frames, rendered.due_ns), at_frame))
+                batch.append(stages.measure(replace(frame_set, frames=frames), at_frame))
             except Exception as error:
                 results.send([*batch, _failure(error)])
                 return
         results.send(batch)
 
 
-def _in_memory(head: _RenderedFrame | None, slot: NDArray[np.uint8]) -> Frame | None:
+def _in_memory(frame: Frame | None, slot: NDArray[np.uint8]) -> Frame | None:
     """A frame whose picture stays in the shared memory."""
-    if head is None:
+    if frame is None:
         return None
-    height, width = head.shape
-    return Frame(head.index, head.t_ns, slot[:height, :width], head.truth_m, head.trigger)
+    height, width, _ = frame.image.shape
+    return replace(frame, image=slot[:height, :width])
 
 
 def _failure(error: Exception) -> _Failure:

@@ -19,7 +19,7 @@ from rig.hardware.bench import open_bench
 from rig.hardware.cards.base import CardError
 from rig.realtime import sampling_clocks
 from rig.realtime.failsafe import force_safe_state
-from rig.realtime.shared_state import SharedState, StateLayout
+from rig.realtime.shared_state import SharedState
 from tests.hardware.kernel_card import CARD, COUNT_V, OpenCard, bipolar
 from tests.hardware.rig_of_the_machine import LOOPED, VALVES
 
@@ -34,7 +34,7 @@ HOLD = (
 
 @pytest.fixture
 def memory() -> Iterator[SharedState]:
-    memory = SharedState.create(StateLayout.of(load(LOOPED)))
+    memory = SharedState.create(load(LOOPED))
     yield memory
     os.close(memory.fd)
 

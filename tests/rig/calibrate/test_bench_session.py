@@ -22,7 +22,7 @@ from rig.hardware.cards.base import CardError
 from rig.hardware.lock import lock_file
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import Scheduling
-from rig.realtime.shared_state import SharedState, StateLayout
+from rig.realtime.shared_state import SharedState
 from rig.realtime.timing_limits import TimingLimits, TimingProfile
 from rig.simulator.registers import Registers
 from tests.support.mock_registers import mock_registers
@@ -33,7 +33,7 @@ TIMING = TimingLimits(TimingProfile.STRICT, control_hung_ns=30_000_000)
 
 @pytest.fixture
 def memory() -> Iterator[SharedState]:
-    memory = SharedState.create(StateLayout.of(rig.config.loader.load("mock")))
+    memory = SharedState.create(rig.config.loader.load("mock"))
     yield memory
     os.close(memory.fd)
 

@@ -14,7 +14,7 @@ import pytest
 import rig.config.loader
 from rig.config.drivers import Finding
 from rig.config.schema import RigConfig
-from rig.doctor import cameras, examine, opencv_camera, realsense_camera
+from rig.doctor import cameras, examine
 from rig.doctor import machine as computer
 
 
@@ -104,7 +104,7 @@ def test_a_camera_that_cannot_be_opened_is_reported_with_the_reason(
 def test_a_missing_camera_is_a_fault_only_if_a_rig_needs_one(plugged: Cameras) -> None:
     (said,) = cameras.cameras(plugged.root)
     assert said.verdict == "note"
-    (said,) = opencv_camera.examine(with_camera("opencv", "/dev/video0"), "front", plugged.root)
+    (said,) = cameras.examine_opencv(with_camera("opencv", "/dev/video0"), "front", plugged.root)
     assert (said.topic, said.verdict) == ("rig's camera front", "missing")
     assert said.found == "/dev/video0 does not exist (video devices present: none)"
 
@@ -112,7 +112,7 @@ def test_a_missing_camera_is_a_fault_only_if_a_rig_needs_one(plugged: Cameras) -
 @pytest.mark.parametrize("device", ["/dev/video2", 2])
 def test_a_camera_of_the_rig_that_is_present_is_named(plugged: Cameras, device: str | int) -> None:
     plugged.add("video2", "HD Webcam", 0x04200001)
-    (said,) = opencv_camera.examine(with_camera("opencv", device), "front", plugged.root)
+    (said,) = cameras.examine_opencv(with_camera("opencv", device), "front", plugged.root)
     assert said == Finding("rig's camera front", "ok", "/dev/video2: HD Webcam")
 
 
@@ -121,21 +121,21 @@ def test_a_camera_may_be_named_by_its_persistent_path(plugged: Cameras) -> None:
     steady = plugged.root / "dev/v4l/by-id"
     steady.mkdir(parents=True)
     (steady / "usb-webcam-index0").symlink_to("../../video2")
-    (said,) = opencv_camera.examine(with_camera("opencv", "/dev/v4l/by-id/usb-webcam-index0"), "front", plugged.root)
+    (said,) = cameras.examine_opencv(with_camera("opencv", "/dev/v4l/by-id/usb-webcam-index0"), "front", plugged.root)
     assert said == Finding("rig's camera front", "ok", "/dev/v4l/by-id/usb-webcam-index0: HD Webcam")
 
 
 def test_a_rig_that_names_a_device_without_pictures_is_reported(plugged: Cameras) -> None:
     plugged.add("video3", "HD Webcam", 0x04A00000)
-    (said,) = opencv_camera.examine(with_camera("opencv", "/dev/video3"), "front", plugged.root)
+    (said,) = cameras.examine_opencv(with_camera("opencv", "/dev/video3"), "front", plugged.root)
     assert said.verdict == "missing"
     assert "gives no pictures" in said.found
 
 
 def test_a_rigs_recording_needs_no_camera(plugged: Cameras, tmp_path: Path) -> None:
-    (said,) = opencv_camera.examine(with_camera("opencv", str(tmp_path)), "front", plugged.root)
+    (said,) = cameras.examine_opencv(with_camera("opencv", str(tmp_path)), "front", plugged.root)
     assert said.verdict == "ok"
-    (said,) = opencv_camera.examine(with_camera("opencv", str(tmp_path / "gone.mp4")), "front", plugged.root)
+    (said,) = cameras.examine_opencv(with_camera("opencv", str(tmp_path / "gone.mp4")), "front", plugged.root)
     assert (said.verdict, said.found) == ("missing", f"recording {tmp_path / 'gone.mp4'} does not exist")
 
 
@@ -160,11 +160,11 @@ class RealSense:
 
 def test_a_realsense_is_searched_by_its_serial_number(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    (said,) = realsense_camera.examine(with_camera("realsense", "any"), "front")
+    (said,) = cameras.examine_realsense(with_camera("realsense", "any"), "front")
     assert (said.verdict, said.remedy) == ("missing", "pip install pyrealsense2")
     monkeypatch.setitem(sys.modules, "pyrealsense2", RealSense("1234"))
     assert [
-        realsense_camera.examine(with_camera("realsense", device), "front")[0].verdict
+        cameras.examine_realsense(with_camera("realsense", device), "front")[0].verdict
         for device in ("any", "1234", "999")
     ] == ["ok", "ok", "missing"]
 

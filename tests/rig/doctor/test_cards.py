@@ -9,7 +9,7 @@ import pytest
 
 import rig.config.loader
 from rig.config.drivers import Finding
-from rig.doctor import cards, comedi_card
+from rig.doctor import cards
 from rig.doctor.devices import rig_devices
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.comedi_survey import ComediCardSurvey, SubdeviceSurvey
@@ -290,8 +290,8 @@ class OpenCard:
 
 
 def test_the_free_outputs_of_a_sufficient_card_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(comedi_card, "ComediCard", OpenCard)
-    (said,) = comedi_card.examine(rig.config.loader.load("pci1716"), "daq")
+    monkeypatch.setattr(cards, "ComediCard", OpenCard)
+    (said,) = cards.examine_comedi(rig.config.loader.load("pci1716"), "daq")
     assert said.verdict == "ok"
     assert "2 of 2 outputs used, none left" in said.found
 
@@ -300,19 +300,19 @@ def test_a_missing_output_is_reported_with_the_message_of_the_card(monkeypatch: 
     def lacks(setup: object) -> OpenCard:
         raise CardError("pci1716 has 2 analogue outputs (0 to 1): there is no output 2")
 
-    monkeypatch.setattr(comedi_card, "ComediCard", lacks)
-    (said,) = comedi_card.examine(rig.config.loader.load("pci1716"), "daq")
+    monkeypatch.setattr(cards, "ComediCard", lacks)
+    (said,) = cards.examine_comedi(rig.config.loader.load("pci1716"), "daq")
     assert said.verdict == "missing"
     assert "there is no output 2" in said.found
     assert "another card" in said.remedy
 
 
 def test_a_valve_that_0_v_opens_to_the_supply_is_pointed_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(comedi_card, "ComediCard", OpenCard)
+    monkeypatch.setattr(cards, "ComediCard", OpenCard)
     text = rig.config.loader.text("pci1716").replace(
         "    dead_zone_V: 0.4\n", "    dead_zone_V: 0.4\n    fills: below\n", 1
     )
-    _, said = comedi_card.examine(rig.config.loader.parse(text, "rig.yaml"), "daq")
+    _, said = cards.examine_comedi(rig.config.loader.parse(text, "rig.yaml"), "daq")
     assert said.topic == "rig's valve 1"
     assert "FILLS" in said.found
     assert "port 4" in said.remedy

@@ -19,7 +19,7 @@ from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import Scans
 from rig.realtime import sampling_clocks
-from rig.realtime.shared_state import SharedState, StateLayout
+from rig.realtime.shared_state import SharedState
 from runs.archive.writer import finalise
 from runs.records import RunFooter, Status
 from runs.summary import summarise
@@ -66,7 +66,7 @@ def two_cards() -> RigConfig:
 
 @pytest.fixture
 def memory(two_cards: RigConfig) -> Iterator[SharedState]:
-    memory = SharedState.create(StateLayout.of(two_cards))
+    memory = SharedState.create(two_cards)
     yield memory
     os.close(memory.fd)
 

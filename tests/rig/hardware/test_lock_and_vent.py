@@ -26,7 +26,7 @@ from rig.hardware.lock import cards_locked, holders, lock_file
 from rig.hardware.safe_state import SafeOutputs, open_outputs
 from rig.hardware.vent import vent
 from rig.realtime import control_process as control
-from rig.realtime.shared_state import SharedState, StateLayout
+from rig.realtime.shared_state import SharedState
 from rig.simulator.mock_card import MockCard
 from rig.simulator.registers import Registers
 from tests.support.mock_registers import mock_registers
@@ -138,7 +138,7 @@ def test_outputs_that_do_not_read_back_vented_are_not_called_vented(
 def test_control_that_stalled_within_a_cycle_does_not_overwrite_a_venting(
     config: RigConfig, registers: Registers, stands_v: float, vented: bool
 ) -> None:
-    memory = SharedState.create(StateLayout.of(config))
+    memory = SharedState.create(config)
     bench = open_bench(config)
     own = control.GuardedOutputs(bench, memory)
     own.write(np.array([6.0, 7.0]))
@@ -155,7 +155,7 @@ def test_control_that_stalled_within_a_cycle_does_not_overwrite_a_venting(
 def test_writes_of_the_own_watchdog_are_neither_overwritten_nor_taken_for_foreign_ones(
     config: RigConfig, registers: Registers, flags: dict[str, int]
 ) -> None:
-    memory = SharedState.create(StateLayout.of(config))
+    memory = SharedState.create(config)
     bench = open_bench(config)
     own = control.GuardedOutputs(bench, memory)
     own.write(np.array([6.0, 7.0]))

@@ -21,7 +21,7 @@ from rig.hardware.cards.base import CardBusyError
 from rig.hardware.safe_state import WatchdogOutputs, open_outputs
 from rig.realtime.child_process import ChildJob, ended_within, spawn
 from rig.realtime.failsafe import force_safe_state
-from rig.realtime.shared_state import SharedState, Stage, StateLayout
+from rig.realtime.shared_state import SharedState, Stage
 from rig.simulator.registers import Registers, path_of
 from runs.records import Status
 from scripts.rig_process import BRIEF, SHORT, rig_run, with_one_opener
@@ -119,7 +119,7 @@ def test_the_watchdog_does_not_open_a_card_that_has_no_outputs(device: str) -> N
 def test_the_failsafe_ends_the_process_that_has_the_card(
     config: RigConfig, device: str, holder: subprocess.Popen[str]
 ) -> None:
-    memory = SharedState.create(StateLayout.of(config))
+    memory = SharedState.create(config)
     memory.control_pid = holder.pid
     assert force_safe_state(config, memory) == ""
     assert volts(device) == [0.0, 0.0]
@@ -147,7 +147,7 @@ def test_a_hung_holder_of_the_card_is_ended_though_another_process_is_monitored(
     config: RigConfig, device: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """As in a calibration, which drives the valves in the operator's own command."""
-    memory = SharedState.create(StateLayout.of(config))
+    memory = SharedState.create(config)
     nothing = SetPointTrajectory(0.0, config.actuators, (), (), "")
     plan = RunPlan(config, tmp_path / "rig.yaml", nothing, config.model.variant, 0)
     plan.rig_file.write_text(rig_text(device))

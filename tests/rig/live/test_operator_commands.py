@@ -26,7 +26,7 @@ from rig.live.client_session import ClientSession, connect, running_runs
 from rig.realtime.control_socket import ControlSocket, socket_paths
 from rig.realtime.operator_commands import CommandHandler, CommandKind, CommandResult, OperatorCommand, user_name
 from rig.realtime.picture_rings import view_dtype
-from rig.realtime.shared_state import SharedState, StateLayout, Stop
+from rig.realtime.shared_state import SharedState, Stop
 from rig.realtime.stream_receiver import StreamReceiver
 from runs.records import Event, Level, Status
 
@@ -69,7 +69,7 @@ def plan() -> experiment.Plan:
 @pytest.fixture
 def memory(plan: experiment.Plan) -> SharedState:
     """The memory of a run that has not begun."""
-    return SharedState.create(StateLayout.of(plan.config))
+    return SharedState.create(plan.config)
 
 
 def test_pause_and_resume_set_the_flag_that_control_obeys_and_are_refused_twice(
@@ -295,12 +295,12 @@ def test_a_folder_that_others_can_enter_is_not_used(tmp_path: Path, monkeypatch:
         socket_paths()
 
 
-def test_events_and_views_reach_a_reader_complete(memory: SharedState) -> None:
+def test_events_and_views_reach_a_reader_complete(plan: experiment.Plan, memory: SharedState) -> None:
     event = Event(7, Level.WARNING, "operator", "paused by ada: Grüße")
     memory.push_event(event)
     assert memory.read_events() == [event]
     assert memory.views.newest() is None
-    row = np.zeros((), view_dtype(memory.layout.corners, memory.layout.actuators))
+    row = np.zeros((), view_dtype(plan.config))
     for n in range(6):
         row["frame"], row["shape"] = n, (4, 5, 1)
         memory.views.push(row, np.full((4, 5), n, np.uint8))

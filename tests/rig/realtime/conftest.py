@@ -12,7 +12,7 @@ from rig.execution.plan import NullOperator, RunPlan
 from rig.experiment import run as experiment
 from rig.realtime import supervisor
 from rig.realtime.process_group import ProcessGroup
-from rig.realtime.shared_state import SharedState, StateLayout
+from rig.realtime.shared_state import SharedState
 from rig.simulator.registers import Registers
 from tests.support.mock_registers import mock_registers
 
@@ -24,7 +24,7 @@ def plan() -> RunPlan:
 
 @pytest.fixture
 def memory(plan: RunPlan) -> Iterator[SharedState]:
-    memory = SharedState.create(StateLayout.of(plan.config))
+    memory = SharedState.create(plan.config)
     yield memory
     os.close(memory.fd)
 

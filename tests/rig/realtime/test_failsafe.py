@@ -26,7 +26,7 @@ from rig.realtime.child_process import ChildJob, await_device_access, ended_with
 from rig.realtime.failsafe import FailsafeThread, force_safe_state
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import Scheduling
-from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
+from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import TimingLimits, TimingProfile
 from rig.simulator import plant_launcher
 from rig.simulator.registers import Registers, path_of
@@ -58,7 +58,7 @@ def config(registers: Registers) -> RigConfig:
 
 @pytest.fixture
 def memory(config: RigConfig) -> Iterator[SharedState]:
-    memory = SharedState.create(StateLayout.of(config))
+    memory = SharedState.create(config)
     memory.heartbeat("supervisor", time.monotonic_ns())
     yield memory
     os.close(memory.fd)

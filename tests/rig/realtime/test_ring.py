@@ -7,9 +7,10 @@ import time
 import numpy as np
 import pytest
 
+from rig.config.loader import load
 from rig.realtime.picture_rings import PICTURES
 from rig.realtime.ring import RingBuffer, ring_bytes
-from rig.realtime.shared_state import SharedState, StateLayout
+from rig.realtime.shared_state import SharedState
 from runs.records import Picture
 
 ROW = np.dtype([("n", "<i8"), ("copies", "<i8", (64,))])
@@ -104,7 +105,7 @@ class Interrupted(list[str]):
 
 
 def test_a_picture_that_is_overwritten_while_it_is_read_is_lost_and_not_another_ones() -> None:
-    memory = SharedState.create(StateLayout(1, 1, 4096, 1))
+    memory = SharedState.create(load("mock"))
     for number in range(10):
         memory.pictures.push(Picture(number, number, "front", "jpeg", bytes([number]) * 100))
     got = memory.pictures.read(Interrupted(memory, PICTURES - 6), "jpeg")

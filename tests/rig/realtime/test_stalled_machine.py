@@ -17,7 +17,7 @@ from rig.realtime import process_group
 from rig.realtime.health_monitor import HealthMonitor
 from rig.realtime.process_group import ProcessGroup
 from rig.realtime.scheduling import HeartbeatMonitor
-from rig.realtime.shared_state import SharedState, Stage, StateLayout
+from rig.realtime.shared_state import SharedState, Stage
 from rig.realtime.timing_limits import TimingLimits, TimingProfile
 from rig.simulator import mock_camera
 from rig.simulator.mock_camera import MockCamera
@@ -118,7 +118,7 @@ def test_the_supervisor_blames_no_process_for_a_stall_unless_it_stays_silent_aft
     moving: RunPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     timing, now = TimingLimits(TimingProfile.STRICT, control_hung_ns=30 * MS), 10**9
-    memory = SharedState.create(StateLayout.of(moving.config))
+    memory = SharedState.create(moving.config)
     processes = ProcessGroup(moving, memory, None, 20 * MS * 1e-9)
     memory.publish_stage("control", Stage.RUNNING)
     monkeypatch.setattr(process_group.time, "monotonic_ns", lambda: now)

@@ -25,7 +25,7 @@ from rig.realtime import child_process, control_process, process_group, shutdown
 from rig.realtime.child_process import ChildJob
 from rig.realtime.control_socket import ControlSocket, socket_of, socket_paths
 from rig.realtime.process_group import ProcessGroup
-from rig.realtime.shared_state import SharedState, Stage, StateLayout, Stop
+from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.stream_receiver import StreamReceiver
 from rig.realtime.timing_limits import TimingLimits, TimingProfile
 from rig.simulator.plant_launcher import Simulation
@@ -143,7 +143,7 @@ def test_a_job_larger_than_a_pipe_is_handed_over_before_the_child_reads_it(
     loading.chmod(0o700)
     monkeypatch.setattr(child_process.sys, "executable", str(loading))
     long = replace(plan, trajectory=replace(plan.trajectory, source="x" * 1_000_000))
-    memory = SharedState.create(StateLayout.of(plan.config))
+    memory = SharedState.create(plan.config)
     process = child_process.spawn("rig.realtime.control_process", ChildJob(long, memory.fd, os.getpid()))
     assert process.poll() is None
     with Path(f"/proc/{process.pid}/fd/0").open("rb") as told:
@@ -155,7 +155,7 @@ def test_a_job_larger_than_a_pipe_is_handed_over_before_the_child_reads_it(
 
 @pytest.mark.parametrize("name", ["watchdog", "control", "observer"])
 def test_a_process_stopped_before_its_start_takes_its_job_and_exits(plan: RunPlan, name: str) -> None:
-    memory = SharedState.create(StateLayout.of(plan.config))
+    memory = SharedState.create(plan.config)
     memory.simulator_starting = 1
     memory.request_stop(Stop.SAFE)
     process = child_process.spawn(f"rig.realtime.{name}_process", ChildJob(plan, memory.fd, os.getpid()))
@@ -190,7 +190,7 @@ def test_control_sockets_of_killed_runs_are_removed_and_others_kept(
     plan: RunPlan, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(runtime_folder, "BASE", tmp_path)
-    memory = SharedState.create(StateLayout.of(plan.config))
+    memory = SharedState.create(plan.config)
     with (
         socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as left,
         socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as going,

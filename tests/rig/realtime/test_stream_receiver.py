@@ -9,7 +9,7 @@ import pytest
 import protocols
 from rig.config.loader import load, path_of
 from rig.execution.plan import RunPlan
-from rig.realtime.shared_state import SharedState, StateLayout
+from rig.realtime.shared_state import SharedState
 from rig.realtime.stream_receiver import MOST_SEQUENCE, StreamReceiver
 from runs.columns import StreamStatus
 from runs.records import Level
@@ -25,7 +25,7 @@ class Received:
         steps = [{"stream": {"actuators": [1, 2, 3], "duration_s": 20}}]
         trajectory = protocols.from_steps("t", steps).expand(3)
         plan = RunPlan(config, path_of("mock-3"), trajectory, config.model.variant, 0)
-        self.memory = SharedState.create(StateLayout.of(config))
+        self.memory = SharedState.create(config)
         self.memory.start_ns, self.memory.protocol_s = 1, 1.0
         self.events: list[tuple[Level, str]] = []
         self.receiver = StreamReceiver(plan, self.memory, lambda level, _, text: self.events.append((level, text)))

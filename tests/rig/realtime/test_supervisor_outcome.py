@@ -23,7 +23,7 @@ from rig.realtime.child_process import ChildJob
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.process_group import ProcessFault, ProcessGroup
 from rig.realtime.scheduling import Scheduling
-from rig.realtime.shared_state import SETPOINTS, SharedState, Stage, StateLayout, Stop
+from rig.realtime.shared_state import SETPOINTS, SharedState, Stage, Stop
 from rig.realtime.timing_limits import TimingLimits
 from rig.simulator.registers import Registers
 from runs.journal.append_only_file import JournalError
@@ -77,7 +77,7 @@ def recorded(parent: supervisor.Supervisor, plan: RunPlan, journal: Recorder | N
 
 
 def test_rows_that_were_overwritten_before_they_were_recorded_are_counted(own_plan: RunPlan) -> None:
-    memory = SharedState.create(StateLayout.of(own_plan.config))
+    memory = SharedState.create(own_plan.config)
     recorder = DataRecorder(own_plan.config, memory, Unwritten(), NullOperator())
     for _ in range(SETPOINTS + 99):
         memory.streamed.push(np.zeros((), streamed_dtype(own_plan.config.actuators)))
@@ -91,7 +91,7 @@ def test_rows_that_were_overwritten_before_they_were_recorded_are_counted(own_pl
 def test_an_error_in_control_is_reported_by_name_and_the_valves_are_safe(
     own_plan: RunPlan, registers: Registers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    memory = SharedState.create(StateLayout.of(own_plan.config))
+    memory = SharedState.create(own_plan.config)
     memory.publish_stage("watchdog", Stage.READY)
 
     def fails(*_: object) -> None:

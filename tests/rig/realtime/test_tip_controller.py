@@ -13,7 +13,7 @@ import pytest
 import runs
 from rig.config.loader import load
 from rig.realtime.scheduling import Scheduling, obtainable
-from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, StateLayout
+from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage
 from rig.simulator.faults import CameraFault
 from rig.simulator.registers import Registers
 from rig.tip_control.plan_record import MOST_POINTS, StampedPlan, plan_dtype, record_of
@@ -65,9 +65,9 @@ def messages(archive: Run) -> str:
 
 
 def test_the_tip_controller_can_write_to_nothing_but_its_own_pages() -> None:
-    layout = StateLayout.of(load("mock-3"))
-    memory = SharedState.create(layout)
-    own = SharedState(memory.fd, layout, tip_controller=True)
+    config = load("mock-3")
+    memory = SharedState.create(config)
+    own = SharedState(memory.fd, config, tip_controller=True)
     row = blank((), tip_control_dtype(3))
     for forbidden in (
         lambda: setattr(own, "safe_ns", 1),

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from model.statics import statics
 from rig.config.arm_model import model_arm, true_arm
 from rig.simulator.plant import Plant
-from rig.simulator.pose_history import pose_among, pose_dtype
+from rig.simulator.tip_pose import pose_among, pose_dtype
 from tests.support.plant_bench import mock_rig
 
 BORE_M2 = math.pi * 9.5e-3**2
