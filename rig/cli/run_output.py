@@ -21,8 +21,8 @@ from rig.execution.plan import RunPlan
 from rig.experiment.preflight import peak_pa, trough_pa
 from rig.experiment.run import RunRequest, RunResult
 from rig.hardware.safe_state import safe_outputs
-from rig.realtime.scheduling import obtainable
-from rig.realtime.timing_limits import has_real_valves, remedies, timing_sentence
+from rig.realtime.scheduling import obtainable, remedies
+from rig.realtime.timing_limits import has_real_valves, timing_sentence
 from runs.printable_text import printable
 from runs.records import Status
 

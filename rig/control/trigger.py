@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
+from rig.hardware.safe_state import SafeOutputs
 from runs.records import blank, pulse_dtype
 
 PAUSE_FRAMES = 2
 """Frame periods without a pulse before a run begins: a camera that exposes by its own clock shows itself there."""
 
 
-class TriggerOutput(Protocol):
-    """What the trigger needs of a bench."""
-
-    def write_trigger(self, *, high: bool) -> None:
-        """Set the digital outputs that trigger the cameras."""
-
-
 class TriggerPulses:
     """Pulses of the camera trigger: one per frame period. Jitter shortens an interval by one control period at most."""
 
-    def __init__(self, config: RigConfig, output: TriggerOutput, clock: Callable[[], int]) -> None:
+    def __init__(self, config: RigConfig, outputs: SafeOutputs, clock: Callable[[], int]) -> None:
         """`clock` returns the time [ns]; the edge of a pulse is stamped by it before and after the write."""
         camera = next(iter(config.cameras.values()))
         assert camera.trigger is not None
@@ -33,7 +26,7 @@ class TriggerPulses:
         self._cycles = round(rate_hz / camera.rate_hz)
         self._width = 1 if width_ms is None else round(width_ms * 1e-3 * rate_hz)
         self._cycle_ns = round(1e9 / rate_hz)
-        self._output, self._clock = output, clock
+        self._outputs, self._clock = outputs, clock
         self._row: NDArray[np.void] = blank((), pulse_dtype())
         self._due: int | None = None
         self._falls = self._pulse = self._quiet_until_ns = self._rise_ns = 0
@@ -49,14 +42,14 @@ class TriggerPulses:
             CardError: the output cannot be written.
         """
         if self._high and number >= self._falls:
-            self._output.write_trigger(high=False)
+            self._outputs.write_trigger(high=False)
             self._high = False
         if self._due is not None and number < self._due:
             return None
         before_ns = self._clock()
         if before_ns < self._quiet_until_ns:
             return None
-        self._output.write_trigger(high=True)
+        self._outputs.write_trigger(high=True)
         after_ns = self._clock()
         self._high, self._rise_ns = True, (before_ns + after_ns) // 2
         # A write that took long delays the next pulse, too: a camera that is still busy takes none.

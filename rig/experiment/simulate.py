@@ -16,7 +16,7 @@ from model.statics import statics
 from rig.config.arm_model import TipLoad, model_arm
 from rig.execution.plan import RunPlan
 from rig.experiment.run import RunRequest, header
-from rig.observation.motion_model import motion_model
+from rig.observation.live_model import motion_model
 from rig.observation.observer import observations_of
 from rig.observation.overlay import backbone
 from runs.archive.writer import finalise

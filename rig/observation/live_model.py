@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Protocol
 
@@ -12,7 +13,6 @@ import model
 from model.dynamics import Dynamics
 from model.statics import statics
 from rig.hardware.cameras.base import FrameSet
-from rig.observation.motion_model import motion_model
 from rig.observation.sample_interpolator import SampleInterpolator
 
 Floats = NDArray[np.float64]
@@ -33,6 +33,16 @@ def live_model(arm: model.Arm, period_s: float, static: bool) -> LiveModel:
     """The model of an arm that is observed every `period_s`; with `static` one without dynamics, where possible."""
     dynamics = motion_model(arm, period_s, static)
     return _StaticModel(arm) if dynamics is None else DynamicModel(dynamics, period_s, arm.remembers)
+
+
+def motion_model(arm: model.Arm, dt_s: float, static: bool) -> Dynamics | None:
+    """Return the stepper of an arm [s]; None where each prediction is a static solution.
+
+    A static arm that remembers moves without inertia.
+    """
+    if not static:
+        return Dynamics(arm, dt_s)
+    return Dynamics(replace(arm, inertia=False), dt_s) if arm.remembers else None
 
 
 class _StaticModel:

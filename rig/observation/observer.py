@@ -18,9 +18,9 @@ from rig.config.sections import Variant
 from rig.hardware.cameras.base import FrameSet
 from rig.hardware.trackers.base import TrackerReading
 from rig.observation.live_model import live_model
+from rig.observation.multi_camera import MultiCameraTipEstimator
 from rig.observation.overlay import backbone
 from rig.observation.sample_interpolator import SampleInterpolator
-from rig.observation.sections import SectionObserver
 from rig.observation.single_camera import TipMeasurement
 from rig.observation.tip_estimator import tip_estimator
 from rig.observation.tip_force import MeasuredTipForce
@@ -145,6 +145,26 @@ class Observer:
         row["predicted_m"] = self._reference.predicted_m([t_s])[0]
         row["learned_m"] = self._reference.learned_m([t_s])[0]
         row["tip_motion"], row["tip_period"] = self._reference.motion_and_period(t_s)
+
+
+class SectionObserver:
+    """The measured sections of the arm: each has a board of its own, which is measured as that of the tip is."""
+
+    def __init__(self, config: RigConfig) -> None:
+        self._estimators = [MultiCameraTipEstimator(config.with_board_of(name)) for name in config.sections]
+        self._s_m = np.array([section.at_mm * 1e-3 for section in config.sections.values()])
+
+    def observe(self, row: NDArray[np.void], frame_set: FrameSet, shape: model.Shape | None) -> None:
+        """Measure the sections in the next frame set; `shape` is the model's, None without convergence."""
+        for k, estimator in enumerate(self._estimators):
+            found = estimator.measure(frame_set)
+            row["section_seen"][k] = found.seen
+            row["section_m"][k], row["section_covariance_m2"][k] = found.tip_m, found.covariance_m2
+            row["section_orientation_rad"][k] = found.rotation_vector
+            row["section_orientation_covariance_rad2"][k] = found.pose_covariance[3:, 3:]
+            row["section_reprojection_px"][k] = found.reprojection_px
+        if shape is not None:
+            row["section_model_m"] = shape.frames_at(self._s_m)[0]
 
 
 def _set_clock(row: NDArray[np.void], reading: TrackerReading) -> None:

@@ -1,8 +1,7 @@
-"""Overlay of one frame: the board and both tips in the picture, the arm's lines in space."""
+"""Overlay of one frame: the board, both tips and the backbone in the picture, the arm's lines in space."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -11,57 +10,26 @@ from numpy.typing import NDArray
 import model
 from rig.config.optics import camera_in_base, lens_of
 from rig.config.schema import RigConfig
-from rig.observation.single_camera import TipMeasurement
 from runs.records import BACKBONE_POINTS, ImageAnnotations
 
 Floats = NDArray[np.float64]
 _NOWHERE = np.zeros(3)
 
 
-@dataclass(frozen=True)
-class Overlay:
-    """Pixels of the corners (n, 2) and of the measured and the model's tip (2,); NaN where there is none.
-
-    `lines_m` (1 + N, points, 3): the arm's axis and its N actuators' in the rod-base frame.
-    """
-
-    corners_px: Floats
-    tip_px: Floats
-    model_px: Floats
-    lines_m: Floats
-
-
 class OverlayProjector:
     """Projects measurements and the arm into one camera of a rig."""
 
-    def __init__(self, config: RigConfig, camera: str, points: int) -> None:
-        """`points` along each line."""
+    def __init__(self, config: RigConfig, camera: str) -> None:
         self._lens = lens_of(config.cameras[camera])
         self._base_in_camera = camera_in_base(config.cameras[camera]).inverse()
-        self._config, self._points = config, points
-
-    def project(self, measurement: TipMeasurement, shape: model.Shape | None) -> Overlay:
-        """Return the overlay of a frame from its measurement and the modelled shape (None without convergence)."""
-        corners = measurement.corners_px
-        return Overlay(
-            corners_px=np.empty((0, 2)) if corners is None else corners[np.isfinite(corners).all(axis=1)],
-            tip_px=self.pixel(measurement.tip_m),
-            model_px=self.pixel(np.full(3, np.nan) if shape is None else shape.tip_m),
-            lines_m=arm_lines(self._config, shape, self._points),
-        )
 
     def annotations(self, corners_px: Floats | None, tip_m: Floats, shape: model.Shape | None) -> ImageAnnotations:
-        """Return the annotations of a stored picture: the board's corners, both tips and the backbone."""
+        """Return the annotations of a picture: the board's corners, both tips and the backbone."""
         line = backbone(shape)
         points = self.pixels(np.vstack([tip_m, np.full(3, np.nan) if shape is None else shape.tip_m, line]))
         return ImageAnnotations.of(
             np.empty((0, 2)) if corners_px is None else corners_px, points[0], points[1], points[2:]
         )
-
-    def pixel(self, point_m: Floats) -> Floats:
-        """Project a point (3,) of the rod-base frame to the picture (2,); NaN behind the camera."""
-        pixel: Floats = self.pixels(point_m[None])[0]
-        return pixel
 
     def pixels(self, points_m: Floats) -> Floats:
         """Project points (n, 3) of the rod-base frame to the picture (n, 2); NaN behind the camera."""

@@ -19,7 +19,7 @@ class PictureRecorder:
 
     def __init__(self, config: RigConfig) -> None:
         self._recording = config.recording
-        self._projectors = {name: OverlayProjector(config, name, points=2) for name in config.cameras}
+        self._projectors = {name: OverlayProjector(config, name) for name in config.cameras}
         self._lost = False
         self._last_loss: int | None = None
 

@@ -6,13 +6,12 @@ No such condition moves a valve, so none stops the run: the record marks the aff
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.realtime.repeated_warnings import SHARE_TIME_CONSTANT_S, Condition, Losses, RepeatedWarning
+from rig.realtime.repeated_warnings import SHARE_TIME_CONSTANT_S, Condition, Losses, RepeatedWarning, warning_event
 from runs.records import DATAGRAM_COUNTS, DetectionStatus, Event, SolveStatus
 
 LATE_S = 0.25
@@ -36,17 +35,6 @@ _CAUSES = {
 }
 
 
-@dataclass(frozen=True)
-class _TipSource:
-    """What measures the tip, and what it gives."""
-
-    source: str
-    items: str
-
-
-_CAMERA, _TRACKER = _TipSource("the camera", "pictures"), _TipSource("the tracker", "poses")
-
-
 class HealthMonitor:
     """Monitors the recorded rows and reports when a condition begins and when it ends."""
 
@@ -56,17 +44,17 @@ class HealthMonitor:
         self._repeated: list[Condition | RepeatedWarning] = []
         self._cycle_s = 1 / config.control.rate_hz
         self._frame_s = 1 / config.observation_hz
+        self._tip_source, self._items = ("the tracker", "poses") if config.trackers else ("the camera", "pictures")
         self._unmeasured, self._unsolved = self._condition(0.3), self._condition(0.3)
         self._dropping, self._late = self._condition(0.3), self._condition(0.3)
         self._missing = self._condition(0.05, "control")
         self._wrong_rate, self._interval_s, self._frame_t_ns = self._condition(0.5), self._frame_s, 0
         cameras = config.cameras if len(config.cameras) > 1 else ()
         self._cameras = [(name, self._condition(0.3)) for name in cameras]
-        self._tip_source = _TRACKER if config.trackers else _CAMERA
         self._counted = dict.fromkeys(DATAGRAM_COUNTS, 0)
         self._clock_steps = self._warning("observer")
         self._drifting = self._condition(DRIFTING)
-        self._largest_drift = config.tracker.largest_drift_ppm * 1e-6 if config.tracker is not None else np.inf
+        self._largest_drift = None if config.tracker is None else config.tracker.largest_drift_ppm * 1e-6
         self._sections = [(name, self._condition(0.3)) for name in config.sections]
         self._inputs = [(name, self._condition(0.05, "card")) for name in config.inputs]
         self._triggered = {name: 0 for name, camera in config.cameras.items() if camera.trigger is not None}
@@ -95,14 +83,12 @@ class HealthMonitor:
     def samples(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of control cycles (n,) of `runs.records.sample_dtype`, in order of time."""
         for row in rows:
-            missed, t_ns = int(row["missed"]), int(row["t_ns"])
-            stall = ""
-            if row["lateness_ns"] > CONTROL_STALL_S * 1e9:
-                stall = (
-                    f"control stalled for {row['lateness_ns'] * 1e-9:.2f} s, the valves at their last outputs; "
-                    "the pressures return to their set-points within the rate limit"
-                )
-            yield from self._control_stalls.events(t_ns, stall)
+            missed, t_ns, late_s = int(row["missed"]), int(row["t_ns"]), row["lateness_ns"] * 1e-9
+            stall = (
+                f"control stalled for {late_s:.2f} s, the valves at their last outputs; "
+                "the pressures return to their set-points within the rate limit"
+            )
+            yield from self._control_stalls.events(t_ns, stall if late_s > CONTROL_STALL_S else "")
             yield from self._missing.events(
                 t_ns,
                 self._cycle_s * (missed + 1),
@@ -110,53 +96,19 @@ class HealthMonitor:
                 "{share} of the deadlines are missed: the machine is too busy",
                 "deadlines are met again",
             )
-            if self._inputs:
-                yield from self._input_outside(row)
+            for (name, condition), value in zip(self._inputs, row["aux"] if self._inputs else (), strict=True):
+                warning = f"input {name} is outside its span_V and recorded as NaN: is the sensor or its wire broken?"
+                recovery = f"input {name} is inside its span_V again"
+                yield from condition.events(t_ns, self._cycle_s, float(np.isnan(value)), warning, recovery)
 
     def observations(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of camera frames (n,) of `runs.records.observation_dtype`, in order of time."""
         for row in rows:
-            t_ns, seen, dropped = int(row["t_ns"]), DetectionStatus(int(row["seen"])), int(row["dropped"])
-            tip_source = self._tip_source
-            camera = seen is not DetectionStatus.NO_CAMERA
-            age_s = row["age_ns"] * 1e-9
-            old = (
-                f"{tip_source.items} are {age_s:.2f} s old when they are measured"
-                if camera
-                else f"predictions are {age_s:.2f} s late"
-            )
-            judged = (
-                (
-                    self._unmeasured,
-                    float(camera and seen is not DetectionStatus.MEASURED),
-                    f"the tip is not measured: {_CAUSES.get(seen, seen.name)}",
-                    "the tip is measured again",
-                ),
-                (
-                    self._unsolved,
-                    float(not row["model_ok"]),
-                    "the model cannot be solved for these pressures: its tip is the last good one",
-                    "the model is solved again",
-                ),
-                (
-                    self._dropping,
-                    dropped / (dropped + 1),
-                    f"{tip_source.source} drops {tip_source.items}",
-                    f"all {tip_source.items} of {tip_source.source} come again",
-                ),
-                (
-                    self._late,
-                    float(age_s > LATE_S),
-                    old,
-                    f"{tip_source.items} come in time again" if camera else "predictions come in time again",
-                ),
-            )
-            for condition, part, warning, recovery in judged:
-                yield from condition.events(t_ns, self._frame_s * (dropped + 1), part, warning, recovery)
-            if camera:
-                yield from self._camera_rate(t_ns, dropped)
-            if self._tip_source is _TRACKER and seen is DetectionStatus.MEASURED:
-                yield from self._unused_messages(row)
+            yield from self._tip(row)
+            if row["seen"] != DetectionStatus.NO_CAMERA:
+                yield from self._rate(int(row["t_ns"]), int(row["dropped"]))
+            if self._largest_drift is not None and row["seen"] == DetectionStatus.MEASURED:
+                yield from self._sender(row, self._largest_drift)
             if self._cameras:
                 yield from self._idle_camera(row)
             if self._sections:
@@ -164,102 +116,105 @@ class HealthMonitor:
             if self._triggered:
                 yield from self._untriggered(row)
 
-    def _camera_rate(self, t_ns: int, dropped: int) -> Iterator[Event]:
-        """Check the camera rate: a driver may set another rate than requested."""
+    def _tip(self, row: NDArray[np.void]) -> Iterator[Event]:
+        """Report a tip that is not measured, not predicted, or late, and dropped pictures."""
+        t_ns, seen, dropped = int(row["t_ns"]), DetectionStatus(int(row["seen"])), int(row["dropped"])
+        source, items, age_s, period_s = self._tip_source, self._items, row["age_ns"] * 1e-9, self._period_s(row)
+        unmeasured = seen not in (DetectionStatus.MEASURED, DetectionStatus.NO_CAMERA)
+        warning = f"the tip is not measured: {_cause(seen)}"
+        yield from self._unmeasured.events(t_ns, period_s, float(unmeasured), warning, "the tip is measured again")
+        warning = "the model cannot be solved for these pressures: its tip is the last good one"
+        yield from self._unsolved.events(
+            t_ns, period_s, float(not row["model_ok"]), warning, "the model is solved again"
+        )
+        warning, recovery = f"{source} drops {items}", f"all {items} of {source} come again"
+        yield from self._dropping.events(t_ns, period_s, dropped / (dropped + 1), warning, recovery)
+        warning, recovery = f"{items} are {age_s:.2f} s old when they are measured", f"{items} come in time again"
+        if seen is DetectionStatus.NO_CAMERA:
+            warning, recovery = f"predictions are {age_s:.2f} s late", "predictions come in time again"
+        yield from self._late.events(t_ns, period_s, float(age_s > LATE_S), warning, recovery)
+
+    def _period_s(self, row: NDArray[np.void]) -> float:
+        """Time that a frame stands for, with those that were dropped before it."""
+        return self._frame_s * (int(row["dropped"]) + 1)
+
+    def _rate(self, t_ns: int, dropped: int) -> Iterator[Event]:
+        """Check the rate of the frames: a driver may set another rate than requested."""
         before_ns, self._frame_t_ns = self._frame_t_ns, t_ns
         if dropped or not before_ns:
             return
         interval_s = (t_ns - before_ns) * 1e-9
         self._interval_s += (interval_s - self._interval_s) * min(1.0, interval_s / SHARE_TIME_CONSTANT_S)
         off = abs(self._interval_s / self._frame_s - 1) > RATE_TOLERANCE
-        source = self._tip_source.source
+        source = self._tip_source
         yield from self._wrong_rate.events(
             t_ns,
             self._frame_s,
             float(off),
-            f"{source} gives {1 / self._interval_s:.1f} {self._tip_source.items} a second and the rig says "
+            f"{source} gives {1 / self._interval_s:.1f} {self._items} a second and the rig says "
             f"{1 / self._frame_s:g}: set `rate_hz` to what {source} can do",
             f"{source} keeps its pace again",
         )
 
-    def _unused_messages(self, row: NDArray[np.void]) -> Iterator[Event]:
-        """Report each step of the sender's clock, and the first message of each kind that no working sender sends."""
-        counts = dict(zip(DATAGRAM_COUNTS, row["datagrams"].tolist(), strict=True))
+    def _sender(self, row: NDArray[np.void], largest_drift: float) -> Iterator[Event]:
+        """Report steps and drift of the sender's clock, and the first message of each kind that is never used."""
+        t_ns, counts = int(row["t_ns"]), dict(zip(DATAGRAM_COUNTS, row["datagrams"].tolist(), strict=True))
         before, self._counted = self._counted, counts
         stepped = counts["clock_steps"] > before["clock_steps"]
         message = "the clock of the tracker's sender was set, or it restarted" if stepped else ""
-        yield from self._clock_steps.events(int(row["t_ns"]), message)
+        yield from self._clock_steps.events(t_ns, message)
         yield from self._drifting.events(
-            int(row["t_ns"]),
+            t_ns,
             self._frame_s,
-            float(abs(row["clock_drift"]) >= self._largest_drift),
-            f"the clock of the tracker's sender drifts by more than largest_drift_ppm, {self._largest_drift * 1e6:g}: "
+            float(abs(row["clock_drift"]) >= largest_drift),
+            f"the clock of the tracker's sender drifts by more than largest_drift_ppm, {largest_drift * 1e6:g}: "
             "times of poses are less certain; is NTP setting it? State a larger limit in the rig file",
             "the clock of the tracker's sender drifts by less than largest_drift_ppm again",
         )
         for reason in ("malformed", "foreign"):
             if counts[reason] and not before[reason]:
-                message = f"{reason} messages reach the tracker's port; not used"
-                yield from RepeatedWarning("observer", self._start_ns).events(int(row["t_ns"]), message)
-
-    def _input_outside(self, row: NDArray[np.void]) -> Iterator[Event]:
-        """Report an auxiliary input whose voltage is outside its span."""
-        for (name, condition), value in zip(self._inputs, row["aux"], strict=True):
-            warning = f"input {name} is outside its span_V and recorded as NaN: is the sensor or its wire broken?"
-            outside, recovery = float(np.isnan(value)), f"input {name} is inside its span_V again"
-            yield from condition.events(int(row["t_ns"]), self._cycle_s, outside, warning, recovery)
+                yield warning_event(t_ns, "observer", f"{reason} messages reach the tracker's port; not used")
 
     def _unmeasured_section(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report a section of the arm that is not measured."""
-        t_ns, dropped = int(row["t_ns"]), int(row["dropped"])
-        period_s = self._frame_s * (dropped + 1)
         for (name, condition), seen in zip(self._sections, row["section_seen"], strict=True):
-            why = _CAUSES.get(DetectionStatus(seen), DetectionStatus(seen).words)
             unmeasured = float(seen != DetectionStatus.MEASURED)
-            warning, recovery = f"section {name} is not measured: {why}", f"section {name} is measured again"
-            yield from condition.events(t_ns, period_s, unmeasured, warning, recovery)
+            warning = f"section {name} is not measured: {_cause(DetectionStatus(seen))}"
+            recovery = f"section {name} is measured again"
+            yield from condition.events(int(row["t_ns"]), self._period_s(row), unmeasured, warning, recovery)
 
     def _untriggered(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report the first picture of each camera that no pulse of the trigger began."""
         for (name, before), count in zip(self._triggered.items(), row["untriggered"].tolist(), strict=True):
             if count and not before:
                 message = f"camera {name} gives pictures that no trigger pulse begins: is it set to external trigger?"
-                message = f"{message} They are not used"
-                yield from RepeatedWarning("observer", self._start_ns).events(int(row["t_ns"]), message)
+                yield warning_event(int(row["t_ns"]), "observer", f"{message} They are not used")
             self._triggered[name] = max(before, count)
 
     def _idle_camera(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report a camera that contributes nothing: the tip is then measured by the others."""
-        t_ns, dropped = int(row["t_ns"]), int(row["dropped"])
-        period_s = self._frame_s * (dropped + 1)
         for (name, condition), seen, skew in zip(self._cameras, row["camera_seen"], row["camera_skew_s"], strict=True):
             if np.isnan(skew):
                 why = "gives no pictures"
             elif seen == DetectionStatus.NO_FRAME:
                 why = "adds nothing: its pictures repeat, or too many are dropped to estimate motion"
             else:
-                why = f"adds nothing: {_CAUSES.get(DetectionStatus(seen), DetectionStatus(seen).name)}"
+                why = f"adds nothing: {_cause(DetectionStatus(seen))}"
             unmeasured = float(seen != DetectionStatus.MEASURED)
-            warning, recovery = (
-                f"camera {name} {why}; the tip is measured without it",
-                f"camera {name} sees the board again",
-            )
-            yield from condition.events(t_ns, period_s, unmeasured, warning, recovery)
+            warning = f"camera {name} {why}; the tip is measured without it"
+            recovery = f"camera {name} sees the board again"
+            yield from condition.events(int(row["t_ns"]), self._period_s(row), unmeasured, warning, recovery)
 
     def plans(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of plans (n,) of `runs.records.tip_control_dtype`, in order of time."""
+        again = "plans are followed again"
         for row in rows:
             t_ns, status = int(row["t_ns"]), SolveStatus(int(row["status"]))
-            judged = (
-                (self._refused, status.refused, f"plans are refused: {status.words}"),
-                (
-                    self._not_solved,
-                    status is SolveStatus.NOT_SOLVED,
-                    "the solver finds no plan: the ones before are continued",
-                ),
-            )
-            for condition, affected, message in judged:
-                yield from condition.events(t_ns, self._frame_s, float(affected), message, "plans are followed again")
+            refused, warning = float(status.refused), f"plans are refused: {status.words}"
+            yield from self._refused.events(t_ns, self._frame_s, refused, warning, again)
+            unsolved = float(status is SolveStatus.NOT_SOLVED)
+            warning = "the solver finds no plan: the ones before are continued"
+            yield from self._not_solved.events(t_ns, self._frame_s, unsolved, warning, again)
 
     def pulses(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of pulses (n,) of `runs.records.pulse_dtype`, in order of time."""
@@ -312,3 +267,8 @@ class HealthMonitor:
             "is another program writing to it?",
             "the disk takes the record again",
         )
+
+
+def _cause(seen: DetectionStatus) -> str:
+    """Why nothing was measured, and what to look at."""
+    return _CAUSES.get(seen, seen.words)

@@ -23,7 +23,7 @@ class PreviewPublisher:
 
     def __init__(self, config: RigConfig, memory: SharedState) -> None:
         self._config, self._memory = config, memory
-        self._projectors = [OverlayProjector(config, name, LINE_POINTS) for name in config.cameras]
+        self._projectors = [OverlayProjector(config, name) for name in config.cameras]
         self._row = np.zeros((), view_dtype(config))
 
     def publish(self, frame_set: FrameSet, observer: Observer) -> None:
@@ -36,15 +36,17 @@ class PreviewPublisher:
             return
         row = self._row
         row["t_ns"], row["frame"] = frame_set.t_ns, frame_set.index
+        row["lines_m"] = arm_lines(self._config, observer.shape, LINE_POINTS)
         if not frame_set.frames:
             row["shape"], row["found"], row["tip_px"], row["model_px"] = 0, 0, np.nan, np.nan
-            row["lines_m"] = arm_lines(self._config, observer.shape, LINE_POINTS)
             self._memory.views.push(row, _NO_PICTURE)
             return
-        frame = frame_set.lead
-        overlay = self._projectors[frame_set.leader].project(observer.measurement, observer.shape)
+        frame, measurement = frame_set.lead, observer.measurement
+        projector = self._projectors[frame_set.leader]
+        marks = projector.annotations(measurement.corners_px, measurement.tip_m, observer.shape)
+        corners_px = marks.corners_px[np.isfinite(marks.corners_px).all(axis=1)]
         row["shape"] = (*frame.image.shape, 1)[:3]
-        row["found"] = len(overlay.corners_px)
-        row["corners_px"][: len(overlay.corners_px)] = overlay.corners_px
-        row["tip_px"], row["model_px"], row["lines_m"] = overlay.tip_px, overlay.model_px, overlay.lines_m
+        row["found"] = len(corners_px)
+        row["corners_px"][: len(corners_px)] = corners_px
+        row["tip_px"], row["model_px"] = marks.tip_px, marks.model_px
         self._memory.views.push(row, frame.image)

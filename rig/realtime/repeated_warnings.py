@@ -76,7 +76,7 @@ class RepeatedWarning:
     def rest(self, t_ns: int) -> Iterator[Event]:
         """Report what has not been reported."""
         if self._repetitions.number:
-            yield _warning(t_ns, self._source, self._message + self._repetitions.report(t_ns))
+            yield warning_event(t_ns, self._source, self._message + self._repetitions.report(t_ns))
 
 
 class Losses(RepeatedWarning):
@@ -151,8 +151,9 @@ class Condition:
         if self._hidden_s:
             message += f", for {self._hidden_s:.2f} s in all"
         self._hidden_s, self._shown = 0.0, self.active
-        yield _warning(t_ns, self.source, message if self.active else f"{message}; now {self._recovery}")
+        yield warning_event(t_ns, self.source, message if self.active else f"{message}; now {self._recovery}")
 
 
-def _warning(t_ns: int, source: str, message: str) -> Event:
+def warning_event(t_ns: int, source: str, message: str) -> Event:
+    """The event of a warning about a condition that does not end the run."""
     return Event(t_ns, Level.WARNING, source, f"{message}; the run continues")

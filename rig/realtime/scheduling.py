@@ -88,8 +88,8 @@ def obtainable() -> Scheduling:
     return granted | Scheduling.FIFO
 
 
-def refusals(granted: Scheduling) -> list[str]:
-    """What was not granted, and the configuration line that allows it."""
+def remedies(granted: Scheduling) -> str:
+    """What was not granted, and the configuration line that allows it; empty if all was granted."""
     refused = []
     if Scheduling.LOCKED not in granted:
         refused.append(
@@ -101,7 +101,7 @@ def refusals(granted: Scheduling) -> list[str]:
             "no real-time priority (SCHED_FIFO): deadlines may be missed; "
             "allow it with a line '@yourgroup - rtprio 80' in /etc/security/limits.conf and log in again"
         )
-    return refused
+    return "; ".join(refused)
 
 
 def _raise_soft_limits() -> None:

@@ -14,10 +14,10 @@ from rig.realtime import sampling_clocks
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.operator_session import OperatorSession
 from rig.realtime.process_group import PROCESSES, WATCHDOG_TRIPPED, ProcessGroup
-from rig.realtime.scheduling import PLANNING_NICENESS, REAL_TIME, Scheduling, obtainable, steal_time_ms
+from rig.realtime.scheduling import PLANNING_NICENESS, REAL_TIME, Scheduling, obtainable, remedies, steal_time_ms
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, Stop
 from rig.realtime.shutdown import Shutdown
-from rig.realtime.timing_limits import TimingProfile, remedies, timing_limits, timing_sentence
+from rig.realtime.timing_limits import TimingProfile, timing_limits, timing_sentence
 from rig.realtime.tip_controller_monitor import TipControllerMonitor
 from rig.simulator.plant_launcher import Simulation, started
 from rig.tip_control.monitor import SOURCE as TIP_CONTROLLER_SOURCE

@@ -11,7 +11,7 @@ from enum import StrEnum
 
 from rig.config.schema import RigConfig
 from rig.control.step import UNMEASURED_PERIODS
-from rig.realtime.scheduling import REAL_TIME, Scheduling, refusals
+from rig.realtime.scheduling import REAL_TIME, Scheduling
 
 MS = 1_000_000
 STRICT_HUNG_S = 0.03
@@ -130,8 +130,3 @@ def timing_sentence(config: RigConfig, granted: Scheduling) -> str:
         f"{reaction}, but on a busy machine later by an unknown time: without real-time scheduling no reaction time "
         f"can be promised, and control may count as hung though it only waits for a processor"
     )
-
-
-def remedies(granted: Scheduling) -> str:
-    """What was refused and how to obtain it; empty if all was granted."""
-    return "; ".join(refusals(granted))

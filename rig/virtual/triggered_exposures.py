@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.control.trigger import TriggerOutput, TriggerPulses
+from rig.control.trigger import TriggerPulses
 from rig.hardware.cameras.base import CameraError
 from rig.hardware.cameras.trigger import RECENT_PULSES, PulseMatcher
+from rig.hardware.safe_state import SafeOutputs
 from rig.simulator.mock_camera import Exposure, MockCamera
 from rig.simulator.plant import Plant
 from runs.records import pulse_dtype
@@ -32,9 +33,9 @@ class TriggeredExposures:
     """The pulses of the camera trigger, and the exposures that they begin."""
 
     def __init__(
-        self, config: RigConfig, output: TriggerOutput, plant: Plant, cameras: Mapping[str, MockCamera]
+        self, config: RigConfig, outputs: SafeOutputs, plant: Plant, cameras: Mapping[str, MockCamera]
     ) -> None:
-        self._pulses = TriggerPulses(config, output, lambda: plant.t_ns)
+        self._pulses = TriggerPulses(config, outputs, lambda: plant.t_ns)
         self._cameras = tuple(cameras.values())
         self._matchers = [PulseMatcher(camera) for camera in config.cameras.values()]
         self._running: deque[tuple[int | None, ...]] = deque()

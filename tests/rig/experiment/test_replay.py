@@ -49,7 +49,7 @@ def test_lossless_pictures_give_the_stored_tips_again(lossless: Run, tmp_path: P
 def test_corners_tips_and_backbone_stand_where_they_are_in_the_stored_pictures(lossless: Run) -> None:
     parsed = loader.recorded(lossless.header, lossless.path).config
     name = next(iter(parsed.cameras))
-    projector, frames, backbone = OverlayProjector(parsed, name, 2), lossless.frames, lossless.backbone
+    projector, frames, backbone = OverlayProjector(parsed, name), lossless.frames, lossless.backbone
     assert backbone is not None
     for k in range(0, len(frames.index), 20):
         image = np.asarray(cv2.imdecode(np.frombuffer(lossless.picture(k), np.uint8), 0), np.uint8)
@@ -62,7 +62,7 @@ def test_corners_tips_and_backbone_stand_where_they_are_in_the_stored_pictures(l
             (frames.model_px[k], lossless.tip.model_mm[row]),
             (frames.backbone_px[k][5], backbone.model_mm[row][5]),
         ):
-            np.testing.assert_allclose(drawn, projector.pixel(np.asarray(point_mm, float) * 1e-3), atol=1e-3)
+            np.testing.assert_allclose(drawn, projector.pixels(np.asarray([point_mm], float) * 1e-3)[0], atol=1e-3)
 
 
 def test_a_replay_names_its_parent(lossless: Run, tmp_path: Path) -> None:

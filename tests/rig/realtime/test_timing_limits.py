@@ -20,8 +20,8 @@ from rig.control.control_loop import ControlLoop
 from rig.control.step import Sample
 from rig.experiment import run as experiment
 from rig.hardware.bench import BenchScans
-from rig.realtime.scheduling import REAL_TIME, Scheduling
-from rig.realtime.timing_limits import TimingLimits, TimingProfile, remedies, timing_limits, timing_sentence
+from rig.realtime.scheduling import REAL_TIME, Scheduling, remedies
+from rig.realtime.timing_limits import TimingLimits, TimingProfile, timing_limits, timing_sentence
 from rig.simulator.plant import Plant
 from scripts.rig_process import BRIEF, strict
 from tests.support.plant_bench import mock_rig
