@@ -26,7 +26,7 @@ from calibration.vision.marker_board import LEAST_CORNERS
 from calibration.vision.tag_grid import TagGrid
 from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.board_rendering import Occlusion
+from rig.simulator.board_rendering import print_table, table_renderer
 from rig.simulator.scene import ImageDegradation, Scene
 
 Floats = NDArray[np.float64]
@@ -48,6 +48,19 @@ BOARDS: dict[str, Board] = {
     "tags": TagGrid(3, 2, 0.016, 0.004, "APRILTAG_36h11"),
     "one tag": TagGrid(1, 1, 0.040, 0.010, "APRILTAG_36h11"),
 }
+COVER_REFLECTANCE = 0.35
+
+
+@dataclass(frozen=True)
+class Occlusion:
+    """A matt strip on the board, between `left`, `top`, `right` and `bottom` in shares of the print's extent."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+
 _THIRD, _OUT = 1 / 3, 0.3
 STRIPS = {
     "left": Occlusion(-_OUT, -_OUT, _THIRD, 1 + _OUT),
@@ -124,8 +137,33 @@ def poses(count: int, seed: int) -> Iterator[RigidTransform]:
 
 def ours(board: Board, occlusion: Occlusion | None, seed: int) -> Draw:
     """The mock camera's renderer."""
-    scene = Scene(board, LENS, SIZE, ImageDegradation(0.6, 2.0), seed, occlusion)
+    scene = Scene(board, LENS, SIZE, ImageDegradation(0.6, 2.0), seed)
+    if occlusion is not None:
+        scene.board.render = table_renderer(*covered_table(board, occlusion))
     return lambda seen, k: scene.render(seen, seen, seen, k)
+
+
+def covered_table(board: Board, occlusion: Occlusion) -> tuple[Floats, Floats, Floats]:
+    """The table of a print, a part of which is covered by a matt strip."""
+    (width, height), (across, down, table) = board.extent, print_table(board)
+    across, table = _split(across, table, occlusion.left * width, occlusion.right * width)
+    down, rows = _split(down, table.T, occlusion.top * height, occlusion.bottom * height)
+    table = np.ascontiguousarray(rows.T)
+    x, y = _middles(across), _middles(down)
+    inside_x = (x > occlusion.left * width) & (x < occlusion.right * width)
+    table[np.ix_((y > occlusion.top * height) & (y < occlusion.bottom * height), inside_x)] = COVER_REFLECTANCE
+    return across, down, table
+
+
+def _split(lines: Floats, columns: Floats, first: float, last: float) -> tuple[Floats, Floats]:
+    """Lines and the columns of the table between them, with two more lines."""
+    split = np.unique(np.concatenate([lines, [first, last]]))
+    return split, columns[:, np.searchsorted(lines, np.concatenate([[-np.inf], split]), side="right")]
+
+
+def _middles(lines: Floats) -> Floats:
+    """A place in each of the cells that the lines part, also before the first and after the last."""
+    return np.concatenate([[-np.inf], (lines[1:] + lines[:-1]) / 2, [np.inf]])
 
 
 def others(board: Board, occlusion: Occlusion | None, look: BoardPose, seed: int) -> Draw:

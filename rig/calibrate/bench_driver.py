@@ -17,7 +17,7 @@ from rig.control.control_loop import ValveOutputs
 from rig.control.interlocks import evaluation
 from rig.control.interlocks.base import Sample, Trip
 from rig.control.sensor_state import RegulatorDemand, SensorState
-from rig.control.stall import StallExcuse
+from rig.control.step import StallExcuse
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import CardError
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from model.units import PA_PER_BAR
 from rig.control import step as control
 from rig.control.auxiliary import AuxiliaryMeans
+from rig.control.interlocks.base import Sample, Trip
 from rig.control.protocol_position import ProtocolPosition, advance, skip
-from rig.control.stall import StallExcuse
 from rig.control.stream_follower import StreamFollower
 from rig.execution.plan import RunPlan
 from rig.hardware.bench import BenchScans
@@ -74,7 +74,7 @@ class ControlLoop:
         """Lines between computer and cards that were damaged."""
         self._has_voltage = np.array([valve.output_unit == "V" for valve in config.valves])
         self._scan_t_ns = 0
-        self._excuse = StallExcuse()
+        self._excuse = control.StallExcuse()
         self._pressure_pa: NDArray[np.float64] = np.full(config.actuators, np.nan)
         self._signals: NDArray[np.float64] = np.full(config.actuators, np.nan)
 
@@ -140,7 +140,7 @@ class ControlLoop:
 
     def cycle(
         self, number: int, now_ns: int, periods: int, prompts_answered: int, paused: bool, lateness_ns: int, missed: int
-    ) -> tuple[NDArray[np.void], control.Trip | None]:
+    ) -> tuple[NDArray[np.void], Trip | None]:
         """Run one cycle; return its row (reused: copy it to keep it) and why the run must stop, else None.
 
         `periods` is the number of control periods since the last cycle: more than one after a missed deadline.
@@ -160,7 +160,7 @@ class ControlLoop:
             setpoint_pa, rate_pa_s = self._followed(protocol_s, periods, setpoint_pa, rate_pa_s)
         late_ns = self._simulator_late_ns if self._time_may_stop else 0
         behind_ns = max(lateness_ns + missed * self.period_ns, late_ns)
-        sample = control.Sample(
+        sample = Sample(
             t_ns=now_ns,
             scan_t_ns=self._scan_t_ns,
             signals=self._signals,

@@ -16,13 +16,16 @@ from rig.control.interlocks.base import Sample, Trip
 from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.valves.base import Regulator, RegulatorState
 
-__all__ = ["ControlOutput", "ControlSettings", "ControlState", "Sample", "Trip", "initial", "prepare", "step"]
-
 UNMEASURED_PERIODS = 3.0
 """Periods without a scan after which a flow-metering valve is closed, because its flow is no longer measured."""
 
 SHORTEST_STEP_PERIODS, LONGEST_STEP_PERIODS = 0.25, 4.0
 """Bounds of the time step between newest scans: the filters are designed for a steady rate."""
+
+
+STALLED_NS = 20_000_000
+EXCUSED_NS = 100_000_000
+"""Time for a card or its simulator to deliver the scans of a stall of this process."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,19 @@ class ControlOutput(NamedTuple):
     trip: Trip | None
 
 
+class StallExcuse:
+    """Remembers the last stall of a control loop, whose duration does not count against the bench for a while."""
+
+    def __init__(self) -> None:
+        self._stalled_ns = self._until_ns = 0
+
+    def stalled_ns(self, now_ns: int, behind_ns: int) -> int:
+        """Duration [ns] of a stall within the last EXCUSED_NS, 0 if there was none; `behind_ns`: the delay now."""
+        if behind_ns > STALLED_NS:
+            self._stalled_ns, self._until_ns = behind_ns, now_ns + EXCUSED_NS
+        return self._stalled_ns if now_ns < self._until_ns else 0
+
+
 def prepare(config: RigConfig) -> ControlSettings:
     """Convert a rig to settings in SI, once per run."""
     valve_of = {a: v for v, valve in enumerate(config.valves) for a in valve.actuators}
@@ -81,7 +97,6 @@ def prepare(config: RigConfig) -> ControlSettings:
 
 
 def initial(settings: ControlSettings) -> ControlState:
-    """The state before the first sample."""
     return ControlState(None, (RegulatorState(),) * len(settings.valves), (SensorState(),) * len(settings.valve_of))
 
 

@@ -26,7 +26,6 @@ class StreamLimits(NamedTuple):
 
     @classmethod
     def of(cls, config: RigConfig) -> StreamLimits:
-        """Those of a rig."""
         valves = tuple(tuple(number - 1 for number in valve.actuators) for valve in config.valves)
         limits = config.limits
         return cls(limits.lowest_pressure_bar * PA_PER_BAR, limits.pressure_bar * PA_PER_BAR, valves)

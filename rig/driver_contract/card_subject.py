@@ -51,7 +51,6 @@ class CardSubject:
 
     @property
     def period_s(self) -> float:
-        """Control period."""
         return 1.0 / self.config.control.rate_hz
 
     def open(self, *, inputs: bool = True) -> Card:
@@ -66,7 +65,6 @@ class CardSubject:
 
     @property
     def output_tolerance(self) -> Floats:
-        """Largest deviation of a read-back."""
         return np.array([(c.high - c.low) * READBACK_TOLERANCE for c in self.setup.outputs])
 
     def stated(self, outputs: Floats) -> str:

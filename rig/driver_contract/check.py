@@ -50,7 +50,6 @@ class CheckResult:
 
     @property
     def failed(self) -> bool:
-        """True if the driver broke the contract."""
         return self.verdict is CheckVerdict.FAIL
 
 

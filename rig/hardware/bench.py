@@ -77,16 +77,13 @@ class Bench(SafeOutputs):
         self._pending = {name: _Pending(len(column)) for name, column in self._inputs.items()}
 
     @property
-    def card_names(self) -> tuple[str, ...]:
-        """Names of the cards in the order of the rig file."""
-        return tuple(self._cards)
-
-    def clock(self, card: str) -> tuple[float, float] | None:
-        """Period [ns] of a card's own sampling clock and its drift [ppm]; None where the computer's clock is used."""
-        clocked = self._cards[card]
-        if not isinstance(clocked, SelfClockedCard) or clocked.period_ns is None:
-            return None
-        return clocked.period_ns, clocked.drift_ppm or 0.0
+    def clocks(self) -> dict[int, tuple[float, float]]:
+        """Period [ns] and drift [ppm] of the cards that sample by clocks of their own, by number in the rig file."""
+        return {
+            number: (card.period_ns, card.drift_ppm or 0.0)
+            for number, card in enumerate(self._cards.values())
+            if isinstance(card, SelfClockedCard) and card.period_ns is not None
+        }
 
     def start(self) -> None:
         """Begin sampling on every card that has sensors or auxiliary inputs."""

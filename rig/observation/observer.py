@@ -17,13 +17,13 @@ from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from rig.hardware.cameras.base import FrameSet
 from rig.hardware.trackers.base import TrackerReading
+from rig.observation.camera_estimator import CameraTipEstimator
 from rig.observation.live_model import live_model
-from rig.observation.multi_camera import MultiCameraTipEstimator
 from rig.observation.overlay import backbone
 from rig.observation.sample_interpolator import SampleInterpolator
-from rig.observation.single_camera import TipMeasurement
 from rig.observation.tip_estimator import tip_estimator
 from rig.observation.tip_force import MeasuredTipForce
+from rig.observation.tip_measurement import TipMeasurement
 from runs.records import blank, observation_dtype
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ class SectionObserver:
     """The measured sections of the arm: each has a board of its own, which is measured as that of the tip is."""
 
     def __init__(self, config: RigConfig) -> None:
-        self._estimators = [MultiCameraTipEstimator(config.with_board_of(name)) for name in config.sections]
+        self._estimators = [CameraTipEstimator(config.with_board_of(name)) for name in config.sections]
         self._s_m = np.array([section.at_mm * 1e-3 for section in config.sections.values()])
 
     def observe(self, row: NDArray[np.void], frame_set: FrameSet, shape: model.Shape | None) -> None:

@@ -6,8 +6,8 @@ from typing import Protocol
 
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import FrameSet
-from rig.observation.multi_camera import MultiCameraTipEstimator
-from rig.observation.single_camera import TipMeasurement
+from rig.observation.camera_estimator import CameraTipEstimator
+from rig.observation.tip_measurement import TipMeasurement
 from runs.records import DetectionStatus
 
 
@@ -40,4 +40,4 @@ def tip_estimator(config: RigConfig) -> _TipEstimator:
     """The tip estimator of a rig: by its tracker, by its cameras, or none."""
     if config.trackers:
         return _TrackerTipEstimator()
-    return MultiCameraTipEstimator(config) if config.cameras else _NoTipEstimator()
+    return CameraTipEstimator(config) if config.cameras else _NoTipEstimator()

@@ -28,7 +28,6 @@ class MeasuredTipForce:
         self._axes = directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
     def __bool__(self) -> bool:
-        """True if the rig measures the force."""
         return bool(self.inputs)
 
     def of(self, values: Floats) -> Floats:

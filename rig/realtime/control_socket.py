@@ -103,7 +103,6 @@ class ControlSocket:
                 client.close()
 
     def close(self) -> None:
-        """Close the socket and every connection."""
         self.path.unlink(missing_ok=True)
         for end in (self._socket, *self._clients):
             end.close()
@@ -169,7 +168,6 @@ def _decoded(packet: bytes) -> dict[str, Any] | None:
 
 
 def _uid(client: socket.socket) -> int:
-    """The user id behind a connection."""
     _, uid, _ = _PEER.unpack(client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))
     return int(uid)
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rig.config.schema import RigConfig
 from rig.execution.plan import UNRECORDED, OperatorInterface, Recorder
 from rig.realtime.health_monitor import HealthMonitor
+from rig.realtime.ring import RingBuffer
 from rig.realtime.scheduling import suspended_ns
 from rig.realtime.shared_state import SharedState
 from runs.journal.append_only_file import JournalError
@@ -67,9 +68,7 @@ class DataRecorder:
     def drain(self) -> None:
         """Record everything that the processes have written since the last call."""
         memory, journal = self._memory, self._journal
-        samples = memory.samples.read()
-        if len(samples):
-            self._write(journal.samples, samples)
+        if len(samples := self._read(memory.samples, journal.samples)):
             self._missed += int(samples["missed"].sum())
             self.sample = samples[-1]
             self.report(*self._health.samples(samples))
@@ -77,24 +76,16 @@ class DataRecorder:
         self.report(*self._health.lost(time.monotonic_ns(), lost))
         damaged, self._damaged_lines = memory.damaged_lines - self._damaged_lines, memory.damaged_lines
         self.report(*self._health.damaged(time.monotonic_ns(), damaged))
-        observations = memory.observations.read()
-        if len(observations):
-            self._write(journal.observations, observations)
+        if len(observations := self._read(memory.observations, journal.observations)):
             self._dropped += int(observations["dropped"].sum())
             self.observation = observations[-1]
             self.report(*self._health.observations(observations))
-        adaptations = memory.adaptations.read()
-        if len(adaptations):
-            self._write(journal.adaptations, adaptations)
+        if len(adaptations := self._read(memory.adaptations, journal.adaptations)):
             self.adaptation = adaptations[-1]
-        plans = memory.plans.read()
-        if len(plans):
-            self._write(journal.plans, plans)
-            self.plan_counts.add(plans["status"])
-            self.report(*self._health.plans(plans))
-        streamed = memory.streamed.read()
-        if len(streamed):
-            self._write(journal.streamed, streamed)
+        plans = self._read(memory.plans, journal.plans)
+        self.plan_counts.add(plans["status"])
+        self.report(*self._health.plans(plans))
+        self._read(memory.streamed, journal.streamed)
         pulses = memory.pulses.read()
         # Those before the start have warmed the observer up.
         if len(pulses := pulses[pulses["t_ns"] >= memory.start_ns]):
@@ -103,6 +94,12 @@ class DataRecorder:
             self.report(*self._health.pulses(pulses))
         for picture in memory.pictures.read(list(self._config.cameras), self._config.recording.encoding):
             self._write(journal.picture, picture)
+
+    def _read(self, ring: RingBuffer, write: Callable[[NDArray[np.void]], None]) -> NDArray[np.void]:
+        """Record the new rows of a ring, and return them."""
+        if len(rows := ring.read()):
+            self._write(write, rows)
+        return rows
 
     def finish(self) -> None:
         """Record the rest, and report what has repeated and is not reported yet."""
@@ -128,7 +125,6 @@ class DataRecorder:
         }
 
     def event(self, level: Level, source: str, message: str) -> None:
-        """Report an event of this moment."""
         self.report(Event(time.monotonic_ns(), level, source, message))
 
     def report(self, *events: Event) -> None:

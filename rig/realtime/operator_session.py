@@ -44,7 +44,6 @@ class OperatorSession:
         return self._stream.counts if self._plan.trajectory.streams else {}
 
     def close(self) -> None:
-        """Close the control socket."""
         if self._socket is not None:
             self._socket.close()
 

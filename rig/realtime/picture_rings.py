@@ -54,7 +54,7 @@ class PictureRing:
 
     def __init__(self, rows: memoryview, slots: memoryview, slot_bytes: int) -> None:
         """`rows` has `PictureRing.row_bytes()`, `slots` PICTURES times `slot_bytes`."""
-        self._rows: RingBuffer[np.void] = RingBuffer(rows, _PICTURE, PICTURES)
+        self._rows = RingBuffer(rows, _PICTURE, PICTURES)
         self._slots, self._slot_bytes = slots, slot_bytes
 
     @staticmethod
@@ -102,7 +102,7 @@ class ViewRing:
 
     def __init__(self, rows: memoryview, slots: memoryview, slot_bytes: int, dtype: np.dtype[np.void]) -> None:
         """`rows` has `ring_bytes(dtype, VIEWS)`, `slots` VIEWS times `slot_bytes`; `dtype` is a `view_dtype`."""
-        self._rows: RingBuffer[np.void] = RingBuffer(rows, dtype, VIEWS)
+        self._rows = RingBuffer(rows, dtype, VIEWS)
         self._slots, self._slot_bytes = slots, slot_bytes
 
     def push(self, view: NDArray[np.void], image: NDArray[np.uint8]) -> None:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Generic, TypeVar
-
 import numpy as np
 from numpy.typing import NDArray
 
-Row = TypeVar("Row", bound=np.void)
 COUNT_BYTES = 64  # one cache line, so that the count does not share one with the rows
 
 
@@ -16,7 +13,7 @@ def ring_bytes(dtype: np.dtype[np.void], capacity: int) -> int:
     return COUNT_BYTES + -(-dtype.itemsize * capacity // 64) * 64
 
 
-class RingBuffer(Generic[Row]):
+class RingBuffer:
     """A view of a ring buffer. The count of written rows is published after the row itself.
 
     Each reader keeps its own cursor; rows that were overwritten before they were read are counted as lost.

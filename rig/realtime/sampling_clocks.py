@@ -9,8 +9,8 @@ from rig.realtime.shared_state import CLOCKS, SharedState
 
 def publish(memory: SharedState, bench: Bench) -> None:
     """Publish period and drift of the clock of each card, of at most CLOCKS cards."""
-    for number, name in list(enumerate(bench.card_names))[:CLOCKS]:
-        if (clock := bench.clock(name)) is not None:
+    for number, clock in bench.clocks.items():
+        if number < CLOCKS:
             memory.flags["scan_period_ns"][0, number], memory.flags["scan_drift_ppm"][0, number] = clock
 
 

@@ -232,8 +232,8 @@ class SharedState:
             self.streamed,
             self.pulses,
             self._events,
-        ) = (RingBuffer[np.void](part, *ring) for part, ring in zip(parts, rings, strict=True))
-        self.new_plans: RingBuffer[np.void] = RingBuffer(own[_ROW_BYTES:], plan_dtype(valves), PLANS)
+        ) = (RingBuffer(part, *ring) for part, ring in zip(parts, rings, strict=True))
+        self.new_plans = RingBuffer(own[_ROW_BYTES:], plan_dtype(valves), PLANS)
         self._tip_controller: NDArray[np.void] = np.frombuffer(own, _PROCESS, 1)
 
     @classmethod

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial, singledispatch
 
 import numpy as np
@@ -50,7 +49,7 @@ BoardRenderer = Callable[[Singles, ExposedView], None]
 @singledispatch
 def renderer(board: Board) -> BoardRenderer:
     """What draws a board: the kernel for any print, unless its class has one of its own."""
-    return print_renderer(board)
+    return table_renderer(*print_table(board))
 
 
 @renderer.register
@@ -61,19 +60,11 @@ def _(board: Checkerboard) -> BoardRenderer:
     return render
 
 
-@dataclass(frozen=True)
-class Occlusion:
-    """A matt strip on the board, between `left`, `top`, `right` and `bottom` in shares of the print's extent."""
+def print_table(board: Board) -> tuple[Floats, Floats, Floats]:
+    """Lines across (p,) and down (q,) in units of the board, also of its margin, and what is between them.
 
-    left: float
-    top: float
-    right: float
-    bottom: float
-    reflectance: float = 0.35
-
-
-def print_renderer(board: Board, occlusion: Occlusion | None = None) -> BoardRenderer:
-    """The kernel for any print, a part of which may be covered."""
+    That is a table (q + 1, p + 1) of reflectances, with the backdrop at its rim.
+    """
     printed = board.printed
     (width, height), margin = board.extent, printed.margin
     across = np.concatenate([[-margin], printed.across, [width + margin]])
@@ -81,29 +72,16 @@ def print_renderer(board: Board, occlusion: Occlusion | None = None) -> BoardRen
     table = np.full((len(down) + 1, len(across) + 1), _BACKDROP)
     table[1:-1, 1:-1] = WHITE
     table[2:-2, 2:-2] = np.where(printed.dark, DARK, WHITE)
-    if occlusion is not None:
-        across, table = _covered(across, table, occlusion.left * width, occlusion.right * width)
-        down, rows = _covered(down, table.T, occlusion.top * height, occlusion.bottom * height)
-        table = np.ascontiguousarray(rows.T)
-        x, y = _middles(across), _middles(down)
-        inside_x = (x > occlusion.left * width) & (x < occlusion.right * width)
-        table[np.ix_((y > occlusion.top * height) & (y < occlusion.bottom * height), inside_x)] = occlusion.reflectance
+    return across, down, table
+
+
+def table_renderer(across: Floats, down: Floats, table: Floats) -> BoardRenderer:
+    """The kernel for any print, from a `print_table`."""
 
     def render(fine: Singles, view: ExposedView) -> None:
         draw_print(fine, view, across, down, table)
 
     return render
-
-
-def _covered(lines: Floats, columns: Floats, first: float, last: float) -> tuple[Floats, Floats]:
-    """Lines and the columns of the table between them, with two more lines."""
-    split = np.unique(np.concatenate([lines, [first, last]]))
-    return split, columns[:, np.searchsorted(lines, np.concatenate([[-np.inf], split]), side="right")]
-
-
-def _middles(lines: Floats) -> Floats:
-    """A place in each of the cells that the lines part, also before the first and after the last."""
-    return np.concatenate([[-np.inf], (lines[1:] + lines[:-1]) / 2, [np.inf]])
 
 
 @fast_kernel
@@ -148,8 +126,7 @@ def _uniform(table: Floats, first_row: int, last_row: int, first_column: int, la
 def draw_print(fine: Singles, view: ExposedView, across: Floats, down: Floats, table: Floats) -> None:
     """Fill `fine` (FINE h, FINE w) with grey values of cells between lines.
 
-    `across` (p,) and `down` (q,) are the lines in units of the board, `table` (q + 1, p + 1) the reflectances between
-    them. Cells are taken to be larger than those of the fine grid.
+    The lines and the table are those of `print_table`. Cells are taken to be larger than those of the fine grid.
     """
     corner, light, backdrop, rays, H, dH, samples = view
     x0, y0 = corner

@@ -124,7 +124,6 @@ class MockCamera:
 
     @cached_property
     def _section_boards(self) -> tuple[RenderedBoard, ...]:
-        """The board of each measured section."""
         return tuple(RenderedBoard(section.board.board()) for section in self._config.sections.values())
 
     def start(self) -> None:

@@ -14,7 +14,7 @@ from calibration.vision.board import Board
 from calibration.vision.lens import Lens
 from calibration.vision.projection import extent
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.board_rendering import Occlusion, print_renderer, renderer
+from rig.simulator.board_rendering import renderer
 from rig.simulator.checkerboard_rendering import FINE, ExposedView, shrink
 
 Floats = NDArray[np.float64]
@@ -45,10 +45,9 @@ class ImageDegradation:
 class RenderedBoard:
     """A board that a scene can show."""
 
-    def __init__(self, board: Board, occlusion: Occlusion | None = None) -> None:
-        """`occlusion` hides a part of it."""
+    def __init__(self, board: Board) -> None:
         self.outline = _outline(board)
-        self.render = renderer(board) if occlusion is None else print_renderer(board, occlusion)
+        self.render = renderer(board)
         # A point at (a, d) units lies at x = (a - nx/2) s, y = (ny/2 - d) s on the board.
         width_units, height_units = board.extent
         self.squares = np.array(
@@ -74,16 +73,10 @@ class Scene:
     """One camera's view of the board; the same seed and frame index give the same picture, bit for bit."""
 
     def __init__(
-        self,
-        board: Board,
-        lens: Lens,
-        size: tuple[int, int],
-        degradation: ImageDegradation,
-        seed: int,
-        occlusion: Occlusion | None = None,
+        self, board: Board, lens: Lens, size: tuple[int, int], degradation: ImageDegradation, seed: int
     ) -> None:
-        """`size` is (width, height) in pixels; `occlusion` hides a part of the board."""
-        self._board, self._degradation, self._seed = RenderedBoard(board, occlusion), degradation, seed
+        """`size` is (width, height) in pixels."""
+        self.board, self._degradation = RenderedBoard(board), degradation
         self._lens = lens
         width, height = size
         self._rays = _PixelRays(lens, size)
@@ -118,7 +111,7 @@ class Scene:
         """
         # No two pictures in a row have the same backdrop: a picture that repeats is one of a frozen camera.
         image = self._noisy_backdrop((13 * index + 5 * (index // _BACKDROPS)) % _BACKDROPS).copy()
-        boards = [MovingBoard(self._board, opened, middle, closed), *others]
+        boards = [MovingBoard(self.board, opened, middle, closed), *others]
         boards.sort(key=lambda one: -float(one.middle.translation_m[2]))
         for number, board in enumerate(boards):
             self._draw(board, image, index, self._backdrop if number == 0 else image.astype(np.float32))

@@ -75,7 +75,6 @@ def pose_among(entries: NDArray[np.void], t_ns: int) -> TipPose:
 
 
 def _standing(t_ns: int, entry: np.void) -> TipPose:
-    """The pose of an entry."""
     tip = TipPose(t_ns, entry["position_m"].copy(), entry["rotation"].copy())
     if not _has_sections(entry.dtype):
         return tip

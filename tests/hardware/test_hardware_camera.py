@@ -10,9 +10,9 @@ import pytest
 
 from rig.config.loader import load
 from rig.config.sections import CameraConfig
-from rig.hardware.cameras.base import CameraError, Frame
+from rig.hardware.cameras.base import CameraError, Frame, FrameSet
 from rig.hardware.cameras.opencv import OpenCVCamera
-from rig.observation.single_camera import SingleCameraTipEstimator
+from rig.observation.camera_estimator import CameraTipEstimator
 from runs.records import DetectionStatus
 from tests.hardware.played_pictures import RATE_HZ
 from tests.hardware.rig_of_the_machine import LOOPED, Player
@@ -64,9 +64,9 @@ def test_a_missing_camera_is_named() -> None:
 
 
 def test_a_rendered_scene_played_through_the_kernel_is_measured_where_it_is(player: Player) -> None:
-    eye = SingleCameraTipEstimator(load(LOOPED), "front")
+    eye = CameraTipEstimator(load(LOOPED))
     frames = take(OpenCVCamera(camera_config("/dev/video9", rate_hz=float(RATE_HZ))), 40)
-    measured = [eye.measure(frame.image) for frame in frames]
+    measured = [eye.measure(FrameSet.of(frame)) for frame in frames]
     tips = np.array([m.tip_m for m in measured if m.seen is DetectionStatus.MEASURED])
     assert len(tips) > 30
     away = np.linalg.norm(tips[:, None, [0, 2]] - player.tips_m[None, :, [0, 2]], axis=2).min(axis=1)

@@ -89,7 +89,6 @@ class OpenCVCamera:
             )
 
     def _pixel_format(self) -> str:
-        """The four letters of what the driver delivers."""
         return int(self._capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little").decode("ascii", "replace")
 
     def _refuse(self, why: str) -> NoReturn:

@@ -88,7 +88,6 @@ class CameraSynchroniser:
                 self._changed.wait(self._period_ns * 0.1e-9)
 
     def close(self) -> None:
-        """Release every camera."""
         for reader in self._readers:
             reader.stop()
         release(self._cameras)

@@ -110,7 +110,6 @@ class ComediCard:
 
     @property
     def description(self) -> str:
-        """Board, driver and device, for messages."""
         return f"{self._device.board} (driver {self._device.driver}, {self._device.path})"
 
     @property

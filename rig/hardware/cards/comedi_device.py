@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import functools
 import grp
 import os
 import pwd
@@ -15,9 +16,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike, NDArray
 
 from rig.hardware.cards import comedi_constants
@@ -48,7 +51,6 @@ class CommandTiming:
     convert_ns: int
 
     def period_ns(self, channels: int) -> int:
-        """Scan period."""
         return self.scan_ns if self.scan_begin == Trigger.TIMER else self.convert_ns * channels
 
 
@@ -60,12 +62,7 @@ class Polynomial:
     origin: float
 
     def __call__(self, x: ArrayLike) -> NDArray[np.float64]:
-        """Evaluate elementwise."""
-        centred = np.asarray(x, np.float64) - self.origin
-        y = np.full_like(centred, self.coefficients[-1])
-        for c in self.coefficients[-2::-1]:
-            y = y * centred + c
-        return y
+        return np.asarray(polyval(np.asarray(x, np.float64) - self.origin, self.coefficients))
 
 
 class AnalogueChannel:
@@ -169,7 +166,6 @@ class Subdevice:
             self._subdevice.command()
 
     def cancel(self) -> None:
-        """Stop the command."""
         with _as_card_error(self._path, "sampling cannot be stopped"):
             self._subdevice.cancel()
 
@@ -178,7 +174,6 @@ class DigitalLines:
     """The digital inputs or outputs of a card: a subdevice of one kind, or lines that are inputs since the attach."""
 
     def __init__(self, subdevice: Any, path: str) -> None:
-        """`subdevice` is pycomedi's."""
         self._subdevice = subdevice
         self._path = path
         self.channels = int(subdevice.get_n_channels())
@@ -269,50 +264,41 @@ def require() -> None:
     _pycomedi()
 
 
-class _Names:
+@functools.cache
+def _pycomedi() -> Any:
     """The parts of pycomedi that are used."""
-
-    def __init__(self) -> None:
-        # pycomedi imports a module `comedi`; it gets ours, and other programs' stays what it was.
-        before = sys.modules.get("comedi")
-        sys.modules["comedi"] = comedi_constants
-        try:
-            from pycomedi import PyComediError, __version__
-            from pycomedi.channel import AnalogChannel
-            from pycomedi.command import Command
-            from pycomedi.constant import AREF, SUBDEVICE_TYPE, UNIT
-            from pycomedi.device import Device as PyComediDevice
-            from pycomedi.subdevice import StreamingSubdevice
-        except ImportError as error:
-            raise CardError(f"pycomedi is not installed ({error})", "run `make comedi` in softrig's folder") from None
-        finally:
-            if before is None:
-                del sys.modules["comedi"]
-            else:
-                sys.modules["comedi"] = before
-        if __version__ != _BUILD:
-            raise CardError(
-                f"pycomedi is build {__version__}, which cannot open every card; softrig needs {_BUILD}",
-                "run `make comedi` in softrig's folder",
-            )
-        self.PyComediError = PyComediError
-        self.AnalogChannel = AnalogChannel
-        self.Command = Command
-        self.AREF = AREF
-        self.SUBDEVICE_TYPE = SUBDEVICE_TYPE
-        self.UNIT = UNIT
-        self.Device = PyComediDevice
-        self.StreamingSubdevice = StreamingSubdevice
-
-
-_names: _Names | None = None
-
-
-def _pycomedi() -> _Names:
-    global _names
-    if _names is None:
-        _names = _Names()
-    return _names
+    # pycomedi imports a module `comedi`; it gets ours, and other programs' stays what it was.
+    before = sys.modules.get("comedi")
+    sys.modules["comedi"] = comedi_constants
+    try:
+        from pycomedi import PyComediError, __version__
+        from pycomedi.channel import AnalogChannel
+        from pycomedi.command import Command
+        from pycomedi.constant import AREF, SUBDEVICE_TYPE, UNIT
+        from pycomedi.device import Device
+        from pycomedi.subdevice import StreamingSubdevice
+    except ImportError as error:
+        raise CardError(f"pycomedi is not installed ({error})", "run `make comedi` in softrig's folder") from None
+    finally:
+        if before is None:
+            del sys.modules["comedi"]
+        else:
+            sys.modules["comedi"] = before
+    if __version__ != _BUILD:
+        raise CardError(
+            f"pycomedi is build {__version__}, which cannot open every card; softrig needs {_BUILD}",
+            "run `make comedi` in softrig's folder",
+        )
+    return SimpleNamespace(
+        PyComediError=PyComediError,
+        AnalogChannel=AnalogChannel,
+        Command=Command,
+        AREF=AREF,
+        SUBDEVICE_TYPE=SUBDEVICE_TYPE,
+        UNIT=UNIT,
+        Device=Device,
+        StreamingSubdevice=StreamingSubdevice,
+    )
 
 
 @contextlib.contextmanager

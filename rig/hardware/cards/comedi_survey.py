@@ -23,7 +23,6 @@ class SubdeviceSurvey:
     fastest_hz: float | None
 
     def __str__(self) -> str:
-        """Description in one line."""
         ranges = ", ".join(f"{low:g} to {high:g} V" for low, high in self.ranges_v)
         own_clock = self.fastest_hz is not None
         rate = f", by its own clock up to {(self.fastest_hz or 0) / 1e3:.4g} kHz for one channel" if own_clock else ""

@@ -98,7 +98,6 @@ class SerialCard:
 
     @property
     def description(self) -> str:
-        """Controller and port, for messages."""
         return f"the pressure controller at {self._setup.device}"
 
     def _greet(self) -> Identity:

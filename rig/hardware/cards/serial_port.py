@@ -84,7 +84,6 @@ class SerialPort:
             raise CardError(f"{self.path} takes no more data: does the controller read?")
 
     def close(self) -> None:
-        """Release the port."""
         file, self._file = self._file, -1  # another file may have the number later
         with suppress(OSError):
             os.close(file)

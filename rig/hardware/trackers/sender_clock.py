@@ -80,7 +80,6 @@ class SenderClock:
         self._begin()
 
     def _begin(self) -> None:
-        """Forget every message."""
         self._origin: tuple[int, int] | None = None
         self._bins: deque[tuple[int, float, float]] = deque(maxlen=round(WINDOW_S / BIN_S))
         self._recent: deque[tuple[int, float, float]] = deque()

@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.boards import BOARDS, LENS, TIP_IN_BOARD, measure, ours, patches, poses, printed
+from benchmarks.boards import BOARDS, LENS, TIP_IN_BOARD, Occlusion, measure, ours, patches, poses, printed
 from calibration.vision.board import Board
 from calibration.vision.charuco import CharucoBoard
 from calibration.vision.tag_grid import TagGrid
 from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
-from rig.simulator.board_rendering import Occlusion, print_renderer
+from rig.simulator.board_rendering import print_table, table_renderer
 from runs.records import DetectionStatus
 from tests.support.vision_bench import BOARD, facing, scene, still
 
@@ -29,7 +29,7 @@ def test_a_board_is_printed_as_opencv_prints_it(board: Board) -> None:
 
 def test_the_kernel_for_any_print_draws_a_checkerboard_as_the_checkerboards_own_does() -> None:
     own, other = scene(), scene()
-    other._board.render = print_renderer(BOARD)
+    other.board.render = table_renderer(*print_table(BOARD))
     pose = facing(roll_deg=20)
     # At a crossing of lines of which one parts nothing, one kernel samples the cell and the other integrates over it.
     assert np.abs(still(pose, 0, own).astype(int) - still(pose, 0, other)).max() <= 1

@@ -158,13 +158,13 @@ def test_without_any_pressure_there_is_no_modelled_tip(config: rig.config.schema
 
 def test_the_stated_interval_holds_the_truth(config: rig.config.schema.RigConfig) -> None:
     """The mock's promise: 95 % intervals hold the truth in 90-99 % of frames, and under 1 mm in the plane."""
-    from rig.observation.single_camera import SingleCameraTipEstimator
+    from rig.observation.camera_estimator import CameraTipEstimator
 
-    camera, eye = MockCamera(config, Sweep(), seed=11), SingleCameraTipEstimator(config, "front")
+    camera, eye = MockCamera(config, Sweep(), seed=11), CameraTipEstimator(config)
     held, plane = [], []
     for k in range(300):
         frame = camera.frame_at(k, 10**9 + k * FRAME_NS)
-        seen = eye.measure(frame.image)
+        seen = eye.measure(FrameSet.of(frame))
         assert seen.seen is DetectionStatus.MEASURED
         error = seen.tip_m - frame.truth_m
         held.append(np.abs(error) < 1.96 * np.sqrt(np.diag(seen.covariance_m2)))

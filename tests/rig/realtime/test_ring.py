@@ -16,7 +16,7 @@ from runs.records import Picture
 ROW = np.dtype([("n", "<i8"), ("copies", "<i8", (64,))])
 
 
-def ring(capacity: int = 8, buffer: bytearray | None = None) -> RingBuffer[np.void]:
+def ring(capacity: int = 8, buffer: bytearray | None = None) -> RingBuffer:
     return RingBuffer(memoryview(buffer or bytearray(ring_bytes(ROW, capacity))), ROW, capacity)
 
 
@@ -62,7 +62,7 @@ def test_the_newest_rows_can_be_looked_at_without_taking_them() -> None:
 def _write(fd: int, rows: int) -> None:
     import mmap
 
-    shared: RingBuffer[np.void] = RingBuffer(memoryview(mmap.mmap(fd, ring_bytes(ROW, 32))), ROW, 32)
+    shared: RingBuffer = RingBuffer(memoryview(mmap.mmap(fd, ring_bytes(ROW, 32))), ROW, 32)
     for n in range(rows):
         shared.push(row(n))
 
@@ -73,7 +73,7 @@ def test_no_row_is_torn_while_another_process_writes_as_fast_as_it_can() -> None
 
     fd = os.memfd_create("ring", 0)
     os.ftruncate(fd, ring_bytes(ROW, 32))
-    reader: RingBuffer[np.void] = RingBuffer(memoryview(mmap.mmap(fd, ring_bytes(ROW, 32))), ROW, 32)
+    reader: RingBuffer = RingBuffer(memoryview(mmap.mmap(fd, ring_bytes(ROW, 32))), ROW, 32)
     total = 20_000
     writer = mp.get_context("fork").Process(target=_write, args=(fd, total))
     writer.start()

@@ -53,6 +53,9 @@ class Unwritten:
     def adaptations(self, rows: np.ndarray) -> None:  # type: ignore[type-arg]
         """Discard it."""
 
+    def plans(self, rows: np.ndarray) -> None:  # type: ignore[type-arg]
+        """Discard it."""
+
     def picture(self, picture: Picture) -> None:
         """Discard it."""
 

@@ -15,7 +15,7 @@ from rig.experiment.replay import replay
 from rig.hardware.cameras.base import FrameSet
 from rig.live import view_state
 from rig.live.archived_run import ArchivedRun
-from rig.observation.multi_camera import MultiCameraTipEstimator
+from rig.observation.camera_estimator import CameraTipEstimator
 from rig.simulator.mock_camera import MockCamera
 from rig.simulator.plant import Plant
 from runs.columns import DetectionStatus
@@ -121,7 +121,7 @@ def test_measured_sections_are_where_the_simulated_arm_is_within_their_covarianc
     config = sectioned_rig()
     plant = Plant(config, 1, 0)
     camera = MockCamera(config, plant, seed=5)
-    estimators = [MultiCameraTipEstimator(config.with_board_of(name)) for name in config.sections]
+    estimators = [CameraTipEstimator(config.with_board_of(name)) for name in config.sections]
     distances = []
     for k in range(1, POSES + 1):
         plant.set_output(0, 6.0 if k % 4 else 4.0)

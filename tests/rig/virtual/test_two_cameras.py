@@ -13,7 +13,7 @@ from rig.config.schema import RigConfig
 from rig.experiment.replay import replay
 from rig.hardware.cameras.base import Frame, FrameSet
 from rig.live.archived_run import ArchivedRun
-from rig.observation.multi_camera import MultiCameraTipEstimator
+from rig.observation.camera_estimator import CameraTipEstimator
 from rig.realtime.health_monitor import HealthMonitor
 from rig.simulator.mock_camera import MockCamera
 from runs.records import DetectionStatus, Level, observation_dtype
@@ -110,7 +110,7 @@ def frame_sets(config: RigConfig, count: int, lose: int | None = None) -> list[F
 
 @pytest.mark.parametrize("lose", [0, 1])
 def test_a_camera_that_is_lost_leaves_the_other_to_measure(config: RigConfig, lose: int) -> None:
-    eyes = MultiCameraTipEstimator(config)
+    eyes = CameraTipEstimator(config)
     seen = [eyes.measure(frame_set) for frame_set in frame_sets(config, 8, lose)]
     assert all(m.seen is DetectionStatus.MEASURED for m in seen)
     assert seen[3].cameras == (DetectionStatus.MEASURED, DetectionStatus.MEASURED)
@@ -125,7 +125,7 @@ def test_contradicting_cameras_give_no_measurement(config: RigConfig) -> None:
     x, y, z = left.placement.translation_mm
     pushed = left.placement.model_copy(update={"translation_mm": (x, y, z + 10.0)})
     cameras = {**config.cameras, "left": left.model_copy(update={"placement": pushed})}
-    eyes = MultiCameraTipEstimator(config.model_copy(update={"cameras": cameras}))
+    eyes = CameraTipEstimator(config.model_copy(update={"cameras": cameras}))
     for frame_set in frame_sets(config, 3):
         measured = eyes.measure(frame_set)
         assert measured.seen is DetectionStatus.DISAGREE

@@ -1,4 +1,4 @@
-"""Multi-camera tip estimator: simultaneous pictures in, the tip from all cameras that see the board out."""
+"""Tip estimator of one camera or several: simultaneous pictures in, the tip from all that see the board out."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from calibration.dlt import DLT, DLTError
 from calibration.multiview_pose import board_pose
 from calibration.vision.corners import Corners
 from calibration.vision.tcp import tip_in_base
-from calibration.vision.tracker import Detection
+from calibration.vision.tracker import BoardTracker, Detection
 from calibration.vision.transforms import RigidTransform
-from rig.config.optics import board_in_tip, board_of, camera_in_base, lens_of
+from rig.config.optics import board_in_tip, board_of, camera_in_base, lens_of, plane_of
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import Frame, FrameSet
-from rig.observation.single_camera import SingleCameraTipEstimator, TipMeasurement
+from rig.observation.tip_measurement import TipMeasurement
 from runs.records import DetectionStatus
 
 Floats = NDArray[np.float64]
@@ -48,7 +48,7 @@ class _PreviousEstimate:
     change: Floats | None = None
 
 
-class MultiCameraTipEstimator:
+class CameraTipEstimator:
     """Measures the tip in the rig's frame sets, in order.
 
     Two or more pictures with the board give one pose in the world (`calibration.multiview_pose`). Where only
@@ -56,19 +56,21 @@ class MultiCameraTipEstimator:
     """
 
     def __init__(self, config: RigConfig) -> None:
-        self._estimators = [SingleCameraTipEstimator(config, name) for name in config.cameras]
-        self._previous_rows: list[NDArray[np.uint8] | None] = [None] * len(self._estimators)
-        self._previous_corners: list[_PreviousEstimate | None] = [None] * len(self._estimators)
+        cameras, board = tuple(config.cameras.values()), board_of(config)
+        self._trackers = [BoardTracker(board, lens_of(camera), plane_of(config, camera)) for camera in cameras]
+        self._previous_rows: list[NDArray[np.uint8] | None] = [None] * len(cameras)
+        self._previous_corners: list[_PreviousEstimate | None] = [None] * len(cameras)
         self._previous_tip: _PreviousEstimate | None = None
-        self._recent_ns = _RECENT_PERIODS * max(1e9 / camera.rate_hz for camera in config.cameras.values())
-        self._points_m = board_of(config).corners_m
+        self._recent_ns = _RECENT_PERIODS * max(1e9 / camera.rate_hz for camera in cameras)
+        self._points_m = board.corners_m
         self._board_in_tip = board_in_tip(config)
         # The world origin is the straight arm's tip, which is in front of every camera that sees the board.
         self._world_in_base = RigidTransform(np.eye(3), np.array([0.0, 0.0, config.arm.geometry.length_mm * 1e-3]))
-        self._cameras_in_world = [self._in_world(camera_in_base(camera)) for camera in config.cameras.values()]
+        self._cameras_in_base = [camera_in_base(camera) for camera in cameras]
+        self._cameras_in_world = [self._in_world(camera) for camera in self._cameras_in_base]
         self._dlts = (
-            [DLT.of_camera(lens_of(c), p) for c, p in zip(config.cameras.values(), self._cameras_in_world, strict=True)]
-            if len(self._estimators) > 1
+            [DLT.of_camera(lens_of(c), p) for c, p in zip(cameras, self._cameras_in_world, strict=True)]
+            if len(cameras) > 1
             else []
         )
 
@@ -93,7 +95,7 @@ class MultiCameraTipEstimator:
         # A uniformly black or white picture has no noise to compare.
         if before is not None and np.array_equal(before, sampled_rows) and before.min() != before.max():
             return Detection(DetectionStatus.NO_FRAME)
-        return self._estimators[k].tracker.detect(frame.image)
+        return self._trackers[k].detect(frame.image)
 
     def _measure_jointly(self, frame_set: FrameSet, detections: Sequence[Detection]) -> TipMeasurement | None:
         """Measure the tip from all cameras that see the board; None with fewer than two."""
@@ -118,7 +120,7 @@ class MultiCameraTipEstimator:
             statuses = tuple(DetectionStatus.DISAGREE if s is DetectionStatus.MEASURED else s for s in seen)
             return TipMeasurement.none(DetectionStatus.DISAGREE, statuses)
         for k in corners:
-            self._estimators[k].tracker.correct_flip(detections[k], self._cameras_in_world[k].inverse() @ pose.rigid)
+            self._trackers[k].correct_flip(detections[k], self._cameras_in_world[k].inverse() @ pose.rigid)
         tip, covariance = tip_in_base(pose, self._board_in_tip, self._world_in_base)
         return TipMeasurement(
             DetectionStatus.MEASURED, tip.translation_m, tip.rotation, covariance, pose.reprojection_px, None, seen
@@ -131,11 +133,16 @@ class MultiCameraTipEstimator:
             reason = next((s for s in seen if s is not DetectionStatus.NO_FRAME), DetectionStatus.NO_FRAME)
             return TipMeasurement.none(reason, seen)
         k = seen.index(DetectionStatus.MEASURED)
-        found = self._estimators[k].measurement_of(detections[k])
-        frame = frame_set.frames[k]
+        frame, pose, corners = frame_set.frames[k], detections[k].pose, detections[k].corners
         assert frame is not None
+        assert pose is not None
+        assert corners is not None
+        tip, covariance = tip_in_base(pose, self._board_in_tip, self._cameras_in_base[k])
+        cameras = tuple(s if j == k else _unused(s) for j, s in enumerate(seen))
         skew_ns = frame.t_ns - frame_set.t_ns
-        found = replace(found, cameras=tuple(s if j == k else _unused(s) for j, s in enumerate(seen)))
+        found = TipMeasurement(
+            seen[k], tip.translation_m, tip.rotation, covariance, pose.reprojection_px, corners.px, cameras
+        )
         return found if abs(skew_ns) <= _SIMULTANEOUS_NS else self._extrapolated(found, frame.t_ns, skew_ns)
 
     def _extrapolated(self, found: TipMeasurement, t_ns: int, skew_ns: int) -> TipMeasurement:

@@ -1,4 +1,4 @@
-"""Single-camera tip estimator: picture in, tip with covariance out, or the reason why there is none."""
+"""One measurement of the tip, by cameras or a tracker: the tip with its covariance, or why there is none."""
 
 from __future__ import annotations
 
@@ -8,10 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.vision.tcp import tip_in_base
-from calibration.vision.tracker import BoardTracker, Detection
-from rig.config.optics import board_in_tip, board_of, camera_in_base, lens_of, plane_of
-from rig.config.schema import RigConfig
 from runs.records import DetectionStatus
 
 Floats = NDArray[np.float64]
@@ -39,7 +35,6 @@ class TipMeasurement:
 
     @property
     def covariance_m2(self) -> Floats:
-        """Covariance (3, 3) of the position."""
         return self.pose_covariance[:3, :3]
 
     @property
@@ -54,27 +49,3 @@ class TipMeasurement:
         """Return a measurement without a tip, with the reason."""
         tip, rotation, covariance = np.full(3, np.nan), np.full((3, 3), np.nan), np.full((6, 6), np.nan)
         return cls(seen, tip, rotation, covariance, float("nan"), None, cameras)
-
-
-class SingleCameraTipEstimator:
-    """Measures the tip in one camera's pictures, in order, by tracking the board."""
-
-    def __init__(self, config: RigConfig, camera_name: str) -> None:
-        camera = config.cameras[camera_name]
-        self.tracker = BoardTracker(board_of(config), lens_of(camera), plane_of(config, camera))
-        self._board_in_tip = board_in_tip(config)
-        self._camera_in_base = camera_in_base(camera)
-
-    def measure(self, image: NDArray[np.uint8]) -> TipMeasurement:
-        """Measure the tip in the next picture, (height, width) grey or (height, width, 3) BGR."""
-        return self.measurement_of(self.tracker.detect(image))
-
-    def measurement_of(self, detection: Detection) -> TipMeasurement:
-        """Return the tip from this camera's detection alone."""
-        if detection.pose is None or detection.corners is None:
-            return TipMeasurement.none(detection.status, (detection.status,))
-        tip, covariance = tip_in_base(detection.pose, self._board_in_tip, self._camera_in_base)
-        seen, pose = detection.status, detection.pose
-        return TipMeasurement(
-            seen, tip.translation_m, tip.rotation, covariance, pose.reprojection_px, detection.corners.px, (seen,)
-        )
