@@ -98,7 +98,7 @@ def parts(protocol: str) -> None:
     from rig.experiment import run as experiment
     from rig.observation import picture_recorder
     from rig.observation.camera_estimator import CameraTipEstimator
-    from rig.observation.live_model import DynamicModel
+    from rig.observation.live_model import LiveModel
     from rig.observation.observer import Observer
     from rig.simulator.mock_camera import MockCamera
     from rig.simulator.plant import Plant
@@ -116,7 +116,7 @@ def parts(protocol: str) -> None:
     watch.around(MockCamera, "develop", "rendering")
     watch.around(Observer, "step", "observer, the rest")
     watch.around(CameraTipEstimator, "measure", "vision")
-    watch.around(DynamicModel, "step", "model")
+    watch.around(LiveModel, "step", "model")
     watch.around(picture_recorder.PictureRecorder, "pictures", "pictures stored")
     watch.around(executor._VirtualRun, "_flush", "recording")
     watch.around(writer, "finalise", "archive")

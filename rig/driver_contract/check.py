@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Generic, TypeVar
 
+from rig.hardware.call_limit import within
 from rig.hardware.cards.base import CardError
 from rig.hardware.tip_source import TipSourceError
 
@@ -63,15 +63,11 @@ class Check(Generic[Subject]):
 
     def result(self, device: str, subject: Subject) -> CheckResult:
         """Run the check; whatever the driver raises is a result, and so is a call that does not return."""
-        results: list[CheckResult] = []
-        # Only a thread of its own can be left behind in a call that never returns.
-        thread = threading.Thread(target=lambda: results.append(self._result(device, subject)), daemon=True)
-        thread.start()
-        thread.join(LONGEST_S)
-        stuck = CheckResult(
-            device, self.name, CheckVerdict.FAIL, f"a call does not return within {LONGEST_S:g} s", self.expected
-        )
-        return results[0] if results else stuck
+        try:
+            return within(lambda: self._result(device, subject), LONGEST_S)
+        except CardError:
+            stuck = f"a call does not return within {LONGEST_S:g} s"
+            return CheckResult(device, self.name, CheckVerdict.FAIL, stuck, self.expected)
 
     def _result(self, device: str, subject: Subject) -> CheckResult:
         try:

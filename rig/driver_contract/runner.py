@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -14,13 +13,12 @@ from rig.driver_contract.card_subject import CardSubject
 from rig.driver_contract.check import CheckResult
 from rig.driver_contract.source_checks import CAMERA_CHECKS, TRACKER_CHECKS, CameraSubject, TrackerSubject
 from rig.hardware.lock import cards_locked
-from rig.simulator.plant_launcher import started
+from rig.simulator.plant_launcher import simulated
 from rig.simulator.registers import Registers
 
 Unplug = Callable[[str], None]
 """Makes a card disappear, by its name."""
 ENDLESS = 2**40
-_SIMULATOR_S = 120.0
 
 
 @contextmanager
@@ -30,10 +28,7 @@ def bench_of(config: RigConfig, rig_file: Path) -> Iterator[None]:
     Raises:
         CardError: another run holds a card, or the simulator does not start.
     """
-    with cards_locked(config, "rig test-driver"), started(config, rig_file, seed=0) as simulation:
-        until = time.monotonic() + _SIMULATOR_S
-        while simulation is not None and not simulation.ready() and time.monotonic() < until:
-            time.sleep(0.01)
+    with cards_locked(config, "rig test-driver"), simulated(config, rig_file, seed=0):
         yield
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 import model
 from model.dynamics import Dynamics
 from model.statics import statics
-from rig.hardware.cameras.base import FrameSet
 from rig.observation.sample_interpolator import SampleInterpolator
 
 Floats = NDArray[np.float64]
@@ -20,19 +19,6 @@ Floats = NDArray[np.float64]
 # After a longer gap, in periods of the camera, the model restarts from the static solution instead of catching up.
 _MOST_STEPS = 10
 _EVEN = 1e-6
-
-
-class LiveModel(Protocol):
-    """The live model, static or dynamic."""
-
-    def step(self, frame_set: FrameSet, pressures: SampleInterpolator, loads: model.Loads | None) -> model.Shape | None:
-        """Return the arm's shape at the time of the frame set; None without convergence."""
-
-
-def live_model(arm: model.Arm, period_s: float, static: bool) -> LiveModel:
-    """The model of an arm that is observed every `period_s`; with `static` one without dynamics, where possible."""
-    dynamics = motion_model(arm, period_s, static)
-    return _StaticModel(arm) if dynamics is None else DynamicModel(dynamics, period_s, arm.remembers)
 
 
 def motion_model(arm: model.Arm, dt_s: float, static: bool) -> Dynamics | None:
@@ -45,38 +31,35 @@ def motion_model(arm: model.Arm, dt_s: float, static: bool) -> Dynamics | None:
     return Dynamics(replace(arm, inertia=False), dt_s) if arm.remembers else None
 
 
-class _StaticModel:
-    """Statics at every frame."""
+class LiveModel:
+    """The arm from frame to frame: statics at each frame, or dynamics over the time between two frames.
 
-    def __init__(self, arm: model.Arm) -> None:
-        self._arm = arm
-
-    def step(self, frame_set: FrameSet, pressures: SampleInterpolator, loads: model.Loads | None) -> model.Shape | None:
-        return _static_shape(partial(statics, self._arm, doubt_units=False), pressures.at(frame_set.t_ns), loads)
-
-
-class DynamicModel:
-    """Dynamics from frame to frame: over the time between them, in equal steps of about the camera's stated period.
-
-    An arm that remembers begins at the first sample known, and takes longer steps over a gap, however long: its past
-    must not be lost.
+    Dynamics take equal steps of about the camera's stated period. An arm that remembers begins at the first sample
+    known, and takes longer steps over a gap, however long: its past must not be lost.
     """
 
-    def __init__(self, dynamics: Dynamics, period_s: float, remembers: bool) -> None:
-        self._dynamics, self._remembers = dynamics, remembers
+    def __init__(self, arm: model.Arm, period_s: float, static: bool) -> None:
+        """The arm is observed every `period_s`; with `static` there are no dynamics, where possible."""
+        self._dynamics, self._remembers = motion_model(arm, period_s, static), arm.remembers
+        self._solve: Callable[..., model.Shape] = partial(statics, arm, doubt_units=False)
+        if self._dynamics is not None:
+            self._solve = self._dynamics.start
         self._period_ns = period_s * 1e9
         self._last: tuple[int, model.Shape] | None = None
 
-    def step(self, frame_set: FrameSet, pressures: SampleInterpolator, loads: model.Loads | None) -> model.Shape | None:
+    def step(self, t_ns: int, pressures: SampleInterpolator, loads: model.Loads | None) -> model.Shape | None:
+        """Return the arm's shape at the time of the next frame; None without convergence."""
+        if self._dynamics is None:
+            return self._at_rest(t_ns, pressures, loads)
         last, self._last = self._last, None
         if last is None and self._remembers:
-            last = self._begin(frame_set.t_ns, pressures, loads)
-        passed_ns = frame_set.t_ns - last[0] if last is not None else 0
+            last = self._begin(t_ns, pressures, loads)
+        passed_ns = t_ns - last[0] if last is not None else 0
         steps = max(1, round(passed_ns / self._period_ns))
         if self._remembers:
             steps = min(steps, _MOST_STEPS)
         if last is None or passed_ns <= 0 or steps > _MOST_STEPS:
-            shape = _static_shape(self._dynamics.start, pressures.at(frame_set.t_ns), loads)
+            shape = self._at_rest(t_ns, pressures, loads)
         elif passed_ns * 1e-9 < self._dynamics.shortest_step_s:
             # Too short for the waves that the nodes resolve: the next frame takes a step over both.
             self._last = last
@@ -91,7 +74,7 @@ class DynamicModel:
                     # The next frame restarts from statics, because the history has a gap.
                     return None
         if shape is not None:
-            self._last = frame_set.t_ns, shape
+            self._last = t_ns, shape
         return shape
 
     def _begin(
@@ -101,23 +84,20 @@ class DynamicModel:
         first_ns = pressures.first_ns
         if first_ns is None or first_ns >= t_ns:
             return None
-        shape = _static_shape(self._dynamics.start, pressures.at(first_ns), loads)
+        shape = self._at_rest(first_ns, pressures, loads)
         return None if shape is None else (first_ns, shape)
+
+    def _at_rest(self, t_ns: int, pressures: SampleInterpolator, loads: model.Loads | None) -> model.Shape | None:
+        """The static shape at the pressures of a time."""
+        pressure = pressures.at(t_ns)
+        if not np.all(np.isfinite(pressure)):
+            return None
+        try:
+            shape = self._solve(pressure, loads)
+        except model.NotConverged:
+            return None
+        return shape if shape.ok else None
 
     def _step_s(self, step_ns: float) -> float | None:
         """The step, None for the stated period: times in whole nanoseconds do not count as uneven."""
         return None if abs(step_ns - self._period_ns) < _EVEN * self._period_ns else step_ns * 1e-9
-
-
-def _static_shape(solve: _Solve, pressure: Floats, loads: model.Loads | None) -> model.Shape | None:
-    if not np.all(np.isfinite(pressure)):
-        return None
-    try:
-        shape = solve(pressure, loads)
-    except model.NotConverged:
-        return None
-    return shape if shape.ok else None
-
-
-class _Solve(Protocol):
-    def __call__(self, pressure_pa: Floats, loads: model.Loads | None, /) -> model.Shape: ...

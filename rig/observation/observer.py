@@ -18,13 +18,12 @@ from rig.config.sections import Variant
 from rig.hardware.cameras.base import FrameSet
 from rig.hardware.trackers.base import TrackerReading
 from rig.observation.camera_estimator import CameraTipEstimator
-from rig.observation.live_model import live_model
+from rig.observation.live_model import LiveModel
 from rig.observation.overlay import backbone
 from rig.observation.sample_interpolator import SampleInterpolator
-from rig.observation.tip_estimator import tip_estimator
 from rig.observation.tip_force import MeasuredTipForce
 from rig.observation.tip_measurement import TipMeasurement
-from runs.records import blank, observation_dtype
+from runs.records import DetectionStatus, blank, observation_dtype
 
 if TYPE_CHECKING:
     from rig.observation.online_estimation import OnlineEstimation
@@ -56,10 +55,11 @@ class Observer:
         """
         # The pictures are small; a second thread only takes CPU time from the control process.
         cv2.setNumThreads(1)
-        self._tip_estimator = tip_estimator(config)
+        self._cameras = CameraTipEstimator(config) if config.cameras else None
+        self._has_tracker = bool(config.trackers)
         self._sections = SectionObserver(config) if config.sections else None
         rate_hz = config.observation_hz
-        self._model = live_model(model_arm(config, variant), 1 / rate_hz, config.model.mode == "static")
+        self._model = LiveModel(model_arm(config, variant), 1 / rate_hz, config.model.mode == "static")
         self._tip_load = TipLoad(config)
         self._pressures = SampleInterpolator(config.actuators)
         self._tip_force, self._forces = MeasuredTipForce(config), SampleInterpolator(3)
@@ -96,7 +96,7 @@ class Observer:
         `age_ns` stays zero; the caller sets it.
         """
         self._pressures.extend(np.asarray(sample_t_ns, dtype=np.int64), np.asarray(sample_pa, dtype=np.float64))
-        measured = self._tip_estimator.measure(frame_set)
+        measured = self._measured(frame_set)
         force_n = np.zeros(3)
         if self._tip_force:
             if sample_aux is not None:
@@ -104,7 +104,7 @@ class Observer:
             weight_kg, force_n = 0.0, self._forces.at(frame_set.t_ns)
         shape = None
         if np.isfinite(force_n).all():
-            shape = self._model.step(frame_set, self._pressures, self._tip_load.carrying(weight_kg, force_n))
+            shape = self._model.step(frame_set.t_ns, self._pressures, self._tip_load.carrying(weight_kg, force_n))
         self.measurement, self.shape = measured, shape
         if shape is not None:
             self._model_m = np.array(shape.tip_m, dtype=np.float64)
@@ -136,6 +136,12 @@ class Observer:
         if self._online_estimation is not None:
             self.adaptation = self._online_estimation.step(row)
         return row
+
+    def _measured(self, frame_set: FrameSet) -> TipMeasurement:
+        """The tip by the tracker of the rig, by its cameras, or none."""
+        if self._has_tracker:
+            return TipMeasurement.of_reading(frame_set.reading)
+        return self._cameras.measure(frame_set) if self._cameras else TipMeasurement.none(DetectionStatus.NO_CAMERA, ())
 
     def _set_reference(self, row: NDArray[np.void], sample_t_ns: Times, sample_protocol_s: Floats) -> None:
         """Set the reference at the time of a frame: the cycles around it give its protocol time."""

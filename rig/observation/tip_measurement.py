@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.hardware.trackers.base import TrackerReading
 from runs.records import DetectionStatus
 
 Floats = NDArray[np.float64]
@@ -43,6 +44,14 @@ class TipMeasurement:
         if not np.isfinite(self.rotation).all():
             return np.full(3, np.nan)
         return np.asarray(cv2.Rodrigues(self.rotation)[0], np.float64).ravel()
+
+    @classmethod
+    def of_reading(cls, reading: TrackerReading | None) -> TipMeasurement:
+        """Return the measurement of a tracker; without a tip where it is silent or does not see the body."""
+        if reading is None or not reading.seen:
+            return cls.none(DetectionStatus.NO_MESSAGE if reading is None else DetectionStatus.NO_POSE, ())
+        pose = reading.position_m, reading.rotation, reading.covariance
+        return cls(DetectionStatus.MEASURED, *pose, float("nan"), None, ())
 
     @classmethod
     def none(cls, seen: DetectionStatus, cameras: tuple[DetectionStatus, ...]) -> TipMeasurement:
