@@ -16,6 +16,7 @@ _FIRST_DAMPING, _LAST_DAMPING = 1.0, 1e-3
 _MORE_DAMPING = 4.0
 # A step longer than so many spans and an error bar, which is a predicted decrease of one, is corrected for the
 # curvature of its path, probed at a share of the step: in a shorter one the probe would see the tolerance of the model.
+# Once a step was refused, the path is curved on the scale of an error bar, and shorter ones are corrected, too.
 _STRAIGHT, _ERROR_BAR, _PROBE = 3e-3, 1.0, 0.1
 # A step is refused if this correction is a larger share of it.
 _MAX_BEND = 0.4
@@ -45,6 +46,7 @@ def gauss_newton(
     residual = residuals(x)
     damping = 0.0
     slope: Array | None = None
+    least = _ERROR_BAR
     for _ in range(evaluations):
         if slope is None:
             slope = jacobian(x)
@@ -57,7 +59,7 @@ def gauss_newton(
         predicted_decrease = float(step @ descent)
         step *= min(1.0, _MAX_STEP / max(np.abs(step).max(initial=0.0), 1e-300))
         bend = np.zeros(len(x))
-        if np.abs(step).max(initial=0.0) > _STRAIGHT and predicted_decrease > _ERROR_BAR:
+        if np.abs(step).max(initial=0.0) > _STRAIGHT and predicted_decrease > least:
             second = _second_derivative(residuals, x, residual, slope @ step, step)
             bend[inside] = -0.5 * np.linalg.solve(curvature, slope[:, inside].T @ second)
         trial = np.clip(x + step + bend, lower, upper)
@@ -69,6 +71,7 @@ def gauss_newton(
             damping = damping / 10 if damping > _LAST_DAMPING else 0.0
         else:
             damping = max(_MORE_DAMPING * damping, _FIRST_DAMPING)
+            least = _CONVERGED
         if predicted_decrease < _CONVERGED:
             return x, True
     return x, False
