@@ -26,8 +26,9 @@ _SPAN_PER_DISTANCE = 0.5
 # parameters that they hardly correlate with.
 PRIOR_SPANS = 2.0
 _MIN_COMPONENT = 0.2
-# An unknown that the fit moved by more spans than this is fitted again with the effects.
-_FAR_SPANS = 1.0
+# An unknown that the fit moved by more spans than this, or closer to a bound than so many spans, is fitted again with
+# the effects: a span may reach from the start to the bound.
+_FAR_SPANS, _AT_BOUND_SPANS = 1.0, 0.05
 # Decrease of the deviance, over that at its start, above which an unknown is published: three standard deviations.
 _EXCLUDED = 9.0
 # Information below which an unknown has no effect: a standard deviation of a thousand spans.
@@ -115,7 +116,7 @@ def _obscured(
     the other. So the value must also be more likely than the start, by the likelihood ratio with the effects fitted at
     both.
     """
-    far = [i for i in left if abs(solution.z[i]) > _FAR_SPANS]
+    far = [i for i in left if _far(problem, i, float(solution.z[i]))]
     if not far:
         return {}
     effects = EffectsProblem(problem, error.amplitude)
@@ -131,6 +132,12 @@ def _obscured(
     least = min(ratios, key=ratios.__getitem__)
     # The curvature is no measure of what such data say, so they are taken to say nothing.
     return {least: Held(Verdict.OBSCURED, 0.0)} if ratios[least] < _EXCLUDED else {}
+
+
+def _far(problem: LeastSquaresProblem, i: int, z: float) -> bool:
+    unknown = problem.unknowns[i]
+    at_bound = not unknown.lower + _AT_BOUND_SPANS < z < unknown.upper - _AT_BOUND_SPANS
+    return abs(z) > _FAR_SPANS or at_bound
 
 
 def _likelihood_ratio(effects: EffectsProblem, found: Solution, i: int, held: Collection[int]) -> float:

@@ -77,3 +77,15 @@ def test_an_effect_that_the_model_lacks_is_not_published_as_a_parameter_far_from
     interval = fit["a1_per_n"].interval
     assert interval is None or interval[0] < START.arm.material.a1_per_n < interval[1]
     assert interval is not None or growth_per_bar > 0.2
+
+
+@pytest.mark.slow
+def test_an_effect_that_the_model_lacks_is_not_published_as_a_parameter_at_its_bound() -> None:
+    """The push falls behind the pressure. The data alone explain it by a wall that does not soften: a2 of zero."""
+    bar = np.linspace(0.15, 0.65, 11)[:, None] * np.array([1.0, 0, 0])
+    errors = MeasurementErrors((3e-5, 3e-5, 3e-5), 20.0, 100.0)
+    fallen = 1e5 * bar * (1 - 0.3 * bar)
+    poses = perform(plan("ramp-a", 1e5 * bar, errors=errors), START, np.random.default_rng(2), errors, felt_pa=fallen)
+    fit = identify([poses], START, ("law", "rpe_per_bar", "base"), stated=stated_values(START, {}))
+    assert fit["a2_per_n2"].value is None
+    assert fit["a2_per_n2"].verdict is Verdict.OBSCURED
