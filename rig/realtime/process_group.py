@@ -100,6 +100,10 @@ class ProcessGroup:
                 return ProcessFault(name, f"the {name} process died")
         return None
 
+    def explained(self, fault: ProcessFault) -> str:
+        """The message of a fault, with the exit status of a process that has died."""
+        return fault.message + (self.exit_status(fault.source) if self.died(fault.source) else "")
+
     def fault(self, timing: TimingLimits) -> ProcessFault | None:
         """A process of a running experiment that has failed, died or been silent for too long, else None."""
         memory = self._memory

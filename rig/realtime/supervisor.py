@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 
 from rig.execution.plan import OpenRecord, OperatorInterface, RunPlan, StartError, StoppedError
@@ -18,9 +19,10 @@ from rig.realtime.scheduling import PLANNING_NICENESS, REAL_TIME, Scheduling, ob
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, Stop
 from rig.realtime.shutdown import Shutdown
 from rig.realtime.timing_limits import TimingProfile, timing_limits, timing_sentence
-from rig.realtime.tip_controller_monitor import TipControllerMonitor
 from rig.simulator.plant_launcher import Simulation, started
 from rig.tip_control.monitor import SOURCE as TIP_CONTROLLER_SOURCE
+from rig.tip_control.monitor import TipControlMonitor
+from rig.tip_control.plan_follower import LOST_S
 from runs.records import Event, Level, RunFooter, Status
 
 SLOW_START_S = 4.0
@@ -30,6 +32,8 @@ START_DELAY_NS = 60_000_000
 START_POLL_S = 0.005
 PERIOD_S = 0.02
 LAST_FRAME_TIMEOUT_S = 0.5
+CONTROLLER_SILENT_NS = round(LOST_S * 0.5e9)
+"""Time without a heartbeat from which the tip controller counts as hung, if there are no plans."""
 
 STOP_MESSAGES = {
     Stop.SAFE: "a stop of the run was requested",
@@ -84,7 +88,7 @@ class Supervisor:
         self.memory = SharedState.create(plan.config, len(plan.adapted))
         self.processes = ProcessGroup(plan, self.memory, plant, PERIOD_S)
         self.shutdown = Shutdown(plan.config, self.memory, self.processes)
-        self._tip_controller = TipControllerMonitor(self.processes, self.memory)
+        self._tip_monitor, self._tip_failure = TipControlMonitor(), ""
         self._started = (*PROCESSES, TIP_CONTROLLER) if plan.controls_tip else PROCESSES
         self.record: DataRecorder
         self._plan, self._plant, self._operator = plan, plant, operator
@@ -148,13 +152,23 @@ class Supervisor:
                 return Status.ABORTED, fault.message
             if failure := self.record.failure:
                 return Status.ABORTED, failure
-            self.record.report(*self._tip_controller.events(time.monotonic_ns()))
+            self.record.report(*self._tip_control_events(time.monotonic_ns()))
             if done:
-                return Status.FINISHED, self._tip_controller.message(self.record.plan_counts)
+                return Status.FINISHED, self._tip_monitor.message(self.record.plan_counts)
             self._session.update(self.record)
             if self._plant is not None:
                 self._plant.set_tip_weight(self._plan.trajectory.weight_kg(memory.protocol_s))
             self._session.serve(PERIOD_S)
+
+    def _tip_control_events(self, t_ns: int) -> Iterator[Event]:
+        """What has changed since the last call, by what the tip controller's process and the shared memory say."""
+        if not self._tip_failure and (fault := self.processes.failure((TIP_CONTROLLER,))):
+            self._tip_failure = self.processes.explained(fault)
+        memory = self.memory
+        responds = t_ns - memory.heartbeat_ns(TIP_CONTROLLER) < CONTROLLER_SILENT_NS
+        return self._tip_monitor.events(
+            t_ns, memory.protocol_s, memory.setpoint_source, self._tip_failure, responds=responds
+        )
 
     def await_ready(self, name: str) -> None:
         """Wait until a starting process, or the "simulator", is ready.
@@ -184,8 +198,8 @@ class Supervisor:
         if reason := self._session.start_cancelled():
             raise StoppedError(f"stopped before the run began: {reason}")
         if fault := self.processes.failure():
-            status = self.processes.exit_status(fault.source) if self.processes.died(fault.source) else ""
-            raise StartError(fault.message.replace("process died", "process died while it started") + status)
+            message = self.processes.explained(fault)
+            raise StartError(message.replace("process died", "process died while it started"))
         if (stop := self.memory.stop_request) != Stop.NONE:
             raise StartError(f"before the run began, {STOP_MESSAGES[stop]}")
 
