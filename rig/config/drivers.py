@@ -1,13 +1,11 @@
 """Registries of drivers: those of softrig, and those that other packages install as plug-ins.
 
-One line here registers a driver of softrig. The function `driver()` of its module imports the dependencies and returns
-the function that opens a device; it runs only when a rig uses the driver.
+One line here registers a driver of softrig. Its module is imported only when a rig uses the driver.
 """
 
 from __future__ import annotations
 
 import functools
-import importlib
 import operator
 import pkgutil
 from collections.abc import Callable, Iterable, Iterator
@@ -61,19 +59,21 @@ class Plugin:
 
 @dataclass(frozen=True)
 class Driver:
-    """A registered driver: `module` holds its `driver()` function, or `plugin` is the object of another package.
+    """A registered driver: `opens` names what opens a device, or `plugin` is the object of another package.
 
-    `section` is the model of its section in the rig file, where a driver of softrig has one of its own. `checks` names
-    `module:function`, which serves `rig doctor` as `examine` of a plug-in does.
+    Names are `module:object`. `needs` is what raises an error where the dependencies of the driver are missing.
+    `section` is the model of its section in the rig file, where a driver of softrig has one of its own. `checks`
+    serves `rig doctor` as `examine` of a plug-in does.
     """
 
     name: str
-    module: str = ""
+    opens: str = ""
     about: str = ""
     safe_state: str = ""
     simulated: bool = False
     section: type[BaseModel] | None = None
     checks: str = ""
+    needs: str = ""
     package: str = "softrig"
     plugin: Plugin | None = None
 
@@ -83,10 +83,12 @@ class Driver:
         return None if self.plugin is None else self.plugin.silence_s
 
     def load(self) -> Callable[..., Any]:
-        """Return the function that opens a device; raises what `driver()` of the module raises."""
+        """Return what opens a device; raises what `needs` raises."""
         if self.plugin is not None:
             return self.plugin.open
-        opener: Callable[..., Any] = importlib.import_module(self.module).driver()
+        if self.needs:
+            pkgutil.resolve_name(self.needs)()
+        opener: Callable[..., Any] = pkgutil.resolve_name(self.opens)
         return opener
 
     def load_checks(self) -> Examine | None:
@@ -216,15 +218,15 @@ CAMERA_DRIVERS = DriverRegistry(
     "cameras",
     Driver(
         "opencv",
-        "rig.hardware.cameras.opencv",
+        "rig.hardware.cameras.opencv:OpenCVDriver",
         "V4L2 cameras, folders of pictures and video files",
         checks="rig.doctor.cameras:examine_opencv",
     ),
     Driver(
         "realsense",
-        "rig.hardware.cameras.realsense",
+        "rig.hardware.cameras.realsense:RealSenseDriver",
         "Intel RealSense by librealsense (softrig[realsense])",
         checks="rig.doctor.cameras:examine_realsense",
     ),
-    Driver("mock", "rig.simulator.mock_camera", "a camera of the simulated bench", simulated=True),
+    Driver("mock", "rig.simulator.mock_camera:MockCameraDriver", "a camera of the simulated bench", simulated=True),
 )

@@ -100,14 +100,14 @@ TRACKER_DRIVERS = DriverRegistry(
     "trackers",
     Driver(
         "udp",
-        "rig.hardware.trackers.udp",
+        "rig.hardware.trackers.udp:UdpTrackerDriver",
         "poses in UDP datagrams from another program",
         section=UdpTrackerConfig,
         checks="rig.doctor.udp_tracker:examine",
     ),
     Driver(
         "mock",
-        "rig.simulator.mock_tracker",
+        "rig.simulator.mock_tracker:MockTrackerDriver",
         "a tracker of the simulated bench",
         simulated=True,
         section=MockTrackerConfig,

@@ -40,10 +40,6 @@ class Exposure:
     trigger: TriggerMatch | None = None
 
 
-def driver() -> type[MockCameraDriver]:
-    return MockCameraDriver
-
-
 class MockCameraDriver:
     """Opens the mock camera of the plant behind the rig's mock card, from any process."""
 

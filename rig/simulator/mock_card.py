@@ -16,10 +16,6 @@ from rig.simulator.converter import quantised_output
 from rig.simulator.registers import DIGITAL_OUTPUTS, Registers, path_of
 
 
-def driver() -> type[MockCard]:
-    return MockCard
-
-
 class MockCard:
     """A card whose sampling clock, inputs and valves live in the process `rig.simulator.plant_process`.
 

@@ -28,10 +28,6 @@ _CLOCK_ZERO_NS = 1_700_000_000_000_000_000
 _OTHER_NOISE = 7_000_003
 
 
-def driver() -> type[MockTrackerDriver]:
-    return MockTrackerDriver
-
-
 class MockTrackerDriver:
     """Opens the mock tracker of the plant behind the rig's mock card, from any process."""
 

@@ -24,10 +24,6 @@ _EXPOSURE_UNIT_MS = 0.1
 _SAME_CLOCK_S = 2.0
 
 
-def driver() -> type[OpenCVDriver]:
-    return OpenCVDriver
-
-
 class OpenCVDriver:
     """Opens V4L2 devices, and recordings: a folder of pictures or a video file."""
 

@@ -24,10 +24,6 @@ ANY = "any"
 _EXPOSURE_UNIT_MS = 0.1
 
 
-def driver() -> type[RealSenseDriver]:
-    return RealSenseDriver
-
-
 class RealSenseDriver:
     """Opens RealSense cameras, which the rig file names by serial number."""
 

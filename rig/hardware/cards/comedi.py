@@ -18,7 +18,6 @@ from rig.hardware.cards.comedi_device import (
     DigitalLines,
     Subdevice,
     device_paths,
-    require,
 )
 from rig.hardware.cards.comedi_timing import channel_lists, timings
 from rig.hardware.cards.scan_clock import ScanClock
@@ -26,12 +25,6 @@ from rig.hardware.cards.scan_clock import ScanClock
 _CHUNK = 65536
 _NEAR_ENOUGH = 0.05
 """Largest deviation of the card's rate from the requested rate."""
-
-
-def driver() -> type[ComediCard]:
-    """The driver `comedi`. Raises CardError where pycomedi is not installed."""
-    require()
-    return ComediCard
 
 
 class _CommandsRefusedError(CardError):

@@ -27,12 +27,6 @@ WRITE_AGAIN_S = 0.01
 PAUSE_S = 0.0005
 
 
-def driver() -> type[NidaqmxCard]:
-    """The driver `nidaqmx`. Raises CardError where NI's package is not installed."""
-    _nidaqmx()
-    return NidaqmxCard
-
-
 class NidaqmxCard:
     """An open NI-DAQmx device: `device` is its name in NI MAX, such as Dev1.
 
@@ -47,7 +41,7 @@ class NidaqmxCard:
             CardError: the device or a channel does not exist.
         """
         self._setup = setup
-        self._ni = _nidaqmx()
+        self._ni = require()
         self._inputs: Any = None
         self._tasks: list[Any] = []
         try:
@@ -162,7 +156,8 @@ class NidaqmxCard:
             raise CardError(f"card {self._setup.device}: {what} ({' '.join(str(error).split())})") from None
 
 
-def _nidaqmx() -> Any:
+def require() -> Any:
+    """NI's package. Raises CardError where it is not installed."""
     try:
         import nidaqmx
         import nidaqmx.constants

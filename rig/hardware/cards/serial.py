@@ -52,10 +52,6 @@ KEPT = 64
 WAIT_S = 0.0005
 
 
-def driver() -> type[SerialCard]:
-    return SerialCard
-
-
 class SerialCard:
     """An open pressure controller. Values are gauge pressures in bar."""
 

@@ -18,10 +18,6 @@ _TIMESPEC = 16
 _BUFFER = 1 << 18
 
 
-def driver() -> type[UdpTrackerDriver]:
-    return UdpTrackerDriver
-
-
 class UdpTrackerDriver:
     """Opens the socket of a UDP tracker."""
 

@@ -132,7 +132,7 @@ def test_a_device_or_channel_that_does_not_exist_is_named(device: str) -> None:
 def test_without_nis_package_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "nidaqmx", None)
     with pytest.raises(CardError, match=r"pip install 'softrig\[nidaqmx\]'"):
-        ni.driver()
+        ni.require()
 
 
 CLASSES = {
