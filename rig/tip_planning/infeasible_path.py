@@ -14,7 +14,7 @@ from model.inverse.reachable import ReachablePoint, nearest_reachable
 from model.units import MM_PER_M, PA_PER_BAR
 from protocols.tip_inverse import TipRefusedError, TipRequest
 from protocols.tip_paths import TipPath, length_m
-from rig.tip_planning.path_follower import NO_SOLUTION, PathFollower, PathSolution, TruncatedPath
+from rig.tip_planning.path_follower import PathFollower, PathSolution
 
 Array = NDArray[np.float64]
 
@@ -32,11 +32,9 @@ LEAD_IN_FELT_S = 0.5
 BINDING_S = 0.15
 """How far from the first excess a limit counts as its cause."""
 AT_LIMIT_PA = 20.0
-SHORTEST_LEAD_IN_S, LONGEST_LEAD_IN_S = 0.2, 10.0
+SHORTEST_LEAD_IN_S = 0.2
 USUAL_LEAD_IN_S = 3.0
-"""Lead-in with which speed and size are sought for a path that no lead-in makes possible."""
-LEAD_IN_RESOLUTION = 0.1
-"""A lead-in that is shorter by more than this share is not long enough."""
+"""Lead-in that is proposed, and with which speed and size are sought for a path that it does not make possible."""
 METRES_M, METRES_SAMPLES = 1e-3, 50
 """No arm has its tip so close to its base: a path all within this is given in metres."""
 
@@ -94,29 +92,25 @@ def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_re
     still = length_m(request.path) == 0
     if out_of_reach and still:
         return "give a point within its reach"
+    neither = f"neither {SMALLEST:g} of its speed nor {SMALLEST:g} of its size makes it possible"
     # Almost no lead-in shows as a missed start of the path.
     in_lead_in = t_s < (LEAD_IN_FELT_S if request.lead_in_s < SHORTEST_LEAD_IN_S else 0.0)
     if out_of_reach or not (in_lead_in or still):
         if possible := _possible(follower, request, worst_m, out_of_reach):
             return f"largest possible: {possible}"
         if out_of_reach or request.lead_in_s >= USUAL_LEAD_IN_S:
-            return f"neither {SMALLEST:g} of its speed nor {SMALLEST:g} of its size makes it possible"
-        lead_in_s = 0.0
-    else:
-        lead_in_s = _long_enough_lead_in_s(follower, request)
-        if still and not lead_in_s:
-            return f"a lead_in_s of {LONGEST_LEAD_IN_S:g} is not long enough either"
-    # A lead-in with which the path can be begun may not be long enough for the rest of it.
-    stated_s, longest_s = request.lead_in_s, max(lead_in_s, request.lead_in_s, USUAL_LEAD_IN_S)
-    for longer_s in sorted({lead_in_s or longest_s, longest_s} - {stated_s}):
-        request = replace(request, lead_in_s=longer_s)
+            return neither
+    longer = ""
+    if request.lead_in_s < USUAL_LEAD_IN_S:
+        request = replace(request, lead_in_s=USUAL_LEAD_IN_S)
         if follower.accepts(request):
-            return f"a lead_in_s of {longer_s:g} is long enough"
-    longer = "" if request.lead_in_s == stated_s else f" with a lead_in_s of {request.lead_in_s:g}"
+            return f"a lead_in_s of {USUAL_LEAD_IN_S:g} is long enough"
+        longer = f" with a lead_in_s of {USUAL_LEAD_IN_S:g}"
+    if still:
+        return f"a lead_in_s of {request.lead_in_s:g} is not long enough either"
     worst_m = max(follower.worst_m(request, 1.0, 1.0), request.tolerance_m)
     if possible := _possible(follower, request, worst_m, out_of_reach):
         return f"largest possible{longer}: {possible}"
-    neither = f"neither {SMALLEST:g} of its speed nor {SMALLEST:g} of its size makes it possible"
     return f"{longer} {neither}".strip()
 
 
@@ -152,28 +146,6 @@ def _in_metres(path: TipPath) -> bool:
     """Whether the whole path is so close to the rod base that its coordinates are in metres."""
     times = np.linspace(0.0, path.duration_s, METRES_SAMPLES)
     return bool((np.abs(path.positions_m(times)) < METRES_M).all())
-
-
-def _long_enough_lead_in_s(follower: PathFollower, request: TipRequest) -> float:
-    """The shortest lead-in with which the path can be begun, by doubling and bisection; 0 if none is long enough."""
-    path = TruncatedPath(request.path, min(request.path.duration_s, LEAD_IN_FELT_S))
-
-    def enough(lead_in_s: float) -> bool:
-        longer = replace(request, path=path, lead_in_s=lead_in_s)
-        try:
-            return follower.within(longer, follower.follow(longer, path, enough_m=request.tolerance_m))
-        except NO_SOLUTION:
-            return False
-
-    low, high = request.lead_in_s, max(2 * request.lead_in_s, SHORTEST_LEAD_IN_S)
-    while not enough(high):
-        low, high = high, 2 * high
-        if high > LONGEST_LEAD_IN_S:
-            return 0.0
-    while high - low > LEAD_IN_RESOLUTION * high:
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if enough(middle) else (middle, high)
-    return math.ceil(100 * high) / 100
 
 
 def largest_share(worst_m: Callable[[float], float], at_full_m: float, tolerance_m: float) -> float:

@@ -128,8 +128,6 @@ def test_a_lead_in_that_is_too_short_is_named_as_the_reason() -> None:
     number = re.search(r"a lead_in_s of ([\d.]+) is long enough", problem.expected)
     assert number is not None
     assert expanded(circle(20, 4, lead_in_s=number[1])).tip
-    with pytest.raises(BadInputError):
-        expanded(circle(20, 4, lead_in_s=f"{0.85 * float(number[1]):.3f}"))
 
 
 def test_a_held_point_that_is_approached_too_fast_is_refused_with_a_lead_in_that_is_long_enough() -> None:
