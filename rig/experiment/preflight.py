@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -40,21 +41,21 @@ def trough_pa(trajectory: SetPointTrajectory) -> float:
     return min(low for segment in trajectory.segments for low, _, _ in _extremes(segment))
 
 
+@dataclass(frozen=True)
 class _PreflightCheck:
-    def __init__(self, config: RigConfig, trajectory: SetPointTrajectory, protocol: Protocol | None, rig: str) -> None:
-        self._config = config
-        self._trajectory = trajectory
-        self._protocol = protocol
-        self._rig = rig
+    config: RigConfig
+    trajectory: SetPointTrajectory
+    protocol: Protocol | None
+    rig: str
 
     def problems(self) -> tuple[Problem, ...]:
-        have, want = self._config.actuators, self._trajectory.actuators
+        have, want = self.config.actuators, self.trajectory.actuators
         if have != want:
             expected = f"a trajectory for the {have} actuators of the rig"
-            return (Problem(self._trajectory.source, 0, 0, "", f"one for {want}", expected),)
+            return (Problem(self.trajectory.source, 0, 0, "", f"one for {want}", expected),)
         worst: dict[tuple[int, str], tuple[float, Problem]] = {}
         before = (0.0,) * have
-        for segment in self._trajectory.segments:
+        for segment in self.trajectory.segments:
             for rule, excess, problem in self._violations(segment, before):
                 key = (segment.line, rule)
                 if key not in worst or excess > worst[key][0]:
@@ -64,38 +65,38 @@ class _PreflightCheck:
         return tuple(sorted((*self._duration(), *problems), key=lambda problem: problem.line))
 
     def _duration(self) -> Iterator[Problem]:
-        longest, takes = self._config.limits.duration_s, self._trajectory.duration_s
+        longest, takes = self.config.limits.duration_s, self.trajectory.duration_s
         if takes > longest:
-            expected = f"at most {longest:g} s (limits, duration_s{self._rig})"
-            yield Problem(self._trajectory.source, 0, 0, "the whole protocol", f"{takes:.6g} s", expected)
+            expected = f"at most {longest:g} s (limits, duration_s{self.rig})"
+            yield Problem(self.trajectory.source, 0, 0, "the whole protocol", f"{takes:.6g} s", expected)
 
     def _streams(self) -> Iterator[Problem]:
         """Check that a step that another program drives has all actuators of each of its valves."""
-        for interval in self._trajectory.streams:
-            for number, valve in enumerate(self._config.valves, start=1):
+        for interval in self.trajectory.streams:
+            for number, valve in enumerate(self.config.valves, start=1):
                 lacking = sorted(set(valve.actuators) - set(interval.actuators))
                 if lacking and len(lacking) < len(valve.actuators):
-                    where, column = self._protocol.step_at(interval.line) if self._protocol else ("stream", 0)
+                    where, column = self.protocol.step_at(interval.line) if self.protocol else ("stream", 0)
                     found = f"actuators {', '.join(map(str, interval.actuators))}"
-                    expected = f"also actuator {lacking[0]}: valves #{number}{self._rig} drives it with another one"
-                    yield Problem(self._trajectory.source, interval.line, column, where, found, expected)
+                    expected = f"also actuator {lacking[0]}: valves #{number}{self.rig} drives it with another one"
+                    yield Problem(self.trajectory.source, interval.line, column, where, found, expected)
 
     def _violations(self, segment: Segment, before: tuple[float, ...]) -> Iterator[tuple[str, float, Problem]]:
         """Yield each violated rule, the excess, and the problem."""
-        limits = self._config.limits
+        limits = self.config.limits
         highest, lowest = limits.pressure_bar * PA_PER_BAR, limits.lowest_pressure_bar * PA_PER_BAR
         fastest = limits.rate_bar_per_s * PA_PER_BAR
         levels = _extremes(segment)
         for index, (low, high, slope) in enumerate(levels):
             who = f"actuator {index + 1}"
             if high > highest + TINY_PA:
-                expected = f"at most {limits.pressure_bar:g} bar (limits, pressure_bar{self._rig})"
+                expected = f"at most {limits.pressure_bar:g} bar (limits, pressure_bar{self.rig})"
                 yield "level", high - highest, self._problem(segment, f"{who} at {_bar(high)}", expected)
             if low < lowest - TINY_PA:
-                expected = f"at least {limits.lowest_pressure_bar:g} bar (limits, lowest_pressure_bar{self._rig})"
+                expected = f"at least {limits.lowest_pressure_bar:g} bar (limits, lowest_pressure_bar{self.rig})"
                 yield "below", lowest - low, self._problem(segment, f"{who} at {_bar(low)}", expected)
             if slope > fastest * (1 + 1e-9):
-                expected = f"at most {limits.rate_bar_per_s:g} bar/s (limits, rate_bar_per_s{self._rig})"
+                expected = f"at most {limits.rate_bar_per_s:g} bar/s (limits, rate_bar_per_s{self.rig})"
                 yield "rate", slope - fastest, self._problem(segment, f"{who} at {_bar(slope)}/s", expected)
         first = segment.level_at(segment.start_s)
         # The reference needs this long for a jump; the tracking interlock then ends the run before it has arrived.
@@ -106,7 +107,7 @@ class _PreflightCheck:
                 found = f"actuator {index + 1} jumps from {_bar(old)} to {_bar(new)}"
                 expected = (
                     f"a jump of at most {_bar(farthest)}, which {limits.rate_bar_per_s:g} bar/s permits within "
-                    f"{limits.tracking_s:g} s (limits, rate_bar_per_s, tracking_s{self._rig}); or put a ramp before it"
+                    f"{limits.tracking_s:g} s (limits, rate_bar_per_s, tracking_s{self.rig}); or put a ramp before it"
                 )
                 yield "far jump", jump, self._problem(segment, found, expected)
             if not segment.jumps and jump > JUMP_PA:
@@ -117,7 +118,7 @@ class _PreflightCheck:
 
     def _shared(self, segment: Segment) -> Iterator[tuple[str, float, Problem]]:
         """Check that the set-points of actuators on one valve are equal."""
-        for number, valve in enumerate(self._config.valves, start=1):
+        for number, valve in enumerate(self.config.valves, start=1):
             if len(valve.actuators) < 2 or not set(valve.actuators) & set(segment.actuators):
                 continue
             for t_s in _knots(segment):
@@ -127,14 +128,14 @@ class _PreflightCheck:
                 if apart > TINY_PA:
                     names = " and ".join(str(actuator) for actuator in valve.actuators)
                     found = f"{' and '.join(_bar(pa) for pa in setpoints_pa)} for actuators {names}"
-                    expected = f"the same pressure: valves #{number}{self._rig} drives them together"
+                    expected = f"the same pressure: valves #{number}{self.rig} drives them together"
                     yield f"valve {number}", apart, self._problem(segment, found, expected)
 
     def _problem(self, segment: Segment, value: str, expected: str) -> Problem:
-        where, column = self._protocol.step_at(segment.line) if self._protocol else (segment.kind, 0)
+        where, column = self.protocol.step_at(segment.line) if self.protocol else (segment.kind, 0)
         if not where.endswith(segment.label):
             where += f" ({segment.label})"
-        return Problem(self._trajectory.source, segment.line, column, where, value, expected)
+        return Problem(self.trajectory.source, segment.line, column, where, value, expected)
 
 
 def _knots(segment: Segment) -> tuple[float, ...]:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import platform
+import shlex
 import subprocess
+import sys
 from functools import cache
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from protocols import Protocol
 from rig.config.schema import RigConfig
@@ -17,13 +20,9 @@ _PACKAGES = ("softrig", "numpy", "scipy", "numba", "opencv-python-headless", "h5
 _ROOT = Path(__file__).resolve().parents[2]
 
 
+@cache
 def versions() -> dict[str, str]:
     """Versions of Python, of the kernel and of the packages that shape a result; absent packages are left out."""
-    return dict(_versions())
-
-
-@cache
-def _versions() -> dict[str, str]:
     found = {"python": platform.python_version(), "kernel": f"{platform.system()} {platform.release()}"}
     for name in _PACKAGES:
         try:
@@ -59,6 +58,12 @@ def _git(*arguments: str) -> str:
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return done.stdout if done.returncode == 0 else ""
+
+
+def software() -> dict[str, Any]:
+    """The fields of a run's header about the program that makes the archive."""
+    commit, diff = git_state()
+    return {"command": shlex.join(sys.argv), "versions": versions(), "git_commit": commit, "git_diff": diff}
 
 
 def protocol_parameters(protocol: Protocol) -> tuple[Quantity, ...]:

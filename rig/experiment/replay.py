@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -22,7 +20,7 @@ from rig.config.loader import RigFile
 from rig.config.parameters_overlay import read as read_parameters
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
-from rig.experiment.provenance import git_state, quantities, section_places, versions
+from rig.experiment.provenance import quantities, section_places, software
 from rig.hardware.cameras.base import Frame, FrameSet
 from rig.observation.observer import Observer
 from rig.observation.tip_force import MeasuredTipForce
@@ -62,7 +60,6 @@ def replay(
         raise bad_input("--rig", config.name, expected)
     rows = np.array(list(_referred(run, _observed(run, config, chosen))))
     now = datetime.now(UTC)
-    commit, diff = git_state()
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     header = replace(
@@ -78,10 +75,7 @@ def replay(
         cameras=tuple(config.cameras),
         sections=section_places(config),
         triggered=False,
-        command=shlex.join(sys.argv),
-        versions=versions(),
-        git_commit=commit,
-        git_diff=diff,
+        **software(),
         quantities=(*run.header.protocol_parameters, *quantities(config)),
         adapted=(),
     )

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import platform
-import shlex
 import shutil
-import sys
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -27,7 +25,7 @@ from rig.execution.plan import UNRECORDED, OperatorInterface, RunPlan, StartErro
 from rig.execution.virtual_time import require_mocks
 from rig.experiment import report_process
 from rig.experiment.preflight import check
-from rig.experiment.provenance import git_state, protocol_parameters, quantities, section_places, versions
+from rig.experiment.provenance import protocol_parameters, quantities, section_places, software
 from rig.experiment.tip_setup import tip_controller, tip_inverse
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
@@ -84,12 +82,10 @@ class RunRequest:
 
     @property
     def config(self) -> RigConfig:
-        """Configuration of the rig."""
         return self.rig.config
 
     @property
     def rig_file(self) -> Path:
-        """Path of the rig file."""
         return Path(self.rig.file)
 
 
@@ -244,6 +240,8 @@ def run(
         )
     # Imported here: `rig check` needs neither HDF5 nor MCAP, and a run that ends should not wait for them.
     from runs.archive.writer import ArchiveError, finalise
+    from runs.run import Run
+    from runs.summary import summarise
 
     outcome, journal = _execute(request, decided, operator)
     archive = report = parameters = summary = None
@@ -258,15 +256,17 @@ def run(
         warnings.append(f"{error}; the journal is kept: {journal.path}; run `rig recover {request.folder}` later")
     finish_report = begin_report(archive) if archive is not None and request.report else None
     if archive is not None:
-        summary = _summary(archive)
+        summary = summarise(Run(archive))
     if finish_report is not None:
         try:
             report = finish_report()
         except OSError as error:
             warnings.append(f"no report: {error}; run `rig report {archive}` later")
     if archive is not None and decided.adapted:
+        from rig.experiment.online_parameters import write_parameters
+
         try:
-            parameters = _parameters(archive)
+            parameters = write_parameters(Run(archive))
         except OSError as error:
             warnings.append(f"the adapted parameters could not be written: {error}; they are in {archive}")
     return RunResult(outcome, archive, report, summary, parameters, tuple(warnings))
@@ -323,24 +323,9 @@ def _abort_message(error: Exception) -> str:
     return str(error) if isinstance(error, _EXPECTED) else f"{type(error).__name__}: {error}"
 
 
-def _summary(archive: Path) -> Summary:
-    from runs.run import Run
-    from runs.summary import summarise
-
-    return summarise(Run(archive))
-
-
-def _parameters(archive: Path) -> Path | None:
-    from rig.experiment.online_parameters import write_parameters
-    from runs.run import Run
-
-    return write_parameters(Run(archive))
-
-
 def header(request: RunRequest, decided: RunPlan, t_ns: int, ahead_ns: int = 0) -> RunHeader:
     """Return the header of a run whose first sample is due at `t_ns`, `ahead_ns` from now."""
     now = datetime.now(UTC) + timedelta(microseconds=ahead_ns / 1e3)
-    commit, diff = git_state()
     config, protocol = request.config, request.protocol
     return RunHeader(
         run_id=free_id(request.folder, f"{now.astimezone():%Y%m%d-%H%M%S}-{_id_ending(request)}"),
@@ -362,12 +347,9 @@ def header(request: RunRequest, decided: RunPlan, t_ns: int, ahead_ns: int = 0) 
         model_variant=request.variant,
         operator=request.operator,
         notes=request.notes,
-        command=shlex.join(sys.argv),
         host=platform.node(),
         metadata=dict(request.metadata),
-        versions=versions(),
-        git_commit=commit,
-        git_diff=diff,
+        **software(),
         intervals=_intervals(decided.trajectory),
         quantities=(*protocol_parameters(protocol), *quantities(config)),
         adapted=decided.adapted,

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import platform
 import re
-import shlex
-import sys
 import time
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -22,7 +20,7 @@ from protocols.problems import BadInputError, raise_all
 from protocols.source_positions import Document
 from rig.config import loader
 from rig.config.calibration_files import sha256_of
-from rig.experiment.provenance import git_state, versions
+from rig.experiment.provenance import software
 from rig.importing.columns import ColumnReader
 from rig.importing.gravity import gravity_calibration, measured_gravity, warn_if_opposite
 from rig.importing.mapping import Mapping, load
@@ -146,7 +144,6 @@ def _read(data: Path, columns: ColumnReader, mapping: Mapping, document: Documen
 def _header(found: _Measurement, columns: ColumnReader, mapping: Mapping, document: Document) -> RunHeader:
     """Return the header of the archive, without what the import itself adds: id, operator and notes."""
     rig, t_ns = found.rig, found.samples["t_ns"]
-    commit, diff = git_state()
     rate_hz = 1e9 / float(np.median(np.diff(t_ns)))
     mapping_file = Path(document.file)
     return RunHeader(
@@ -164,11 +161,8 @@ def _header(found: _Measurement, columns: ColumnReader, mapping: Mapping, docume
         valves=found.samples["valve_v"].shape[1],
         executor="imported",
         simulated=_simulated(columns, mapping),
-        command=shlex.join(sys.argv),
         host=platform.node(),
-        versions=versions(),
-        git_commit=commit,
-        git_diff=diff,
+        **software(),
         quantities=_quantities(mapping, mapping_file, found),
         control_hz=rate_hz,
         camera_hz=rate_hz,

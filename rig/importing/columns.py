@@ -73,5 +73,4 @@ class ColumnReader:
             self.warn(f"{what} is missing in {len(rows)} of {len(values)} rows, the first in {where}")
 
     def check(self) -> None:
-        """Raise `BadInput` where there is a problem."""
         raise_all(self.problems)

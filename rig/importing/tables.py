@@ -83,7 +83,6 @@ class CsvTable:
     decimal_comma: bool
 
     def numbers(self, column: Key) -> Floats:
-        """See `SourceTable`."""
         at = self._position(column)
         rows = [int(row) for row in np.flatnonzero(np.isinf(self.cells[:, at]))]
         if not rows:
@@ -97,17 +96,14 @@ class CsvTable:
         )
 
     def texts(self, column: Key) -> Sequence[str]:
-        """See `SourceTable`."""
         at = self._position(column)
         plain = ("" if math.isnan(value) else f"{value:.15g}" for value in self.cells[:, at])
         return [self.odd.get((row, at), text).strip() for row, text in enumerate(plain)]
 
     def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
-        """See `SourceTable`."""
         return Problem(self.file, self.lines[row], 0, f"column {column}", shortened(value), expected, suggestion)
 
     def place(self, row: int) -> str:
-        """See `SourceTable`."""
         return f"line {self.lines[row]}"
 
     def _position(self, column: Key) -> int:
@@ -243,7 +239,6 @@ class MatTable:
     first_column: int
 
     def numbers(self, column: Key) -> Floats:
-        """See `SourceTable`."""
         values = self._values(column)
         if np.iscomplexobj(values):
             raise bad_input(self.file, f"complex numbers in column {column}", "real numbers")
@@ -259,17 +254,14 @@ class MatTable:
         return numbers
 
     def texts(self, column: Key) -> Sequence[str]:
-        """See `SourceTable`."""
         self._values(column)
         expected = "dates, which only a CSV's columns can hold; or another unit in the mapping"
         raise bad_input(self.file, f"numbers in column {column}", expected)
 
     def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
-        """See `SourceTable`."""
         return Problem(self.file, 0, 0, f"{self.place(row)}, column {column}", value, expected, suggestion)
 
     def place(self, row: int) -> str:
-        """See `SourceTable`."""
         return f"row {row + 1}"
 
     def _values(self, column: Key) -> NDArray[Any]:

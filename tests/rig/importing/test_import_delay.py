@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.importing.pressure_delay import measured_delay
+from rig.importing.pressure_columns import measured_delay
 from tests.support.import_bench import SMALL, Bring, complaint, warnings_of
 
 Array = NDArray[np.float64]
