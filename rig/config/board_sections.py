@@ -90,7 +90,6 @@ class SquaresPattern(BoardPattern):
 
     @property
     def corner_count(self) -> int:
-        """Inner corners."""
         return (self.squares_x - 1) * (self.squares_y - 1)
 
 
@@ -146,7 +145,6 @@ class CharucoPattern(SquaresPattern):
 
     @property
     def markers(self) -> tuple[str, range]:
-        """Family and numbers of the markers."""
         return self.dictionary, range(self.first_marker, self.first_marker + self.squares_x * self.squares_y // 2)
 
     @model_validator(mode="after")
@@ -192,7 +190,6 @@ class TagGridPattern(BoardPattern):
 
     @property
     def markers(self) -> tuple[str, range]:
-        """Family and numbers of the markers."""
         return self.dictionary, range(self.first_marker, self.first_marker + self.tags_x * self.tags_y)
 
     @model_validator(mode="after")

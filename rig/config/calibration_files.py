@@ -34,12 +34,6 @@ class LoadedCalibration:
         """Checksum of the text."""
         return hashlib.sha256(self.source.text.encode()).hexdigest()
 
-    def problem(self, path: tuple[str | int, ...], value: object, expected: str) -> Problem:
-        """Return the problem of one value of the file."""
-        mark = self.source.position(path)
-        where = ", ".join(str(step) for step in path)
-        return Problem(self.source.file, mark.line, mark.column, where, str(value), expected)
-
 
 def read(path: Path) -> LoadedCalibration:
     """Read a calibration file of any kind.
@@ -64,7 +58,6 @@ def parse(source: Document) -> LoadedCalibration:
 
 
 def text_of(found: CalibrationFile) -> str:
-    """Serialise a calibration as YAML."""
     data = found.model_dump(mode="json", exclude_none=True)
     first = {key: data.pop(key) for key in ("softrig_calibration", "kind", "made")}
     head = "# A calibration by softrig. Name it under `calibrations:` in a rig's file to use it.\n"

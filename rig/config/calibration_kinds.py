@@ -9,6 +9,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from protocols import Problem
+from protocols.document import Document
 from protocols.problems import closest
 from rig.config.calibration_files import LoadedCalibration
 from rig.config.calibration_schema import (
@@ -44,8 +45,8 @@ class Subject(NamedTuple):
 class CalibrationOverlay(ABC, Generic[File]):
     """One calibration file as a change of a rig's YAML."""
 
-    def __init__(self, calibration: LoadedCalibration, found: File) -> None:
-        self.calibration = calibration
+    def __init__(self, source: Document, found: File) -> None:
+        self.source = source
         self.found = found
 
     @abstractmethod
@@ -67,7 +68,7 @@ class CalibrationOverlay(ABC, Generic[File]):
     def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Problems:
         """Yield the reasons why the file does not belong to the rig; lenses: those of all files, by camera."""
         for path, camera in self.cameras():
-            yield from _other_camera(config, self.calibration, path, camera)
+            yield from _other_camera(config, self.source, path, camera)
 
 
 class LensOverlay(CalibrationOverlay[CameraFile]):
@@ -81,7 +82,6 @@ class LensOverlay(CalibrationOverlay[CameraFile]):
         data["cameras"][self.found.camera.name]["lens"] = self.found.lens.model_dump(mode="json")
 
     def cameras(self) -> Iterator[tuple[YamlPath, CameraIdentity]]:
-        """Yield the camera of the lens."""
         yield ("camera",), self.found.camera
 
     def lenses(self) -> dict[str, LensConfig]:
@@ -109,7 +109,7 @@ class PlacementOverlay(CalibrationOverlay[DLTFile]):
         yield from super().misfits(config, lenses)
         if self.found.world != "rod base":
             expected = "rod base: the placements of cameras are in it; calibrate with control points in it, or --base"
-            yield self.calibration.problem(("world",), self.found.world, expected)
+            yield self.source.problem(("world",), expected)
         for i, item in enumerate(self.found.cameras):
             name = item.camera.name
             if item.lens is None or name not in config.cameras:
@@ -119,7 +119,7 @@ class PlacementOverlay(CalibrationOverlay[DLTFile]):
             if not np.allclose(mine, theirs, rtol=1e-5, atol=1e-7):
                 expected = f"{used.fx_px:g} and so on, the lens of camera {name} in rig {config.name}: the place was "
                 expected += "found through another lens; name that lens's calibration, too"
-                yield self.calibration.problem(("cameras", i, "lens"), f"fx_px {item.lens.fx_px:g}", expected)
+                yield self.source.problem(("cameras", i, "lens"), expected, f"fx_px {item.lens.fx_px:g}")
 
 
 class BoardOverlay(CalibrationOverlay[ToolFile]):
@@ -129,37 +129,33 @@ class BoardOverlay(CalibrationOverlay[ToolFile]):
         yield Subject(("kind",), ("tool", ""), "the board on the tip")
 
     def apply(self, data: dict[str, Any], config: RigConfig) -> None:
-        """Replace the placement of the board."""
         data["board"]["placement"] = self.found.placement.model_dump(mode="json")
 
     def cameras(self) -> Iterator[tuple[YamlPath, CameraIdentity]]:
-        """Yield the camera that saw the board."""
         yield ("camera",), self.found.camera
 
     def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Problems:
-        """As of every file, and another board."""
         yield from super().misfits(config, lenses)
         if config.board is None:
             expected = f"no calibration of a tool: rig {config.name} has no board"
-            yield self.calibration.problem(("board",), "a board", expected)
+            yield self.source.problem(("board",), expected, "a board")
             return
         board, wanted = self.found.board, config.board.pattern
         if board.kind != wanted.kind:
             expected = f"a {wanted.kind}, as the board of rig {config.name}"
-            yield self.calibration.problem(("board",), f"a {board.kind}", expected)
+            yield self.source.problem(("board",), expected, f"a {board.kind}")
             return
         for key, wants in wanted.model_dump().items():
             has = getattr(board, key)
             if _differs(has, wants):
                 expected = f"{_short(wants)}, as the board of rig {config.name}"
-                yield self.calibration.problem(("board", key), _short(has), expected)
+                yield self.source.problem(("board", key), expected, _short(has))
 
 
 class PressureOverlay(CalibrationOverlay[PressureFile]):
     """The scales of pressure sensors, and the flow curves of valves."""
 
     def subjects(self) -> Iterator[Subject]:
-        """Yield each sensor and each valve."""
         for i, scale in enumerate(self.found.sensors):
             description = f"the sensor of actuator {scale.actuator}"
             yield Subject(("sensors", i, "actuator"), ("sensor", scale.actuator), description)
@@ -167,7 +163,6 @@ class PressureOverlay(CalibrationOverlay[PressureFile]):
             yield Subject(("valves", i, "valve"), ("valve", sweep.valve), f"valve {sweep.valve}")
 
     def apply(self, data: dict[str, Any], config: RigConfig) -> None:
-        """Replace the spans of the sensors and the curves of the valves."""
         for scale in self.found.sensors:
             for sensor in data["sensors"]:
                 if int(sensor["actuator"]) == scale.actuator:
@@ -177,7 +172,6 @@ class PressureOverlay(CalibrationOverlay[PressureFile]):
             data["valves"][sweep.valve - 1] |= config.valves[sweep.valve - 1].calibrated(sweep)
 
     def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Problems:
-        """Yield another sensor, valve or channel."""
         yield from self._other_sensors(config)
         yield from self._other_valves(config)
 
@@ -186,34 +180,34 @@ class PressureOverlay(CalibrationOverlay[PressureFile]):
         for i, scale in enumerate(self.found.sensors):
             path: YamlPath = ("sensors", i)
             if scale.actuator not in sensors:
-                yield self.calibration.problem((*path, "actuator"), scale.actuator, f"an actuator of rig {config.name}")
+                yield self.source.problem((*path, "actuator"), f"an actuator of rig {config.name}")
                 continue
             sensor = sensors[scale.actuator]
             yield from _other_channel(
-                config, self.calibration, path, scale, sensor, f"the sensor of actuator {scale.actuator}"
+                config, self.source, path, scale, sensor, f"the sensor of actuator {scale.actuator}"
             )
             if sensor.unit != "V":
                 expected = f"a sensor in volts; that of actuator {scale.actuator} gives {sensor.unit}"
-                yield self.calibration.problem((*path, "actuator"), scale.actuator, expected)
+                yield self.source.problem((*path, "actuator"), expected)
             elif tuple(scale.span_V) != tuple(sensor.span_V):
                 expected = f"{list(sensor.span_V)}, as the sensor of rig {config.name}"
-                yield self.calibration.problem((*path, "span_V"), list(scale.span_V), expected)
+                yield self.source.problem((*path, "span_V"), expected, str(list(scale.span_V)))
 
     def _other_valves(self, config: RigConfig) -> Problems:
         for i, sweep in enumerate(self.found.valves):
             path: YamlPath = ("valves", i)
             if sweep.valve > len(config.valves):
-                yield self.calibration.problem((*path, "valve"), sweep.valve, f"a valve from 1 to {len(config.valves)}")
+                yield self.source.problem((*path, "valve"), f"a valve from 1 to {len(config.valves)}")
                 continue
             valve = config.valves[sweep.valve - 1]
             if (metering := valve.metering) is None:
                 expected = f"a valve that meters flow; valve {sweep.valve} of rig {config.name} regulates by itself"
-                yield self.calibration.problem((*path, "valve"), sweep.valve, expected)
+                yield self.source.problem((*path, "valve"), expected)
                 continue
-            yield from _other_channel(config, self.calibration, path, sweep, valve, f"valve {sweep.valve}")
+            yield from _other_channel(config, self.source, path, sweep, valve, f"valve {sweep.valve}")
             if not metering.low_v < sweep.closed_V < metering.high_v:
                 expected = f"a voltage inside range_V of the valve, {metering.low_v:g} to {metering.high_v:g} V"
-                yield self.calibration.problem((*path, "closed_V"), sweep.closed_V, expected)
+                yield self.source.problem((*path, "closed_V"), expected)
 
 
 class GravityOverlay(CalibrationOverlay[GravityFile]):
@@ -223,7 +217,6 @@ class GravityOverlay(CalibrationOverlay[GravityFile]):
         yield Subject(("direction",), ("gravity", ""), "the direction of gravity")
 
     def apply(self, data: dict[str, Any], config: RigConfig) -> None:
-        """Replace the direction and its uncertainty."""
         data["arm"]["gravity_direction"] = list(self.found.direction)
         data["uncertainties"] = (data.get("uncertainties") or {}) | {"gravity_direction_deg": self.found.std_deg}
 
@@ -238,8 +231,7 @@ OVERLAYS: dict[type[CalibrationFile], type[CalibrationOverlay[Any]]] = {
 
 
 def overlay_of(calibration: LoadedCalibration) -> CalibrationOverlay[Any]:
-    """Return the overlay of a file."""
-    return OVERLAYS[type(calibration.found)](calibration, calibration.found)
+    return OVERLAYS[type(calibration.found)](calibration.source, calibration.found)
 
 
 def _differs(has: object, wants: object) -> bool:
@@ -263,14 +255,11 @@ def _place_camera(data: dict[str, Any], config: RigConfig, name: str, found: Pla
     data["cameras"][name]["placement"] = found.model_dump(mode="json")
 
 
-def _other_camera(
-    config: RigConfig, calibration: LoadedCalibration, path: YamlPath, identity: CameraIdentity
-) -> Problems:
+def _other_camera(config: RigConfig, source: Document, path: YamlPath, identity: CameraIdentity) -> Problems:
     if identity.name not in config.cameras:
         known = ", ".join(config.cameras) or "it has none"
         expected = f"a camera of rig {config.name}: {known}"
-        problem = calibration.problem((*path, "name"), identity.name, expected)
-        yield Problem(**{**problem.__dict__, "suggestion": closest(identity.name, config.cameras)})
+        yield source.problem((*path, "name"), expected, suggestion=closest(identity.name, config.cameras))
         return
     camera = config.cameras[identity.name]
     where = f"cameras, {identity.name} of rig {config.name}"
@@ -278,16 +267,16 @@ def _other_camera(
         has, wants = getattr(identity, key), getattr(camera, key)
         if has != wants:
             expected = f"{wants}, as {where}: a calibration holds at its own resolution only"
-            yield calibration.problem((*path, key), has, expected)
+            yield source.problem((*path, key), expected)
     for key in ("driver", "device"):
         has, wants = getattr(identity, key), getattr(camera, key)
         if has is not None and has != wants:
-            yield calibration.problem((*path, key), has, f"{wants}, as {where}: this is another camera's calibration")
+            yield source.problem((*path, key), f"{wants}, as {where}: this is another camera's calibration")
 
 
 def _other_channel(
     config: RigConfig,
-    calibration: LoadedCalibration,
+    source: Document,
     path: YamlPath,
     part: SensorCalibration | ValveCalibration,
     stated: Sensor | ValveSection,
@@ -299,7 +288,7 @@ def _other_channel(
         has, wants = getattr(part.card, key), getattr(identity, key)
         if has != wants:
             expected = f"{wants}, the card of {what} in rig {config.name}: this was measured through another card"
-            yield calibration.problem((*path, "card", key), has, expected)
+            yield source.problem((*path, "card", key), expected)
     if part.channel != stated.channel:
         expected = f"{stated.channel}, the channel of {what} in rig {config.name}"
-        yield calibration.problem((*path, "channel"), part.channel, expected)
+        yield source.problem((*path, "channel"), expected)

@@ -21,36 +21,35 @@ from rig.config.schema import RigConfig
 Problems = Iterator[Problem]
 
 
-def read_all(source: Document) -> tuple[tuple[str, LoadedCalibration], ...]:
+Named = tuple[str, LoadedCalibration]
+
+
+def read_all(source: Document) -> tuple[Named, ...]:
     """Read every calibration file that a rig's YAML names, relative to its folder; return each with its name there.
 
     Raises:
         BadInputError: the problems of all files.
     """
-    found: list[tuple[str, LoadedCalibration]] = []
-    problems: list[Problem] = []
-    for i, name in enumerate(source.data.get("calibrations") or ()):
-        path = Path(source.file).parent / str(name)
-        try:
-            found.append((str(name), read(path)))
-        except BadInputError as bad:
-            if path.is_file():
-                problems += bad.problems
-            else:
-                expected = "a calibration file: this file does not exist in the rig's folder"
-                problems.append(source.problem(("calibrations", i), expected))
-    problems += _twice([one for _, one in found])
-    raise_all(problems)
-    return tuple(found)
+    folder, files, problems = Path(source.file).parent, [], []
+    for i, name in enumerate(map(str, source.data.get("calibrations") or ())):
+        if (path := folder / name).is_file():
+            files.append((name, path))
+        else:
+            expected = "a calibration file: this file does not exist in the rig's folder"
+            problems.append(source.problem(("calibrations", i), expected))
+    return _read(files, problems)
 
 
-def read_files(paths: Sequence[Path]) -> tuple[tuple[str, LoadedCalibration], ...]:
+def read_files(paths: Sequence[Path]) -> tuple[Named, ...]:
     """Read calibration files; return each with its name. `BadInputError` has the problems of all of them."""
-    found: list[tuple[str, LoadedCalibration]] = []
-    problems: list[Problem] = []
-    for path in paths:
+    return _read([(path.name, path) for path in paths], [])
+
+
+def _read(files: Sequence[tuple[str, Path]], problems: list[Problem]) -> tuple[Named, ...]:
+    found: list[Named] = []
+    for name, path in files:
         try:
-            found.append((path.name, read(path)))
+            found.append((name, read(path)))
         except BadInputError as bad:
             problems += bad.problems
     problems += _twice([one for _, one in found])
@@ -58,9 +57,7 @@ def read_files(paths: Sequence[Path]) -> tuple[tuple[str, LoadedCalibration], ..
     return tuple(found)
 
 
-def not_replaced(
-    known: Sequence[tuple[str, LoadedCalibration]], newer: Sequence[LoadedCalibration]
-) -> tuple[tuple[str, LoadedCalibration], ...]:
+def not_replaced(known: Sequence[Named], newer: Sequence[LoadedCalibration]) -> tuple[Named, ...]:
     """Return the calibrations that have a subject which no newer one has."""
     replaced = {key for one in newer for _, key, _ in overlay_of(one).subjects()}
     return tuple((name, one) for name, one in known if {key for _, key, _ in overlay_of(one).subjects()} - replaced)
@@ -79,7 +76,7 @@ def check_serials(config: RigConfig, calibrations: Sequence[LoadedCalibration]) 
             if serial is not None and serial != identity.serial:
                 where = f"cameras, {identity.name} of rig {config.name}"
                 expected = f"{serial}, the serial number of the camera that is plugged in for {where}"
-                problems.append(calibration.problem((*here, "serial"), identity.serial, expected))
+                problems.append(calibration.source.problem((*here, "serial"), expected))
     raise_all(problems)
 
 
@@ -123,5 +120,5 @@ def _twice(calibrations: Sequence[LoadedCalibration]) -> Problems:
         for path, key, subject in overlay_of(calibration).subjects():
             if key in taken:
                 expected = f"each thing calibrated by one file: {subject} is in {taken[key]}, too"
-                yield calibration.problem(path, calibration.source.position(path).source, expected)
+                yield calibration.source.problem(path, expected)
             taken.setdefault(key, calibration.source.file)

@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Annotated, Literal, get_args
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from protocols.validation import ValidationFault, faults
 from rig.config.board_sections import AnyPattern
@@ -30,6 +31,30 @@ from rig.valves.metering import flow_curve_faults
 Row = tuple[Number, ...]
 Matrix = tuple[Row, ...]
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$", description="SHA-256, 64 hexadecimal digits")]
+
+
+def _covariance(size: int) -> AfterValidator:
+    """A validator of a covariance: its shape, its symmetry, its diagonal."""
+
+    def checked(matrix: Matrix) -> Matrix:
+        if len(matrix) != size or any(len(row) != size for row in matrix):
+            faults([ValidationFault((), f"{size} rows of {size} numbers")])
+        found = [ValidationFault((i, i), "a variance: 0 or more") for i in range(size) if matrix[i][i] < 0]
+        for i, j in itertools.combinations(range(size), 2):
+            a, b = matrix[i][j], matrix[j][i]
+            if abs(a - b) > 1e-6 * max(abs(a), abs(b), 1e-300):
+                expected = f"{b:g}, as row {j + 1}, column {i + 1}: a covariance is symmetric"
+                found.append(ValidationFault((i, j), expected))
+        faults(found)
+        return matrix
+
+    return AfterValidator(checked)
+
+
+SensorCovariance = Annotated[Matrix, _covariance(2)]
+PoseCovariance = Annotated[Matrix, _covariance(6)]
+LensCovariance = Annotated[Matrix, _covariance(9)]
+DLTCovariance = Annotated[Matrix, _covariance(11)]
 
 
 class Software(Section):
@@ -59,28 +84,24 @@ class CardIdentity(Section):
     device: Word
 
 
-class UsedView(Section):
-    """A used picture, with the rms of the residuals of its corners."""
-
-    name: Word
-    sha256: Sha256
-    corners: Count
-    rms_px: NonNegative
-
-
-class ExcludedViewSection(Section):
-    """A picture that was not used, and the reason."""
-
-    name: Word
-    sha256: Sha256
-    reason: Word
-
-
 class SourceFileSection(Section):
     """A file that was used: control points, or another calibration."""
 
     name: Word
     sha256: Sha256
+
+
+class UsedView(SourceFileSection):
+    """A used picture, with the rms of the residuals of its corners."""
+
+    corners: Count
+    rms_px: NonNegative
+
+
+class ExcludedViewSection(SourceFileSection):
+    """A picture that was not used, and the reason."""
+
+    reason: Word
 
 
 class CalibrationFile(Section):
@@ -100,7 +121,7 @@ class CameraFile(CalibrationFile):
     camera: CameraIdentity
     board: AnyPattern
     lens: LensConfig
-    covariance: Annotated[Matrix, Field(description="of fx, fy, cx, cy [px], k1, k2, p1, p2, k3")]
+    covariance: LensCovariance = Field(description="of fx, fy, cx, cy [px], k1, k2, p1, p2, k3")
     rms_px: NonNegative
     coverage_percent: NonNegative = Field(le=100)
     views: Annotated[tuple[UsedView, ...], Field(min_length=1)]
@@ -109,7 +130,7 @@ class CameraFile(CalibrationFile):
 
     @model_validator(mode="after")
     def _check(self) -> CameraFile:
-        found = _square(self.covariance, 9, ("covariance",))
+        found = []
         for key, centre, size in (
             ("cx_px", self.lens.cx_px, self.camera.width_px),
             ("cy_px", self.lens.cy_px, self.camera.height_px),
@@ -128,10 +149,10 @@ class DLTCamera(Section):
         default=None, description="taken out first; none where the pixels were used as they are"
     )
     coefficients_px_mm: Annotated[tuple[Number, ...], Field(min_length=11, max_length=11)]
-    covariance: Annotated[Matrix, Field(description="of the coefficients")]
+    covariance: DLTCovariance = Field(description="of the coefficients")
     rms_px: NonNegative
     placement: Placement = Field(description="the camera in the world")
-    placement_covariance: Annotated[Matrix, Field(description="of translation [mm] and rotation vector [deg]")]
+    placement_covariance: PoseCovariance = Field(description="of translation [mm] and rotation vector [deg]")
     placement_known: Annotated[
         bool, Field(strict=True, description="whether the uncertainty of the placement is known")
     ] = True
@@ -145,12 +166,6 @@ class DLTCamera(Section):
     residuals_px: Annotated[
         tuple[Number, ...], Field(min_length=2, description="u, v of one point after the other, measured - projected")
     ]
-
-    @model_validator(mode="after")
-    def _check(self) -> DLTCamera:
-        found = _square(self.covariance, 11, ("covariance",))
-        faults(found + _square(self.placement_covariance, 6, ("placement_covariance",)))
-        return self
 
 
 class LeaveOneOut(Section):
@@ -179,11 +194,9 @@ class DLTFile(CalibrationFile):
     left_out: tuple[ExcludedViewSection, ...] = ()
 
 
-class ToolView(Section):
+class ToolView(SourceFileSection):
     """A picture of the board on the tip, with its residuals."""
 
-    name: Word
-    sha256: Sha256
     pose: Literal["straight", "turned"]
     turned_deg: Number
     residual_mm: NonNegative
@@ -197,14 +210,9 @@ class ToolFile(CalibrationFile):
     camera: CameraIdentity
     board: AnyPattern
     placement: Placement
-    covariance: Annotated[Matrix, Field(description="of translation [mm] and rotation vector [deg]")]
+    covariance: PoseCovariance = Field(description="of translation [mm] and rotation vector [deg]")
     views: Annotated[tuple[ToolView, ...], Field(min_length=1)]
     left_out: tuple[ExcludedViewSection, ...] = ()
-
-    @model_validator(mode="after")
-    def _check(self) -> ToolFile:
-        faults(_square(self.covariance, 6, ("covariance",)))
-        return self
 
 
 class GaugeLevel(Section):
@@ -224,16 +232,14 @@ class SensorCalibration(Section):
     span_V: VoltSpan
     scale_bar_per_V: Number
     offset_bar: Number
-    covariance: Annotated[Matrix, Field(description="of offset_bar and scale_bar_per_V")]
+    covariance: SensorCovariance = Field(description="of offset_bar and scale_bar_per_V")
     rms_bar: NonNegative
     levels: Annotated[tuple[GaugeLevel, ...], Field(min_length=2)]
 
     @model_validator(mode="after")
     def _check(self) -> SensorCalibration:
-        found = _square(self.covariance, 2, ("covariance",))
         if self.scale_bar_per_V == 0:
-            found.append(ValidationFault(("scale_bar_per_V",), "a scale other than 0"))
-        faults(found)
+            faults([ValidationFault(("scale_bar_per_V",), "a scale other than 0")])
         return self
 
 
@@ -314,18 +320,3 @@ class GravityFile(CalibrationFile):
 
 AnyFile = CameraFile | DLTFile | ToolFile | PressureFile | GravityFile
 KINDS: dict[str, type[AnyFile]] = {get_args(one.model_fields["kind"].annotation)[0]: one for one in get_args(AnyFile)}
-
-
-def _square(matrix: Matrix, size: int, path: tuple[str, ...]) -> list[ValidationFault]:
-    """Faults of a covariance: its shape, its symmetry, its diagonal."""
-    if len(matrix) != size or any(len(row) != size for row in matrix):
-        return [ValidationFault(path, f"{size} rows of {size} numbers")]
-    found = [ValidationFault((*path, i, i), "a variance: 0 or more") for i in range(size) if matrix[i][i] < 0]
-    for i in range(size):
-        for j in range(i):
-            a, b = matrix[i][j], matrix[j][i]
-            if abs(a - b) > 1e-6 * max(abs(a), abs(b), 1e-300):
-                found.append(
-                    ValidationFault((*path, i, j), f"{b:g}, as row {j + 1}, column {i + 1}: a covariance is symmetric")
-                )
-    return found

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from protocols.problems import closest
 from protocols.validation import ValidationFault
-from rig.config import section_consistency, trigger_consistency, unit_consistency
+from rig.config import tip_source_consistency as tip_sources
 
 if TYPE_CHECKING:
-    from rig.config.board_sections import BoardConfig
     from rig.config.card_sections import CardConfig
     from rig.config.input_sections import AuxiliaryInput, EmergencyStop
     from rig.config.sections import ArmConfig, CameraConfig, GeometryConfig, Sensor
@@ -33,10 +32,8 @@ if TYPE_CHECKING:
     Sensors = Sequence[Sensor | None]
 
 
-CENTRE_SHARE = 0.25
-"""A principal point farther from the middle of the picture, as a share of its size, belongs to another resolution."""
-FOCAL_SHARES = (0.1, 50.0)
-"""Focal lengths as shares of the picture's size: views of 157 down to 1.1 degrees."""
+SIGNAL_UNITS = frozenset(("V", "bar"))
+"""Units of softrig's own valves and sensors."""
 
 
 def check(parts: Mapping[str, Any]) -> list[ValidationFault]:
@@ -45,7 +42,7 @@ def check(parts: Mapping[str, Any]) -> list[ValidationFault]:
         (_valve_channels, ("cards", "valves")),
         (_input_channels, ("cards", "sensors", "inputs")),
         (_stop_channels, ("cards", "emergency_stops")),
-        (unit_consistency.check, ("cards", "valves", "sensors", "inputs")),
+        (check_units, ("cards", "valves", "sensors", "inputs")),
         (_input_values, ("inputs", "control", "simulator")),
         (_actuators, ("arm", "valves", "sensors")),
         (_valves, ("valves",)),
@@ -53,16 +50,16 @@ def check(parts: Mapping[str, Any]) -> list[ValidationFault]:
         (_reach, ("limits", "valves", "sensors")),
         (_rates, ("cards", "cameras", "control", "limits")),
         (_cards, ("cards",)),
-        (_cameras, ("cameras",)),
-        (trigger_consistency.check, ("cards", "cameras", "control", "limits")),
-        (_least_cameras, ("cameras", "limits")),
-        (_board, ("cameras", "board")),
-        (section_consistency.check, ("board", "sections", "arm")),
-        (_trackers, ("cameras", "trackers", "limits")),
+        (tip_sources.check_cameras, ("cameras",)),
+        (tip_sources.check_triggers, ("cards", "cameras", "control", "limits")),
+        (tip_sources.check_least_cameras, ("cameras", "limits")),
+        (tip_sources.check_board, ("cameras", "board")),
+        (tip_sources.check_sections, ("board", "sections", "arm")),
+        (tip_sources.check_trackers, ("cameras", "trackers", "limits")),
         (_arm, ("arm",)),
         (_simulator, ("cards", "cameras", "trackers", "simulator")),
         (_simulated_parts, ("valves", "sensors", "simulator")),
-        (_simulated_cameras, ("cameras", "simulator")),
+        (tip_sources.check_simulated_cameras, ("cameras", "simulator")),
         (_simulated_arm, ("arm", "simulator")),
     )
     return [
@@ -80,10 +77,6 @@ def _numbered(items: Sequence[Item | None]) -> list[tuple[int, Item]]:
     return [(index, item) for index, item in enumerate(items) if item is not None]
 
 
-def _named(items: Mapping[str, Item | None]) -> list[tuple[str, Item]]:
-    return [(name, item) for name, item in items.items() if item is not None]
-
-
 ChannelUser = tuple[tuple[str | int, ...], str, Any]
 """What uses a channel of a card: its place in the file, its name for messages, and its section."""
 
@@ -93,7 +86,7 @@ def _listed(key: str, items: Sequence[Any]) -> list[ChannelUser]:
 
 
 def _by_name(key: str, items: Mapping[str, Any]) -> list[ChannelUser]:
-    return [((key, name), f"{key}, {name}", item) for name, item in _named(items)]
+    return [((key, name), f"{key}, {name}", item) for name, item in tip_sources.valid(items).items()]
 
 
 def _channels(
@@ -132,15 +125,29 @@ def _stop_channels(cards: Cards, stops: Mapping[str, EmergencyStop | None]) -> I
     yield from _channels(cards, _by_name("emergency_stops", stops), "DI", lambda card: card.digital_inputs)
 
 
+def check_units(cards: Cards, valves: Valves, sensors: Sensors, inputs: Inputs) -> Iterator[ValidationFault]:
+    """Yield a fault for each number that the card would take or give in another unit."""
+    users = [((*path, "type"), user.card, user.output_unit) for path, _, user in _listed("valves", valves)]
+    users += [((*path, "unit"), user.card, user.unit) for path, _, user in _listed("sensors", sensors)]
+    users += [((*path, "card"), user.card, "V") for path, _, user in _by_name("inputs", inputs)]
+    for path, name, unit in users:
+        card = cards.get(name)
+        if card is None or card.signal_units is None or unit in card.signal_units:
+            continue
+        units = " or ".join(card.signal_units)
+        expected = f"one with signals in {units}: card '{name}' ({card.driver}) has no signals in {unit}"
+        if not SIGNAL_UNITS.intersection(card.signal_units):
+            expected += f"; its driver converts {units} to {' or '.join(sorted(SIGNAL_UNITS))} (signal_units)"
+        yield ValidationFault(path, expected)
+
+
 def _input_values(inputs: Inputs, control: Control, simulator: Simulator | None) -> Iterator[ValidationFault]:
-    for name, one in _named(inputs):
+    for name, one in tip_sources.valid(inputs).items():
         if one.rate_hz is not None and one.rate_hz > control.rate_hz:
             yield ValidationFault(("inputs", name, "rate_hz"), f"at most control, rate_hz, {control.rate_hz:g} Hz")
-        low, high = one.range_V
-        if one.span_V[0] < low or one.span_V[1] > high:
-            yield ValidationFault(("inputs", name, "span_V"), f"a span inside range_V, {low:g} to {high:g} V")
         if one.tip_force_direction is not None and one.unit != "N":
             yield ValidationFault(("inputs", name, "unit"), "N, because the input has a tip_force_direction")
+    yield from _spans(_by_name("inputs", inputs))
     for name in simulator.inputs if simulator is not None else ():
         if name not in inputs:
             expected = f"one of the inputs: {', '.join(inputs) or 'the rig has none'}"
@@ -188,10 +195,15 @@ def _below(path: tuple[str | int, ...], faults: Iterable[ValidationFault]) -> It
 
 
 def _sensors(sensors: Sensors) -> Iterator[ValidationFault]:
-    for index, sensor in _numbered(sensors):
-        low, high = sensor.range_V
-        if sensor.span_V[0] < low or sensor.span_V[1] > high:
-            yield ValidationFault(("sensors", index, "span_V"), f"a span inside range_V, {low:g} to {high:g} V")
+    yield from _spans(_listed("sensors", sensors))
+
+
+def _spans(users: Sequence[ChannelUser]) -> Iterator[ValidationFault]:
+    """Check that what an input takes for its span is inside its range."""
+    for path, _, user in users:
+        low, high = user.range_V
+        if user.span_V[0] < low or user.span_V[1] > high:
+            yield ValidationFault((*path, "span_V"), f"a span inside range_V, {low:g} to {high:g} V")
 
 
 def _reach(limits: Limits, valves: Valves, sensors: Sensors) -> Iterator[ValidationFault]:
@@ -209,7 +221,7 @@ def _reach(limits: Limits, valves: Valves, sensors: Sensors) -> Iterator[Validat
 
 
 def _rates(cards: Cards, cameras: Cameras, control: Control, limits: Limits) -> Iterator[ValidationFault]:
-    for name, card in _named(cards):
+    for name, card in tip_sources.valid(cards).items():
         if card.sampling_hz < control.rate_hz:
             expected = f"at least control, rate_hz ({control.rate_hz:g} Hz): each control step needs a sample"
             yield ValidationFault(("cards", name, "sampling_hz"), expected)
@@ -219,83 +231,15 @@ def _rates(cards: Cards, cameras: Cameras, control: Control, limits: Limits) -> 
         yield ValidationFault(("limits", "stale_s"), f"at least two control steps, {2 / control.rate_hz:g} s")
     if limits.hung_s is not None and limits.hung_s < 3 / control.rate_hz:
         yield ValidationFault(("limits", "hung_s"), f"at least three control steps, {3 / control.rate_hz:g} s")
-    for name, camera in _named(cameras):
+    for name, camera in tip_sources.valid(cameras).items():
         if limits.no_tip_s < 2 / camera.rate_hz:
             yield ValidationFault(
                 ("limits", "no_tip_s"), f"at least two frames of camera '{name}', {2 / camera.rate_hz:g} s"
             )
 
 
-def _twice(section: str, devices: Mapping[str, tuple[str, str | int]]) -> Iterator[ValidationFault]:
-    taken: dict[tuple[str, str | int], str] = {}
-    for name, device in devices.items():
-        if device in taken:
-            yield ValidationFault((section, name, "device"), f"a device of its own: '{taken[device]}' has this one")
-        taken.setdefault(device, name)
-
-
 def _cards(cards: Cards) -> Iterator[ValidationFault]:
-    yield from _twice("cards", {name: (card.driver, card.device) for name, card in _named(cards)})
-
-
-def _cameras(cameras: Cameras) -> Iterator[ValidationFault]:
-    yield from _twice("cameras", {name: (camera.driver, camera.device) for name, camera in _named(cameras)})
-    rates = {name: camera.rate_hz for name, camera in _named(cameras)}
-    for name, camera in _named(cameras):
-        path: tuple[str | int, ...] = ("cameras", name)
-        first = next(iter(rates))
-        if camera.rate_hz != rates[first]:
-            yield ValidationFault(
-                (*path, "rate_hz"), f"the rate of camera '{first}', {rates[first]:g} Hz: they see together"
-            )
-        if camera.planar_motion is not None and not any(camera.planar_motion.normal):
-            yield ValidationFault((*path, "planar_motion", "normal"), "a direction, such as [0, 1, 0]")
-        longest = 1000 / camera.rate_hz
-        if camera.exposure_ms > longest:
-            yield ValidationFault(
-                (*path, "exposure_ms"), f"at most the time between frames, {longest:g} ms at {camera.rate_hz:g} Hz"
-            )
-        for key, centre, size in (
-            ("cx_px", camera.lens.cx_px, camera.width_px),
-            ("cy_px", camera.lens.cy_px, camera.height_px),
-        ):
-            low, high = size * (0.5 - CENTRE_SHARE), size * (0.5 + CENTRE_SHARE)
-            if not low <= centre <= high:
-                expected = (
-                    f"a centre near the middle of the picture, {low:g} to {high:g} px of {size} px: was the lens "
-                )
-                yield ValidationFault((*path, "lens", key), expected + "calibrated at another resolution?")
-        for key, focal in (("fx_px", camera.lens.fx_px), ("fy_px", camera.lens.fy_px)):
-            size = camera.width_px if key == "fx_px" else camera.height_px
-            low, high = size * FOCAL_SHARES[0], size * FOCAL_SHARES[1]
-            if not low <= focal <= high:
-                expected = f"a focal length in pixels, {low:g} to {high:g} px for a picture of {size} px: is it in mm?"
-                yield ValidationFault((*path, "lens", key), expected)
-
-
-def _least_cameras(cameras: Cameras, limits: Limits) -> Iterator[ValidationFault]:
-    if limits.least_cameras > max(1, len(cameras)):
-        yield ValidationFault(("limits", "least_cameras"), f"at most {len(cameras)}: so many cameras has this rig")
-
-
-def _trackers(cameras: Cameras, trackers: Trackers, limits: Limits) -> Iterator[ValidationFault]:
-    if cameras and trackers:
-        yield ValidationFault(("trackers",), "no such section in a rig with cameras: one or the other measures the tip")
-    for name in tuple(trackers)[1:]:
-        yield ValidationFault(("trackers", name), "one tracker at most: the tip is measured by one")
-    for name, tracker in _named(trackers):
-        if limits.no_tip_s < 2 / tracker.rate_hz:
-            expected = f"at least two poses of tracker '{name}', {2 / tracker.rate_hz:g} s"
-            yield ValidationFault(("limits", "no_tip_s"), expected)
-        if tracker.latest_ms < tracker.delay_ms:
-            yield ValidationFault(("trackers", name, "latest_ms"), f"more than delay_ms, {tracker.delay_ms:g} ms")
-
-
-def _board(cameras: Cameras, board: BoardConfig | None) -> Iterator[ValidationFault]:
-    if cameras and board is None:
-        yield ValidationFault(("board",), "is missing: the cameras measure the tip by a board on it")
-    if board is not None and not cameras:
-        yield ValidationFault(("board",), "no such section, because the rig has no camera to see a board")
+    yield from tip_sources.different_devices("cards", cards)
 
 
 def _arm(arm: ArmConfig) -> Iterator[ValidationFault]:
@@ -322,9 +266,9 @@ def _geometry(geometry: GeometryConfig) -> Iterator[ValidationFault]:
 def _simulator(
     cards: Cards, cameras: Cameras, trackers: Trackers, simulator: Simulator | None
 ) -> Iterator[ValidationFault]:
-    mocks = [f"cards, {name}" for name, card in _named(cards) if card.is_mock]
-    mocks += [f"cameras, {name}" for name, camera in _named(cameras) if camera.is_mock]
-    mocks += [f"trackers, {name}" for name, tracker in _named(trackers) if tracker.is_mock]
+    mocks = [f"cards, {name}" for name, card in tip_sources.valid(cards).items() if card.is_mock]
+    mocks += [f"cameras, {name}" for name, camera in tip_sources.valid(cameras).items() if camera.is_mock]
+    mocks += [f"trackers, {name}" for name, tracker in tip_sources.valid(trackers).items() if tracker.is_mock]
     if mocks and simulator is None:
         yield ValidationFault(
             ("simulator",), f"is missing: a mock device ({mocks[0]}) needs the block that says what it simulates"
@@ -352,22 +296,6 @@ def _simulated_parts(valves: Valves, sensors: Sensors, simulator: Simulator | No
     for key, value in (("noise_bar", simulator.sensor.noise_bar), ("offset_bar", simulator.sensor.offset_bar)):
         if spans and value > min(spans):
             yield ValidationFault(("simulator", "sensor", key), f"at most the sensors' span_bar, {min(spans):g} bar")
-
-
-def _simulated_cameras(cameras: Cameras, simulator: Simulator | None) -> Iterator[ValidationFault]:
-    if simulator is None:
-        return
-    mocks = [name for name, camera in _named(cameras) if camera.is_mock]
-    if simulator.scene is None and mocks:
-        yield ValidationFault(("simulator", "scene"), f"is missing: what the simulated camera '{mocks[0]}' sees")
-    for name in simulator.camera_errors:
-        if name not in cameras:
-            expected = f"one of the cameras: {', '.join(cameras) or 'the rig has none'}"
-            yield ValidationFault(("simulator", "camera_errors", name), expected, closest(name, cameras))
-    longest = min((1000 / camera.rate_hz for _, camera in _named(cameras)), default=math.inf) / max(1, len(cameras))
-    if simulator.scene is not None and simulator.scene.skew_ms > longest:
-        expected = f"at most {longest:.4g} ms: all cameras expose within the time between frames"
-        yield ValidationFault(("simulator", "scene", "skew_ms"), expected)
 
 
 def _simulated_arm(arm: ArmConfig, simulator: Simulator | None) -> Iterator[ValidationFault]:

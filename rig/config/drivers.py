@@ -9,7 +9,7 @@ import functools
 import operator
 import pkgutil
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
@@ -199,19 +199,15 @@ class DriverRegistry:
         for entry in self._group.entries():
             row = InstalledDriver(self.kind, entry.name, package_of(entry))
             if entry.name in self.built_in:
-                yield InstalledDriver(
-                    self.kind, entry.name, row.package, fault="not used: softrig has a driver of that name"
-                )
+                yield replace(row, fault="not used: softrig has a driver of that name")
                 continue
             try:
                 found, section = self[entry.name], self.section(entry.name)
             except PluginError as error:
-                yield InstalledDriver(self.kind, entry.name, row.package, fault=str(error))
+                yield replace(row, fault=str(error))
                 continue
             keys = tuple(key for key in section.model_fields if key not in base.model_fields)
-            yield InstalledDriver(
-                self.kind, entry.name, row.package, found.about, found.safe_state, found.simulated, keys
-            )
+            yield replace(row, about=found.about, safe_state=found.safe_state, simulated=found.simulated, keys=keys)
 
 
 CAMERA_DRIVERS = DriverRegistry(

@@ -87,8 +87,8 @@ class RigFile:
 
     `file` names the rig file in messages, `text` is its text. `calibrations` are its calibration files by name, in the
     order of application, and `parameters` is the text of its identified parameters, or empty: both verbatim. `yaml` is
-    the rig file with all overlays applied, `config` its configuration; `effective` derives both. A `recorded` rig is
-    from an archive: its drivers need not be installed here.
+    the rig file with all overlays applied, `config` its configuration. A `recorded` rig is from an archive: its drivers
+    need not be installed here.
     """
 
     file: str
@@ -185,37 +185,6 @@ def recorded(header: RunHeader, archive: Path) -> RigFile:
     return _rig_file(source, calibrations, _parameters(header.parameters_yaml), recorded=True)
 
 
-def effective(
-    source: document.Document,
-    calibrations: Sequence[LoadedCalibration] = (),
-    parameters: Parameters | None = None,
-    variant: Variant | None = None,
-    *,
-    recorded: bool = False,
-) -> tuple[str, RigConfig]:
-    """Apply calibrations, then identified parameters, to a rig file; return the YAML and its configuration.
-
-    `variant` is the model variant that the parameters must have; by default the rig's own. The drivers of a `recorded`
-    rig need not be installed.
-
-    Raises:
-        BadInputError: every problem of the rig file; or an overlay belongs to another rig, arm or model variant.
-    """
-    context = {RECORDED: recorded}
-    yaml, config = source.text, document.validate(RigConfig, source, consistency.check, context)
-    if calibrations or config.calibrations:
-        from rig.config import calibration_overlay
-
-        yaml = calibration_overlay.with_calibrations(yaml, config, calibrations)
-        config = _validated(yaml, source.file, context)
-    if parameters is not None:
-        from rig.config import parameters_overlay
-
-        yaml = parameters_overlay.with_parameters(yaml, config, source.file, parameters, variant)
-        config = _validated(yaml, f"{source.file} with {parameters.source.file}", context)
-    return yaml, config
-
-
 def _validated(yaml: str, file: str, context: Mapping[str, bool]) -> RigConfig:
     return document.validate(RigConfig, document.parse(yaml, file), consistency.check, context)
 
@@ -228,7 +197,26 @@ def _rig_file(
     *,
     recorded: bool = False,
 ) -> RigFile:
-    yaml, config = effective(source, [one for _, one in calibrations], parameters, variant, recorded=recorded)
+    """Apply calibrations, then identified parameters, to a rig file.
+
+    `variant` is the model variant that the parameters must have; by default the rig's own. The drivers of a `recorded`
+    rig need not be installed.
+
+    Raises:
+        BadInputError: every problem of the rig file; or an overlay belongs to another rig, arm or model variant.
+    """
+    context = {RECORDED: recorded}
+    yaml, config = source.text, document.validate(RigConfig, source, consistency.check, context)
+    if calibrations or config.calibrations:
+        from rig.config import calibration_overlay
+
+        yaml = calibration_overlay.with_calibrations(yaml, config, [one for _, one in calibrations])
+        config = _validated(yaml, source.file, context)
+    if parameters is not None:
+        from rig.config import parameters_overlay
+
+        yaml = parameters_overlay.with_parameters(yaml, config, source.file, parameters, variant)
+        config = _validated(yaml, f"{source.file} with {parameters.source.file}", context)
     return RigFile(
         file=source.file,
         text=source.text,

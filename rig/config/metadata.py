@@ -37,7 +37,6 @@ class Metadata(Section):
         return self
 
     def texts(self) -> dict[str, str]:
-        """The values as text."""
         return {name: _text(value) for name, value in self.values.items()}
 
     def missing(self, stated: Collection[str]) -> tuple[str, ...]:

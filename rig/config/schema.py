@@ -92,12 +92,10 @@ class RigConfig(Section):
 
     @property
     def measures_tip(self) -> bool:
-        """True with a camera or a tracker."""
         return bool(self.tip_sources)
 
     @property
     def tip_sources(self) -> tuple[CameraConfig | TrackerConfig, ...]:
-        """Cameras and trackers."""
         return (*self.cameras.values(), *self.trackers.values())
 
     @property

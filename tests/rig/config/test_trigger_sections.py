@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 import pytest
 
 from protocols import BadInputError
-from rig.config import loader, trigger_consistency
+from rig.config import loader, tip_source_consistency
 from rig.config.card_sections import CardConfig
 from tests.support.triggered_bench import triggered, triggered_rig
 
@@ -101,7 +101,7 @@ def test_a_driver_of_another_package_states_that_it_writes_digital_outputs() -> 
     cameras = {name: camera.model_copy(update={"driver": "opencv"}) for name, camera in config.cameras.items()}
     keys = {"driver": "box", "device": "box-1", "inputs": 8, "outputs": 2, "digital_outputs": 4}
     found = {
-        kind: list(trigger_consistency.check({"daq": kind(**keys)}, cameras, config.control, config.limits))
+        kind: list(tip_source_consistency.check_triggers({"daq": kind(**keys)}, cameras, config.control, config.limits))
         for kind in (BoxConfig, TriggeringBoxConfig)
     }
     assert [fault.expected for fault in found[BoxConfig]] == [

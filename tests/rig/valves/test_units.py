@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from protocols import BadInputError
-from rig.config import loader, unit_consistency
+from rig.config import consistency, loader
 from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
 from rig.hardware.cards.opening import card_setup
@@ -116,5 +116,5 @@ def test_a_rig_on_a_bus_survives_its_dump() -> None:
 def test_a_driver_in_a_unit_that_softrig_does_not_know_is_told_to_convert() -> None:
     card = SimpleNamespace(signal_units=("kPa",), driver="box")
     sensor = SimpleNamespace(card="daq", unit="bar")
-    (fault,) = unit_consistency.check({"daq": card}, (), (sensor,), {})  # type: ignore[dict-item, arg-type]
+    (fault,) = consistency.check_units({"daq": card}, (), (sensor,), {})  # type: ignore[dict-item, arg-type]
     assert fault.expected.endswith("has no signals in bar; its driver converts kPa to V or bar (signal_units)")
