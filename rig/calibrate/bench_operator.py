@@ -17,14 +17,6 @@ class Keys(Protocol):
         """Return the characters since the last call, without waiting."""
 
 
-class StopRequest(Protocol):
-    """A request to stop; `reason` is None until there is one."""
-
-    @property
-    def reason(self) -> str | None:
-        """Why the procedure must stop."""
-
-
 class BenchOperator(Protocol):
     """The operator: reads instructions, types, acts and stops."""
 
@@ -39,6 +31,3 @@ class BenchOperator(Protocol):
 
     def keys(self) -> AbstractContextManager[Keys]:
         """Read single keys while entered."""
-
-    def stop_requests(self) -> AbstractContextManager[StopRequest]:
-        """Turn the signals that stop a program into a stop request while entered."""

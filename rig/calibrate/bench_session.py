@@ -49,7 +49,6 @@ class VirtualClock:
         self._plant, self._period_ns, self._now = plant, period_ns, plant.t_ns
 
     def next(self) -> int:
-        """Advance the plant by one period."""
         self._now += self._period_ns
         self._plant.advance(self._now)
         return self._now

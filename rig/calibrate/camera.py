@@ -11,10 +11,11 @@ from calibration.vision.board import Board
 from protocols.problems import bad_input
 from rig.calibrate import file_sections, inputs, residual_figure
 from rig.calibrate.bench_operator import BenchOperator
-from rig.calibrate.output_file import OutputFile
+from rig.calibrate.file_sections import OutputFile
 from rig.calibrate.view_collection import collect, pictures
 from rig.config.board_sections import BoardPattern
 from rig.config.calibration_files import views_beside
+from rig.config.loader import load
 from rig.config.schema import RigConfig
 from runs.overwriting import refuse_existing
 
@@ -57,7 +58,7 @@ def run(request: CameraCalibrationRequest, operator: BenchOperator) -> tuple[Cal
         CameraError: a live camera delivers no pictures.
     """
     _refuse_of_other_source(request)
-    rig = inputs.rig_of(request.rig)
+    rig = None if request.rig is None else load(request.rig)
     board = inputs.shown_board(request.corners, request.square_mm, rig)
     _check_output(request)
     listed: list[tuple[str, Path, CameraCalibration]] = []
@@ -75,9 +76,9 @@ def run(request: CameraCalibrationRequest, operator: BenchOperator) -> tuple[Cal
             raise bad_input("VIEWS", "", "a folder, a video or a pattern of the board's pictures; or --capture")
         if request.camera is not None and rig is not None:
             inputs.known_camera(rig, request.camera)
-        for source in inputs.sources_of(list(request.views), rig, request.camera):
-            found = calibrate(source.views, board.board(), request.every)
-            listed.append((source.camera, request.output.path(f"camera-{source.camera}"), found))
+        for name, source in inputs.sources_of(request.views, rig, request.camera).items():
+            found = calibrate(source, board.board(), request.every)
+            listed.append((name, request.output.path(f"camera-{name}"), found))
     return tuple(_written(request, rig, name, board, file, found) for name, file, found in listed)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -44,19 +44,20 @@ class SeenBoards:
 
 
 def from_boards(
-    sources: Sequence[inputs.CameraViews],
+    sources: Mapping[str, Path],
     board: Board,
     rig: RigConfig | None,
     known: dict[str, LoadedCalibration],
     *,
-    world_view: str = "",
-    base: RigidTransform | None = None,
-    every: int = 1,
+    world_view: str,
+    base: RigidTransform | None,
+    every: int,
 ) -> DLTCalibrationResult:
     """Calibrate cameras from simultaneous views of a board.
 
-    `world_view`: the view whose board defines the world, by default the one that most cameras see; `base`: the pose of
-    that board in the rod-base frame. `known`: other calibrations, by camera. `every`: use every Nth frame of a video.
+    `world_view`: the view whose board defines the world, empty for the one that most cameras see; `base`: the pose of
+    that board in the rod-base frame, if it is known. `known`: other calibrations, by camera. `every`: use every Nth
+    frame of a video.
 
     Raises:
         BadInputError: no view has the name `world_view`, or a picture has another size than the rig's camera.
@@ -105,7 +106,7 @@ def _used_views(views: SeenBoards, extrinsics: ExtrinsicCalibration) -> tuple[ca
 
 
 def _seen(
-    sources: Sequence[inputs.CameraViews],
+    sources: Mapping[str, Path],
     every: int,
     board: Board,
     rig: RigConfig | None,
@@ -114,12 +115,11 @@ def _seen(
     """Find the boards in all views; a lens that is not known is calibrated from the same views."""
     found: dict[str, dict[str, tuple[str, SeenCorners]]] = {}
     lenses, sizes, left_out = {}, {}, []
-    for source in sources:
-        name = source.camera
-        views = list(views_in(source.views, every))
+    for name, source in sources.items():
+        views = list(views_in(source, every))
         size = sizes[name] = views[0].image.shape[1], views[0].image.shape[0]
         inputs.identity(rig, name, size)
-        lens = known_lens(name, rig, known, size, f"the views in {source.views}")
+        lens = known_lens(name, rig, known, size, f"the views in {source}")
         if lens is None:
             made = calibrate_views(views, board)
             lens = made.lens

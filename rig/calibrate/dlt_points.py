@@ -1,4 +1,4 @@
-"""DLT calibration from a CSV of control points."""
+"""DLT calibration from a CSV of control points; one row for each point that a camera saw."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.cross_validation import leave_out
+from calibration.cross_validation import PointObservations, leave_out
 from calibration.dlt_bundle_adjustment import adjust
 from calibration.vision.transforms import RigidTransform
-from protocols.problems import bad_input
-from rig.calibrate import control_points
+from protocols import Problem
+from protocols.problems import bad_input, raise_all
+from rig.calibrate import inputs
 from rig.calibrate.dlt_fit import DLTCalibrationResult, camera_in_world, fitted, known_lens
 from rig.config.calibration_files import LoadedCalibration
 from rig.config.schema import RigConfig
 
 Floats = NDArray[np.float64]
 
+COLUMNS = ("point", "X_mm", "Y_mm", "Z_mm", "camera", "u_px", "v_px")
+_MOST_PROBLEMS = 40
 _MOST_LEFT_OUT = 200
 WIDEST_MM = 1e6
 
@@ -35,7 +38,7 @@ def from_points(
     Raises:
         BadInputError: a cell or an option is invalid. DLTError: the points do not determine the coefficients.
     """
-    seen = control_points.read(csv)
+    seen = _control_points(csv)
     if not 0 <= points_std_mm < WIDEST_MM:
         raise bad_input("--points-std-mm", f"{points_std_mm:g}", "the points' standard uncertainty in mm, 0 or more")
     observations, sizes = {}, {}
@@ -58,6 +61,41 @@ def from_points(
         sizes,
         baselines_m={(a, b): _baseline_m(places[a], places[b]) for a, b in combinations(places, 2)},
     )
+
+
+def _control_points(path: Path) -> dict[str, PointObservations]:
+    """Control points by camera, without its lens; `BadInput` with every cell that cannot be."""
+    rows = inputs.table(path, COLUMNS)
+    problems: list[Problem] = []
+    known: dict[str, tuple[float, ...]] = {}
+    found: dict[str, dict[str, tuple[tuple[float, ...], tuple[float, ...]]]] = {}
+    for line, row in rows:
+        place = tuple(inputs.number(path, line, name, row[name], problems) for name in COLUMNS[1:4])
+        pixel = tuple(inputs.number(path, line, name, row[name], problems) for name in COLUMNS[5:])
+        point, camera = row["point"], row["camera"]
+        problems += [
+            Problem(str(path), line, 0, name, "", "is missing: a name or a number")
+            for name in ("point", "camera")
+            if not row[name]
+        ]
+        if known.setdefault(point, place) != place:
+            conflict = ", ".join(f"{x:g}" for x in known[point])
+            problems.append(
+                Problem(str(path), line, 0, "X_mm, Y_mm, Z_mm", ", ".join(f"{x:g}" for x in place),
+                        f"{conflict}, as in an earlier row of point {point}")
+            )  # fmt: skip
+        if point in found.setdefault(camera, {}):
+            problems.append(Problem(str(path), line, 0, "point", point, f"each point once for camera {camera}"))
+        found[camera][point] = place, pixel
+    raise_all(problems[:_MOST_PROBLEMS])
+    return {
+        camera: PointObservations(
+            tuple(points),
+            np.array([place for place, _ in points.values()]) * 1e-3,
+            np.array([pixel for _, pixel in points.values()]),
+        )
+        for camera, points in found.items()
+    }
 
 
 def _baseline_m(one: tuple[RigidTransform, Floats], other: tuple[RigidTransform, Floats]) -> tuple[float, float]:

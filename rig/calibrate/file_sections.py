@@ -1,10 +1,12 @@
-"""From a result of package `calibration` to its file, in the units of files."""
+"""From a result of package `calibration` to its file, in the units of files, and where a command writes it."""
 
 from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,9 +16,11 @@ from calibration.camera import CameraCalibration, ExcludedView
 from calibration.vision.lens import Lens
 from rig.config import calibration_schema, sections
 from rig.config.board_sections import BoardPattern
-from rig.config.calibration_files import rounded
+from rig.config.calibration_files import default_path, rounded, write
+from rig.config.calibration_schema import CalibrationFile
 from rig.config.schema import RigConfig
 from rig.experiment.provenance import git_state, versions
+from runs.overwriting import refuse_existing
 
 COVARIANCE_DIGITS = 8
 
@@ -47,7 +51,6 @@ def identity_of(config: RigConfig, name: str) -> calibration_schema.CameraIdenti
 
 
 def card_of(config: RigConfig, name: str) -> calibration_schema.CardIdentity:
-    """A rig's card."""
     card = config.cards[name]
     return calibration_schema.CardIdentity(name=name, driver=card.driver, device=card.device)
 
@@ -68,14 +71,12 @@ def matrix(covariance: NDArray[np.float64]) -> calibration_schema.Matrix:
 
 
 def left_out(skipped: tuple[ExcludedView, ...]) -> tuple[calibration_schema.ExcludedViewSection, ...]:
-    """Views that were not used."""
     return tuple(calibration_schema.ExcludedViewSection(name=s.name, sha256=s.sha256, reason=s.reason) for s in skipped)
 
 
 def camera_file(
     found: CameraCalibration, identity: calibration_schema.CameraIdentity, board: BoardPattern, note: str = ""
 ) -> calibration_schema.CameraFile:
-    """The file of a camera's intrinsics."""
     return calibration_schema.CameraFile(
         **origin(note),
         kind="camera",
@@ -94,3 +95,33 @@ def camera_file(
         left_out=left_out(found.skipped),
         advice=found.advice,
     )
+
+
+@dataclass(frozen=True)
+class OutputFile:
+    """The options of every calibration command: file (None: a dated name), permission to overwrite, and note."""
+
+    to: Path | None = None
+    replace: bool = False
+    note: str = ""
+
+    def check(self) -> None:
+        """Refuse an existing file, before anything is measured.
+
+        Raises:
+            WouldOverwriteError: a file exists, and `replace` is False.
+        """
+        if self.to is not None:
+            refuse_existing([self.to], replace=self.replace)
+
+    def path(self, subject: str) -> Path:
+        """Return the path of the file; by default the subject with the date."""
+        return self.to or default_path(subject)
+
+    def write(self, found: CalibrationFile, path: Path) -> Path:
+        """Write the file.
+
+        Raises:
+            WouldOverwriteError: the file exists, and `replace` is False.
+        """
+        return write(found, path, replace=self.replace)

@@ -9,10 +9,9 @@ import numpy as np
 
 from protocols.problems import bad_input
 from rig.calibrate.bench_driver import BenchDriver
-from rig.calibrate.bench_operator import BenchOperator, StopRequest
+from rig.calibrate.bench_operator import BenchOperator
 from rig.calibrate.bench_session import real, virtual
-from rig.calibrate.file_sections import origin
-from rig.calibrate.output_file import OutputFile
+from rig.calibrate.file_sections import OutputFile, origin
 from rig.calibrate.sensor_scale import Gauge, from_readings, read_gauge, sensor_section, simulated_gauge, typed_gauge
 from rig.calibrate.valve_fit import RateMeasurement
 from rig.calibrate.valve_sweep import sweep, valve_section
@@ -21,6 +20,7 @@ from rig.config.calibration_files import sha256_of
 from rig.config.loader import load, path_of
 from rig.config.schema import RigConfig
 from rig.execution.plan import StoppedError
+from rig.execution.stop_signals import StopSignals
 from rig.execution.virtual_time import require_mocks
 from rig.realtime.scheduling import obtainable
 from rig.realtime.timing_limits import timing_limits
@@ -28,6 +28,9 @@ from rig.simulator.plant_launcher import simulated
 
 _LARGEST_ML = 1e5
 _VOLUME_DOUBT = 0.1
+
+Measured = tuple[dict[int, list[tuple[float, float]]], dict[int, list[RateMeasurement]]]
+"""Volts and gauge [Pa] at each level by actuator, and rates by the index of the valve."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +65,6 @@ class PressureCalibration:
     config: RigConfig
 
 
-@dataclass(frozen=True)
-class PressureMeasurements:
-    """Measurements: volts and gauge [Pa] at each level by actuator, and rates by the valve's index."""
-
-    readings: dict[int, list[tuple[float, float]]]
-    rates: dict[int, list[RateMeasurement]]
-
-
 def run(request: PressureCalibrationRequest, operator: BenchOperator) -> PressureCalibration:
     """Calibrate, and write the file.
 
@@ -93,13 +88,13 @@ def run(request: PressureCalibrationRequest, operator: BenchOperator) -> Pressur
     if request.by_gauge or request.valves:
         if not request.yes and not operator.confirm():
             raise bad_input("--yes", "", "consent: pressures will rise; not armed")
-        measured = _measure(request, config, operator)
+        readings, rates = _measure(request, config, operator)
         # The bench is safe: what takes time comes now.
-        for actuator, pairs in sorted(measured.readings.items()):
+        for actuator, pairs in sorted(readings.items()):
             sensors += (sensor_section(config, actuator, np.array(pairs), request.gauge_std_bar),)
         volume_ml = request.volume_ml or config.control.volume_ml
         std_ml = _VOLUME_DOUBT * volume_ml if request.volume_std_ml is None else request.volume_std_ml
-        valves = tuple(valve_section(config, i, rates, volume_ml, std_ml) for i, rates in measured.rates.items())
+        valves = tuple(valve_section(config, i, swept, volume_ml, std_ml) for i, swept in rates.items())
     if not (sensors or valves):
         raise bad_input("--no-sensors", "", "something to calibrate: sensors, or a valve that meters flow")
     content = calibration_schema.PressureFile(
@@ -117,7 +112,6 @@ def run(request: PressureCalibrationRequest, operator: BenchOperator) -> Pressur
 
 
 def _check(request: PressureCalibrationRequest) -> None:
-    """Refuse numbers out of range."""
     if not 0 < request.gauge_std_bar < 1:
         raise bad_input(
             "--gauge-std-bar", f"{request.gauge_std_bar:g}", "the gauge's standard uncertainty in bar, more than 0"
@@ -127,9 +121,9 @@ def _check(request: PressureCalibrationRequest) -> None:
             raise bad_input(option, f"{value:g}", f"millilitres, more than 0 and less than {_LARGEST_ML:g}")
 
 
-def _measure(request: PressureCalibrationRequest, config: RigConfig, operator: BenchOperator) -> PressureMeasurements:
+def _measure(request: PressureCalibrationRequest, config: RigConfig, operator: BenchOperator) -> Measured:
     """Drive the bench in virtual or real time; it is safe afterwards, however this ends."""
-    with operator.stop_requests() as stop:
+    with StopSignals() as stop:
         if request.fast:
             with virtual(config, request.seed) as (bench, clock, plant):
                 driver = BenchDriver(config, bench, clock, lambda: _raise_if_stopped(stop))
@@ -147,18 +141,18 @@ def _measure(request: PressureCalibrationRequest, config: RigConfig, operator: B
             return _drive(request, config, driver, typed_gauge(keys, operator.tell), operator)
 
 
-def _raise_if_stopped(stop: StopRequest) -> None:
+def _raise_if_stopped(stop: StopSignals) -> None:
     if stop.reason:
         raise StoppedError(f"stopped {stop.reason}; the valves go to their safe state")
 
 
 def _drive(
     request: PressureCalibrationRequest, config: RigConfig, driver: BenchDriver, gauge: Gauge, operator: BenchOperator
-) -> PressureMeasurements:
+) -> Measured:
     readings = read_gauge(config, driver, gauge, operator.tell) if request.by_gauge else {}
     rates = {}
     for index, valve in enumerate(config.valves) if request.valves else ():
         if valve.metering is not None:
             operator.tell(f"valve {index + 1}: sweep of its voltage")
             rates[index] = sweep(config, driver, index)
-    return PressureMeasurements(readings, rates)
+    return readings, rates

@@ -13,7 +13,7 @@ from calibration.pressure import SensorFit, fit_sensor
 from model.units import PA_PER_BAR
 from protocols import Problem
 from protocols.problems import raise_all
-from rig.calibrate import control_points, file_sections
+from rig.calibrate import file_sections, inputs
 from rig.calibrate.bench_driver import BenchDriver
 from rig.calibrate.bench_operator import Keys
 from rig.config import calibration_schema
@@ -136,9 +136,9 @@ def from_readings(
     problems: list[Problem] = []
     found: dict[int, list[tuple[float, float]]] = {}
     known = {sensor.actuator for sensor in config.sensors}
-    for line, row in control_points.table(path, ("actuator", "volts_V", "gauge_bar")):
-        volts = control_points.number(path, line, "volts_V", row["volts_V"], problems)
-        gauge = control_points.number(path, line, "gauge_bar", row["gauge_bar"], problems)
+    for line, row in inputs.table(path, ("actuator", "volts_V", "gauge_bar")):
+        volts = inputs.number(path, line, "volts_V", row["volts_V"], problems)
+        gauge = inputs.number(path, line, "gauge_bar", row["gauge_bar"], problems)
         if gauge < VACUUM_BAR:
             expected = f"a gauge pressure above vacuum, {VACUUM_BAR:.3f} bar or more"
             problems.append(Problem(str(path), line, 0, "gauge_bar", row["gauge_bar"], expected))

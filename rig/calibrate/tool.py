@@ -19,7 +19,7 @@ from model.statics import statics
 from protocols.problems import bad_input
 from rig.calibrate import file_sections, inputs
 from rig.calibrate.bench_operator import BenchOperator
-from rig.calibrate.output_file import OutputFile
+from rig.calibrate.file_sections import OutputFile
 from rig.calibrate.view_collection import CAMERA_TIMEOUT_S, store
 from rig.config import calibration_schema
 from rig.config.arm_model import model_arm

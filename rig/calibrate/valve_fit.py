@@ -120,7 +120,7 @@ def fit(valve: FlowMetering, rates: Sequence[RateMeasurement], volumes_m3: Seque
 
 
 class _Flow(NamedTuple):
-    """Convert a rate to the flow into the chambers [m3/s, reference atmosphere] with its standard uncertainty."""
+    """A rate as the flow into the chambers [m3/s, reference atmosphere] with its standard uncertainty."""
 
     of: RateMeasurement
     flow: float

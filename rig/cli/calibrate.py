@@ -66,7 +66,7 @@ def dlt(
 ) -> None:
     """Find cameras' 11 DLT coefficients and poses, from control points or from views of a board."""
     from rig.calibrate import dlt as procedure
-    from rig.calibrate.output_file import OutputFile
+    from rig.calibrate.file_sections import OutputFile
     from rig.cli import calibration_output
 
     done = procedure.run(
@@ -108,7 +108,7 @@ def camera(
 ) -> None:
     """Find cameras' intrinsics and distortion from views of a board."""
     from rig.calibrate import camera as procedure
-    from rig.calibrate.output_file import OutputFile
+    from rig.calibrate.file_sections import OutputFile
     from rig.cli import calibration_output
     from rig.cli.terminal_operator import TerminalOperator
     from rig.config.loader import chosen_rig
@@ -154,7 +154,7 @@ def tool(
 ) -> None:
     """Find the board's offset from the arm's central axis and its rotation."""
     from rig.calibrate import tool as procedure
-    from rig.calibrate.output_file import OutputFile
+    from rig.calibrate.file_sections import OutputFile
     from rig.cli import calibration_output
     from rig.cli.terminal_operator import TerminalOperator
     from rig.config.loader import chosen_rig
@@ -203,7 +203,7 @@ def pressure(
 ) -> None:
     """Find the sensors' scales against a gauge, and the valves' dead zone and flow curve by a sweep."""
     from rig.calibrate import pressure as procedure
-    from rig.calibrate.output_file import OutputFile
+    from rig.calibrate.file_sections import OutputFile
     from rig.cli import calibration_output
     from rig.cli.terminal_operator import TerminalOperator
     from rig.config.loader import chosen_rig
