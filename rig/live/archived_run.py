@@ -19,8 +19,7 @@ from rig.config.arm_model import TipLoad, model_arm
 from rig.config.loader import recorded
 from rig.config.schema import RigConfig
 from rig.live.messages import Message
-from rig.live.packets import ViewOverlay, ViewUpdate, lateness_cycles
-from rig.live.view_state import (
+from rig.live.packets import (
     EstimateView,
     PressureView,
     ProtocolView,
@@ -28,9 +27,12 @@ from rig.live.view_state import (
     SectionView,
     TimingView,
     TipView,
+    ViewOverlay,
     ViewState,
+    ViewUpdate,
     estimates,
     inputs,
+    lateness_cycles,
     path_error,
     sections,
 )
@@ -74,7 +76,6 @@ class ArchivedRun:
             self.overlay(0, 0 if len(run.frames.index) else -1)  # compile the kernels before the first request
 
     def about(self) -> RunDescription:
-        """Return the constant properties of the run."""
         header, config = self.run.header, self._config
         highest_bar = float(np.nanmax(self.pressure_rows[:, 1:], initial=0.0))
         return RunDescription(
@@ -91,7 +92,6 @@ class ArchivedRun:
         )
 
     def viewer(self) -> ArchivedRunViewer:
-        """Return a view for one more browser."""
         return ArchivedRunViewer(self)
 
     def update(self) -> None:

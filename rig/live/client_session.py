@@ -108,6 +108,5 @@ class ClientSession:
             self.ended = True
 
     def close(self) -> None:
-        """Close the connection and the memory."""
         self._connection.close()
         os.close(self.memory.fd)

@@ -20,9 +20,22 @@ from protocols.problems import bad_input
 from rig.execution.plan import StartError
 from rig.live.authentication import AccessTokens
 from rig.live.client_session import running_runs
-from rig.live.page_configuration import LINGER_S, PageConfiguration
 from rig.realtime.control_socket import socket_of
 from rig.realtime.operator_commands import user_name
+
+LINGER_S = 3.0
+"""Time after the end of a run in which browsers can fetch the last packet."""
+
+
+@dataclass(frozen=True)
+class PageConfiguration:
+    """Listening socket `fd` and the source: `run` is a control socket, `archive` a file; one of them is None."""
+
+    fd: int
+    tokens: AccessTokens
+    run: Path | None = None
+    archive: Path | None = None
+
 
 PORTS_TRIED = 20
 
@@ -76,23 +89,17 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
         raise StartError(f"the page did not start (exit status {process.wait()})") from None
     base = _url(bound, address)
     bound.close()
+    guest = f"{base}#{tokens.guest}  (view only)"
     if local:
-        return PageProcess(
-            process,
-            (
-                f"live page   {base}#{tokens.operator}  (keep it secret: it permits commands)",
-                f"guest link  {base}#{tokens.guest}  (view only)",
-            ),
-        )
-    return PageProcess(
-        process,
-        (
-            f"live page      {base}",
-            f"operator link  {base}#{tokens.operator}  (opens once)",
-            f"guest link     {base}#{tokens.guest}  (view only)",
-            "the connection is not encrypted: use it on a trusted network or through an SSH tunnel",
-        ),
+        page = f"live page   {base}#{tokens.operator}  (keep it secret: it permits commands)"
+        return PageProcess(process, (page, f"guest link  {guest}"))
+    lines = (
+        f"live page      {base}",
+        f"operator link  {base}#{tokens.operator}  (opens once)",
+        f"guest link     {guest}",
+        "the connection is not encrypted: use it on a trusted network or through an SSH tunnel",
     )
+    return PageProcess(process, lines)
 
 
 @contextmanager

@@ -9,30 +9,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from model.units import MM_PER_M
-from rig.live.client_session import ClientSession
+from model.units import MM_PER_M, PA_PER_BAR
+from rig.execution.plan import StartError
+from rig.live.client_session import ClientSession, connect
 from rig.live.messages import Message
 from rig.live.packets import (
-    History,
-    RunningMean,
-    ViewOverlay,
-    ViewUpdate,
-    bar,
-    jpeg,
-    lateness_cycles,
-    track_row,
-)
-from rig.live.view_state import (
     EstimateView,
+    History,
     PressureView,
     ProtocolView,
     RunDescription,
+    RunningMean,
     SectionView,
     TimingView,
     TipView,
+    ViewOverlay,
     ViewState,
+    ViewUpdate,
     estimates,
     inputs,
+    jpeg,
+    lateness_cycles,
     path_error,
     sections,
 )
@@ -76,11 +73,9 @@ class LiveRun:
 
     @property
     def finished(self) -> bool:
-        """True once the run has ended."""
         return bool(self.ended)
 
     def about(self) -> RunDescription:
-        """Return the constant properties of the run."""
         plan = self.session.plan
         return RunDescription(
             title=f"{Path(plan.trajectory.source).stem} on {plan.config.name}",
@@ -95,7 +90,6 @@ class LiveRun:
         )
 
     def viewer(self) -> LiveRunViewer:
-        """Return a view for one more browser."""
         self.viewers += 1
         return LiveRunViewer(self)
 
@@ -149,7 +143,9 @@ class LiveRun:
             self._lateness[self.cycles % len(self._lateness)] = row["lateness_ns"]
             if self.cycles % CHART_DECIMATION == 0:
                 t_s = self.seconds(int(row["t_ns"]))
-                self.pressure.add(np.concatenate([[t_s], bar(row["setpoint_pa"]), bar(row["measured_pa"])]))
+                self.pressure.add(
+                    np.concatenate([[t_s], row["setpoint_pa"] / PA_PER_BAR, row["measured_pa"] / PA_PER_BAR])
+                )
             self.cycles += 1
         if len(rows):
             self.sample = rows[-1]
@@ -164,7 +160,7 @@ class LiveRun:
             del self.observations[next(iter(self.observations))]
         std_mm = MM_PER_M * np.sqrt(np.diagonal(row["covariance_m2"]))
         measured, model = MM_PER_M * row["measured_m"], MM_PER_M * row["model_m"]
-        self.track.add(track_row(self.seconds(int(row["t_ns"])), measured, std_mm, model, error, mean))
+        self.track.add(np.concatenate([[self.seconds(int(row["t_ns"]))], measured, std_mm, model, [error, mean]]))
 
 
 class LiveRunViewer:
@@ -180,7 +176,6 @@ class LiveRunViewer:
         self._end_sent = False
 
     def packet(self) -> bytes | None:
-        """Return the new data; None where there is none."""
         source = self._source
         frame = next(reversed(source.observations), -1)
         number = -1 if source.view is None else int(source.view[0]["number"])
@@ -214,7 +209,6 @@ class LiveRunViewer:
         return {"do": message.do, **self._source.session.request(message.do, who)}
 
     def close(self) -> None:
-        """Unregister the browser."""
         self._source.viewers -= 1
 
     def _now(self) -> ViewState:
@@ -237,7 +231,9 @@ class LiveRunViewer:
                 lateness_us=None if sample is None else float(sample["lateness_ns"]) * 1e-3,
                 lateness_max_us=source.lateness_max_us,
             ),
-            pressure=None if sample is None else PressureView.of_pascal(sample["setpoint_pa"], sample["measured_pa"]),
+            pressure=None
+            if sample is None
+            else PressureView(sample["setpoint_pa"] / PA_PER_BAR, sample["measured_pa"] / PA_PER_BAR),
             tip=self._tip() if source.observations else None,
             sections=self._sections() if source.observations and plan.config.sections else (),
             inputs=inputs(plan.auxiliary, sample["aux"]) if sample is not None and plan.auxiliary else (),
@@ -290,3 +286,47 @@ class LiveRunViewer:
         if memory.paused:
             return "paused"
         return "waiting" if waiting >= 0 else "running"
+
+
+CONNECT_EVERY_S = 0.1
+
+
+class PendingRun:
+    """Waits for a run's control socket, then delegates to `LiveRun`; simulation and compilation may delay the start."""
+
+    live = True
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._live_run: LiveRun | None = None
+        self._last_attempt_s = 0.0
+
+    @property
+    def finished(self) -> bool:
+        return self._live_run is not None and self._live_run.finished
+
+    def about(self) -> RunDescription | None:
+        return None if self._live_run is None else self._live_run.about()
+
+    def viewer(self) -> LiveRunViewer:
+        """Return a view for one more browser.
+
+        Raises:
+            StartError: the run has not started.
+        """
+        if self._live_run is None:
+            raise StartError("the run has not started")
+        return self._live_run.viewer()
+
+    def update(self) -> None:
+        """Try to connect, or read new data."""
+        if self._live_run is not None:
+            self._live_run.update()
+            return
+        now = time.monotonic()
+        if now - self._last_attempt_s < CONNECT_EVERY_S:
+            return
+        self._last_attempt_s = now
+        if path := connect(self._path):
+            path.close()
+            self._live_run = LiveRun(ClientSession(self._path))

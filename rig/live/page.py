@@ -6,7 +6,7 @@ from fastapi import Request
 from nicegui import ui
 
 from rig.live.authentication import SESSION, LoginSession
-from rig.live.run_source import RunSource
+from rig.live.stream import RunSource
 
 HEAD = '<link rel="stylesheet" href="/live/live.css"><script type="module" src="/live/live.js"></script>'
 

@@ -20,10 +20,8 @@ from starlette.staticfiles import StaticFiles
 from rig.execution.plan import StartError
 from rig.live.admission import ACCEPTED_AT_ONCE, Admission, http_protocol
 from rig.live.authentication import AuthenticationMiddleware
-from rig.live.page_configuration import LINGER_S, PageConfiguration
-from rig.live.page_log import PageLog
-from rig.live.run_source import RunSource
-from rig.live.stream import stream
+from rig.live.launch import LINGER_S, PageConfiguration
+from rig.live.stream import RunSource, stream
 
 NICE = 5
 """Lower priority than observer and supervisor, but high enough for a busy machine."""
@@ -31,6 +29,28 @@ UPDATE_S = 0.008
 QUEUE = 1024
 """Listen backlog of the kernel."""
 STATIC = Path(__file__).parent / "static"
+
+
+class PageLog(logging.Handler):
+    """Prints a warning or error as one line without a traceback, and only the first from each source line."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self._seen: set[tuple[str, int]] = set()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a record unless one from the same source line has been printed."""
+        source = record.pathname, record.lineno
+        if source in self._seen:
+            return
+        self._seen.add(source)
+        lines = record.getMessage().strip().splitlines() or [""]
+        # uvicorn logs a failed start as the text of a traceback, which ends with the reason.
+        message = lines[-1] if lines[0].startswith("Traceback") else lines[0]
+        if record.exc_info and record.exc_info[1]:
+            error = record.exc_info[1]
+            message += f" ({type(error).__name__}: {error})"
+        print("live page:", "".join(c for c in message if c.isprintable()), file=sys.stderr, flush=True)
 
 
 def main() -> int:
@@ -72,7 +92,7 @@ def _source(configuration: PageConfiguration) -> RunSource:
         from rig.live.archived_run import ArchivedRun
 
         return ArchivedRun(configuration.archive)
-    from rig.live.pending_run import PendingRun
+    from rig.live.live_run import PendingRun
 
     assert configuration.run is not None
     return PendingRun(configuration.run)

@@ -11,15 +11,46 @@ import asyncio
 import json
 from contextlib import suppress
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Protocol
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rig.live.authentication import SESSION, LoginSession
 from rig.live.messages import Message, MessageError, parse
-from rig.live.packets import plain
-from rig.live.run_source import RunSource, Viewer
-from rig.live.view_state import RunDescription
+from rig.live.packets import RunDescription, plain
+
+
+class Viewer(Protocol):
+    """One browser's view of a source; it buffers no packets."""
+
+    def packet(self) -> bytes | None:
+        """Return the data since the last call; None where there is none."""
+
+    def handle(self, message: Message, who: str) -> dict[str, Any] | None:
+        """Execute a message; return the answer, `done` and `message`, or None."""
+
+    def close(self) -> None:
+        """Unregister the browser."""
+
+
+class RunSource(Protocol):
+    """Source of packets. `live`: messages act on a rig, so only the operator may send them."""
+
+    live: bool
+
+    @property
+    def finished(self) -> bool:
+        """True once no more data will come."""
+
+    def about(self) -> RunDescription | None:
+        """Return the constant properties; None before the run starts."""
+
+    def viewer(self) -> Viewer:
+        """Return a view for one more browser."""
+
+    def update(self) -> None:
+        """Read new data; called about a hundred times a second."""
+
 
 POLL_S = 0.008
 WAIT_S = 0.1

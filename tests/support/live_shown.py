@@ -17,19 +17,21 @@ import numpy as np
 import uvicorn
 
 from rig.live.authentication import AccessTokens
+from rig.live.launch import PageConfiguration
 from rig.live.messages import Message
-from rig.live.packets import ViewOverlay, ViewUpdate, jpeg
-from rig.live.page_configuration import PageConfiguration
-from rig.live.server import application
-from rig.live.view_state import (
+from rig.live.packets import (
     EstimateView,
     PressureView,
     ProtocolView,
     RunDescription,
     TimingView,
     TipView,
+    ViewOverlay,
     ViewState,
+    ViewUpdate,
+    jpeg,
 )
+from rig.live.server import application
 
 NAMES = (
     "law",

@@ -9,8 +9,20 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.live.packets import History, RunningMean, ViewUpdate, jpeg, rounded
-from rig.live.view_state import InputView, PressureView, ProtocolView, SectionView, TimingView, TipView, ViewState
+from rig.live.packets import (
+    History,
+    InputView,
+    PressureView,
+    ProtocolView,
+    RunningMean,
+    SectionView,
+    TimingView,
+    TipView,
+    ViewState,
+    ViewUpdate,
+    jpeg,
+    rounded,
+)
 
 
 @given(rows=st.integers(0, 900), capacity=st.integers(2, 64))

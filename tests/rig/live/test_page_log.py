@@ -6,7 +6,7 @@ import logging
 
 import pytest
 
-from rig.live.page_log import PageLog
+from rig.live.server import PageLog
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import runs
 from calibration.identify.data import in_motion
 from rig.experiment.replay import replay
 from rig.hardware.cameras.base import FrameSet
-from rig.live import view_state
+from rig.live import packets
 from rig.live.archived_run import ArchivedRun
 from rig.observation.camera_estimator import CameraTipEstimator
 from rig.simulator.mock_camera import MockCamera
@@ -85,8 +85,8 @@ def test_the_page_shows_them(run: Run) -> None:
     for k, one in enumerate(shown):
         np.testing.assert_allclose(one.point_mm, sections.measured_mm[frame, k], atol=0.01)
         assert one.error_mm == pytest.approx(sections.error_mm[frame, k], abs=1e-3)
-    missing = view_state.sections(["lost"], np.full((1, 3), np.nan), np.zeros((1, 3)))
-    assert missing == (view_state.SectionView("lost", None, None),)
+    missing = packets.sections(["lost"], np.full((1, 3), np.nan), np.zeros((1, 3)))
+    assert missing == (packets.SectionView("lost", None, None),)
 
 
 def test_an_export_has_a_column_for_each_section(run: Run, tmp_path: Path) -> None:
