@@ -25,8 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import runs
+from calibration.identify.data import poses_of
 from calibration.parallel_map import parallel_map
-from rig.identify.estimation import from_poses, poses
+from rig.identify.estimation import from_poses
 from rig.identify.initial_setup import rig_of
 
 Array = NDArray[np.float64]
@@ -38,13 +39,13 @@ _TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 
 def read(file: Path) -> Array:
     """The measured tips [m] of an archive."""
-    return poses(runs.open(file)).tip_m
+    return poses_of(runs.open(file)).tip_m
 
 
 def identified(file: Path) -> Array:
     """The estimates from an archive."""
     run = runs.open(file)
-    return np.array([one.used for one in from_poses(rig_of(run), [poses(run)], FREE, {}).estimates])
+    return np.array([one.used for one in from_poses(rig_of(run), [poses_of(run)], FREE, {}).estimates])
 
 
 WORK = {"read": read, "identify": identified}

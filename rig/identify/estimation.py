@@ -45,22 +45,17 @@ def rig_with(rig: RigFile, parameters: Path) -> str:
     return rig.identified(found, found.found.identified.variant).yaml
 
 
-def poses(run: Run, quasi_static: bool = False) -> Poses:
-    """Return the data of a run: plateaus or motion, or every frame as an equilibrium."""
-    return quasi_static_poses(run) if quasi_static else poses_of(run)
-
-
 def read_poses(
     archives: Sequence[Run], quasi_static: bool = False, progress: Progress = lambda done, total: None
 ) -> list[Poses]:
-    """Return the data of several runs.
+    """Return the data of several runs: plateaus or motion, or every frame as an equilibrium.
 
     Raises:
         NoDataError: a run has no usable data.
     """
     found: list[Poses] = []
     for run in archives:
-        found.append(poses(run, quasi_static))
+        found.append(quasi_static_poses(run) if quasi_static else poses_of(run))
         progress(len(found), len(archives))
     return found
 

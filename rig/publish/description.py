@@ -39,7 +39,6 @@ class Creator:
 
     @property
     def id(self) -> str:
-        """Identifier in the crate."""
         return f"https://orcid.org/{self.orcid}" if self.orcid else f"#person-{quote(self.name)}"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rig.reproduce import elongation, motion, positions
 from rig.reproduce.comparison import PaperComparison, PaperFigure
-from rig.reproduce.experiments import PROTOCOLS, recorded_or_simulated
+from rig.reproduce.experiments import PROTOCOLS, origin, recorded_or_simulated
 
 NEEDS = {
     "fig9": PROTOCOLS[:2],
@@ -61,7 +61,7 @@ def results(
         if errors_of_methods:
             errors = motion.errors_of_methods(moved, report=report)
             rows += motion.table4(moved, errors)
-            concluded.append(motion.verdict(moved, errors))
+            concluded.append(motion.table4_verdict(errors, origin(*(case.run for case in moved))))
         drawn += motion.drawings(moved)
     shown = tuple(one for one in drawn if one.name.replace("fig0", "fig") in wanted)
     return ReproductionResults(tuple(rows), shown, tuple(concluded))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +13,7 @@ from model.paper.rod import PaperRod
 from model.units import PA_PER_BAR
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
-from rig.reproduce import verdicts
-from rig.reproduce.comparison import PaperComparison, PaperFigure
+from rig.reproduce.comparison import PaperComparison, PaperFigure, ResultOrigin
 from rig.reproduce.experiments import origin
 from rig.reproduce.table4 import SCHEMES, Space
 from runs.records import DetectionStatus
@@ -36,6 +35,7 @@ TABLE4_MM: dict[tuple[Space, int], tuple[float | None, ...]] = {
 """Printed average RMSE, in the order of `rig.reproduce.table4.SCHEMES`; None where it says Unstable."""
 WINDOW_S = 1.0
 
+Errors = Sequence[float | None]
 ErrorsMm = dict[tuple[Space, int], tuple[float, ...]]
 """Errors in the order of `rig.reproduce.table4.SCHEMES`, by rule along the arm and N."""
 
@@ -71,7 +71,6 @@ class SinusoidalRun:
 
 
 def motions(runs: Mapping[str, Run]) -> tuple[SinusoidalRun, SinusoidalRun]:
-    """Cases 1 and 2."""
     return SinusoidalRun(runs["sine-1"]), SinusoidalRun(runs["sine-2"])
 
 
@@ -127,10 +126,43 @@ def table4(cases: tuple[SinusoidalRun, SinusoidalRun], errors_mm: ErrorsMm) -> I
             yield PaperComparison("Table 4", name, paper, f"{computed:.4f}", how, why)
 
 
-def verdict(cases: tuple[SinusoidalRun, SinusoidalRun], errors_mm: ErrorsMm) -> str:
-    """Return whether the ranking of Table 4 is reproduced."""
-    labels = [label for label, *_ in SCHEMES]
-    return verdicts.table4(labels, TABLE4_MM, errors_mm, origin(*(case.run for case in cases)))
+def table4_verdict(computed: ErrorsMm, origin: ResultOrigin) -> str:
+    """Return whether the methods rank as printed by their errors [mm], for each rule along the arm and its N."""
+    parts = []
+    for (space, steps), errors in computed.items():
+        paper = _ranking(TABLE4_MM[space, steps])
+        # What the paper calls unstable has no printed rank.
+        ours = _ranking([e if p is not None else None for e, p in zip(errors, TABLE4_MM[space, steps], strict=True)])
+        where = f"{space}, N = {steps}"
+        if ours == paper:
+            parts.append(f"{where}: the ranking of the paper holds")
+        else:
+            best = paper[0]
+            parts.append(
+                f"{where}: the ranking is contradicted: {SCHEMES[best][0]} is best in the paper and number "
+                f"{ours.index(best) + 1} of {len(ours)} here, where {SCHEMES[ours[0]][0]} is best"
+            )
+    for space in dict.fromkeys(space for space, _ in computed):
+        grids = sorted(steps for name, steps in computed if name == space)
+        if len(grids) > 1:
+            change = [_mean(table[space, grids[-1]]) - _mean(table[space, grids[0]]) for table in (TABLE4_MM, computed)]
+            same = "agrees" if abs(change[1] - change[0]) <= 0.5 * abs(change[0]) else "does not agree"
+            parts.append(
+                f"{space}: the change from N = {grids[0]} to {grids[-1]} {same}: {change[1]:+.3f} mm here, "
+                f"{change[0]:+.3f} mm printed"
+            )
+    return f"Table 4, errors ({origin}): " + "; ".join(parts)
+
+
+def _ranking(errors: Errors) -> list[int]:
+    """Indices of the methods, the smallest error first; without those that have none."""
+    return [index for _, index in sorted((error, index) for index, error in enumerate(errors) if error is not None)]
+
+
+def _mean(errors: Errors) -> float:
+    """The mean of the five methods that the paper calls stable; the first ones."""
+    stable = [error for error in errors[:5] if error is not None]
+    return sum(stable) / len(stable)
 
 
 def drawings(cases: tuple[SinusoidalRun, SinusoidalRun]) -> Iterator[PaperFigure]:

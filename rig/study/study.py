@@ -1,4 +1,4 @@
-"""A checked study: its plan with a request for each combination, and the archives of its runs."""
+"""A checked study: its plan with a request per combination, the archives of its runs, and what differs in others."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
+import yaml
+
 from protocols import BadInputError, Problem, document
 from protocols.library import FOLDER, find
 from protocols.parameters import declared, unit_in
@@ -23,10 +25,10 @@ from rig.config.loader import RigChoice, read
 from rig.execution.plan import RunPlan
 from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest
-from rig.study.changes import changes, specimen_facts
 from rig.study.plan import PlannedRun, StudyPlan, planned_runs
+from runs.archive.provenance import USER
 from runs.catalogue import Entry, catalogue
-from runs.records import Status, StudyRole, StudyRun
+from runs.records import RecordedFile, RunHeader, Status, StudyRole, StudyRun
 from runs.recovery import RecoveryOutcome, RecoveryStatus, orphans, recover
 from runs.run import Run
 
@@ -50,7 +52,6 @@ class Study:
     conditioning: tuple[RunRequest, RunPlan] | None
 
     def request(self, run: PlannedRun) -> tuple[RunRequest, RunPlan]:
-        """The request and the plan of a run."""
         seed = self.plan.seed + run.number
         request = replace(self.requests[run.combination - 1], seed=seed, study=self._place(run, StudyRole.RUN))
         return request, replace(self.plans[run.combination - 1], seed=seed)
@@ -288,3 +289,71 @@ def finished(entries: tuple[Entry, ...]) -> dict[int, Entry]:
         for entry in entries
         if entry.study_number and entry.study_role == StudyRole.RUN and entry.status == Status.FINISHED
     }
+
+
+_LONGEST = 60
+REAL, VIRTUAL = "real time", "virtual time"
+
+
+def specimen_facts(metadata: Mapping[str, str]) -> dict[str, str]:
+    """The metadata about the specimen, without those about the operator: another operator may continue a study."""
+    return {name: text for name, text in metadata.items() if name not in USER}
+
+
+def changes(header: RunHeader, plan: str, request: RunRequest | None) -> list[str]:
+    """Return a sentence for each item that a run has otherwise than a plan and a request of its role.
+
+    `request` is None where the study has no more runs of this role.
+    """
+    place = header.study
+    assert place is not None
+    found = list(_differences("plan", _flat(place.plan_yaml), _flat(plan)))
+    if request is None:
+        return found
+    kind = "protocol" if place.role is StudyRole.RUN else "protocol of the conditioning"
+    files = {file.name: file.sha256 for file in header.protocol_files}
+    now = {name: RecordedFile.of(name, "csv", text).sha256 for name, text in request.protocol.files.items()}
+    calibrations = {file.name: file.sha256 for file in header.calibrations}
+    for what, old, new in (
+        (kind, _flat(header.protocol_yaml), _flat(request.protocol.text)),
+        (f"file of the {kind}", files, now),
+        ("rig", _flat(header.rig_yaml), _flat(request.rig.text)),
+        ("calibration", calibrations, {file.name: file.sha256 for file in request.rig.calibrations}),
+        ("identified parameters", _flat(header.parameters_yaml), _flat(request.rig.parameters)),
+        ("metadata", specimen_facts(header.metadata), specimen_facts(request.metadata)),
+        ("run", {"model": header.model_variant}, {"model": str(request.variant)}),
+        ("run", {"time": header.executor}, {"time": VIRTUAL if request.fast else REAL}),
+    ):
+        found += _differences(what, old, new)
+    return found
+
+
+def _differences(what: str, old: Mapping[str, object], new: Mapping[str, object]) -> Iterator[str]:
+    for name in (*old, *(name for name in new if name not in old)):
+        was, now = (_short(side[name]) if name in side else "nothing" for side in (old, new))
+        if old.get(name) != new.get(name) or (name in old) != (name in new):
+            yield f"{what}: {name} was {was}, is {now}"
+
+
+def _short(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}.."
+
+
+def _flat(text: str) -> dict[str, object]:
+    """Return the values of a YAML text by their paths, such as `stop.failed_runs` or `steps[0].hold`."""
+    found: dict[str, object] = {}
+
+    def add(path: str, value: object) -> None:
+        if isinstance(value, dict) and value:
+            for key, one in value.items():
+                add(f"{path}.{key}" if path else str(key), one)
+        elif isinstance(value, list) and any(isinstance(one, dict | list) for one in value):
+            for index, one in enumerate(value):
+                add(f"{path}[{index}]", one)
+        else:
+            found[path] = value
+
+    if (data := yaml.safe_load(text)) is not None:
+        add("", data)
+    return found

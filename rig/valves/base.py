@@ -206,5 +206,4 @@ class VoltageValve(ValveSection):
 
     @property
     def output_range(self) -> tuple[float, float]:
-        """Range of the card's output [V]."""
         return self.range_V

@@ -78,7 +78,6 @@ class FlowRegulator(Regulator):
         return RegulatorState(reference_pa, integral, demand, volts)
 
     def opening_v(self, offset_v: float) -> float:
-        """The voltage at an offset from the closed one."""
         return self.closed_v + self.fill_sign * offset_v
 
     def opening_rate_pa_s(self, offset_v: float, pressure_pa: float) -> float:
@@ -127,7 +126,6 @@ class FlowValve(VoltageValve):
 
     @property
     def fills_at_power_up(self) -> bool:
-        """True if a lower voltage fills the chambers."""
         return self.fills == "below"
 
     @property
@@ -146,7 +144,6 @@ class FlowValve(VoltageValve):
         )
 
     def calibrated(self, found: MeasuredFlow) -> dict[str, Any]:
-        """Closed voltage, dead zone and flow curve."""
         return {
             "closed_V": found.closed_V,
             "dead_zone_V": found.dead_zone_V,
@@ -170,7 +167,6 @@ class FlowValve(VoltageValve):
         return (dead_zone_v, *(v for v, _ in pairs)), (0.0, *(f for _, f in pairs))
 
     def regulator(self, limits: Limits, control: Control) -> FlowRegulator:
-        """The pressure control of this valve."""
         actuators, lowest_pa, rate_limit, filter_per_s = self._filter(limits, control)
         gain = 2 * math.pi * control.bandwidth_hz
         volts, fractions = self.opening_curve(self.dead_zone_V)

@@ -137,12 +137,10 @@ class BusValve(RegulatingValve):
 
     @property
     def output_range(self) -> tuple[float, float]:
-        """Range of the set-point [bar]."""
         return self.range_bar
 
     @property
     def vent_output(self) -> float:
-        """The set-point that vents [bar]."""
         return self.vent_bar
 
     @property

@@ -18,8 +18,7 @@ from calibration.identify.simulated_experiments import MeasurementErrors, perfor
 from rig.cli.design_output import separations
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
-from rig.design.law_comparison import LawDesign, design_comparison
-from rig.design.levels import in_order, levels
+from rig.design.law_comparison import LawDesign, design_comparison, in_order, levels
 from rig.experiment.preflight import check
 from rig.identify.estimation import rig_uncertainties, sensor_priors
 from rig.identify.model_comparison import compare, laws_named

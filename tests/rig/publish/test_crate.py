@@ -18,9 +18,8 @@ from rocrate.rocrate import ROCrate
 
 import rig
 from protocols import BadInputError
-from rig.publish.crate import write
+from rig.publish.crate import field_list, write
 from rig.publish.description import describe
-from rig.publish.field_list import field_list
 from runs.annotations import add_note
 from runs.run import Run
 from tests.support.command_line import status_of

@@ -11,13 +11,12 @@ import pytest
 
 import runs
 from protocols import library
-from rig.reproduce import motion, verdicts
+from rig.reproduce import motion
 from rig.reproduce.comparison import PaperComparison
 from rig.reproduce.experiments import origin
 from rig.reproduce.motion import TABLE4_MM
 from rig.reproduce.page import write
-from rig.reproduce.positions import excursion_errors
-from rig.reproduce.table4 import SCHEMES
+from rig.reproduce.positions import excursion_errors, table3_verdict
 from runs.archive.writer import finalise
 from tests.support.command_line import status_of
 from tests.support.synthetic_runs import write_journal
@@ -114,22 +113,21 @@ def test_an_error_is_normalised_by_the_excursion_of_its_own_arm() -> None:
 
 
 def test_one_close_number_does_not_reproduce_table_3() -> None:
-    said = verdicts.table3((17.20, 5.49, 1.27), (17.78, 9.28, 1.24), "simulated")
+    said = table3_verdict((17.78, 9.28, 1.24), "simulated")
     assert said.startswith("Table 3 is not reproduced: 17.78 / 9.28 / 1.24 % here (simulated), 17.20 / 5.49 / 1.27 %")
     assert "homogeneous with RPE by +69 %" in said
     assert "counts as reproduced only if all values agree" in said
     assert "no evidence" in said
-    assert verdicts.table3((17.20, 5.49, 1.27), (17.3, 5.5, 1.26), "measured").startswith("Table 3 agrees within 5 %")
+    assert table3_verdict((17.3, 5.5, 1.26), "measured").startswith("Table 3 agrees within 5 %")
 
 
 def test_a_contradicted_ranking_of_table_4_is_stated_with_what_agrees() -> None:
-    labels = [label for label, *_ in SCHEMES]
     here = {
         ("euler", 50): (0.20, 0.22, 0.21, 0.23, 0.24, 0.1, 0.1),
         ("euler", 200): (0.12, 0.14, 0.13, 0.15, 0.16, 0.1, 0.1),
     }
-    said = verdicts.table4(labels, TABLE4_MM, here, "simulated")
+    said = motion.table4_verdict(here, "simulated")
     assert "BDF-alpha, -0.2 is best in the paper and number 4 of 5 here, where Backward Euler is best" in said
     assert "the change from N = 50 to 200 agrees: -0.080 mm here, -0.080 mm printed" in said
-    same = verdicts.table4(labels, TABLE4_MM, {("euler", 50): TABLE4_MM["euler", 50]}, "measured")
+    same = motion.table4_verdict({("euler", 50): TABLE4_MM["euler", 50]}, "measured")
     assert same == "Table 4, errors (measured): euler, N = 50: the ranking of the paper holds"
