@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.cli import (
-    annotate,
     archives,
     board,
     calibrate,
@@ -26,11 +25,10 @@ from rig.cli import (
     workspace,
 )
 from rig.cli.address_space import EstimationCommand, NumericalCommand, PlottingCommand
+from rig.cli.command_groups import HelpFormatter
 from rig.cli.completion import DATA
 from rig.cli.exit_status import BAD_INPUT, DONE, FAULT
 from rig.cli.expected_errors import PlainErrors, fail
-from rig.cli.help_formatter import HelpFormatter
-from rig.cli.json_output import print_json
 from rig.cli.options import (
     AsJson,
     Controller,
@@ -125,9 +123,9 @@ def run(
         fail("--free needs --adapt", BAD_INPUT)
     begin_report = ctx.with_resource(report_process.prepared(fast and not no_report))
 
-    from rig.cli import assignments, recovery_notice, run_output
-    from rig.cli.console import console
-    from rig.cli.run_names import resolve
+    from rig.cli import assignments, run_output
+    from rig.cli.output import console, print_json
+    from rig.cli.run_names import report_interrupted, resolve
     from rig.cli.terminal import Terminal
     from rig.config.loader import chosen_rig
     from rig.execution.stop_signals import StopSignals
@@ -152,7 +150,7 @@ def run(
     )
     decided = experiment.plan(request)
     screen = console(stderr=json)
-    recovery_notice.notify(out)
+    report_interrupted(out)
     screen.print(run_output.check_screen(request, decided))
     if not yes and not run_output.confirm(screen):
         fail("not armed", BAD_INPUT)
@@ -169,7 +167,6 @@ def run(
 
 
 def _check_live(live: bool, fast: bool, listen: str, port: int) -> None:
-    """Refuse a live page in virtual time, and options of the page without it."""
     if live and fast:
         fail("--live needs real time: omit --fast, or play the archive afterwards: rig live RUN", BAD_INPUT)
     if not live and (listen, port) != (LOCAL, LIVE_PORT):
@@ -177,7 +174,6 @@ def _check_live(live: bool, fast: bool, listen: str, port: int) -> None:
 
 
 def _live_page(listen: str, port: int, screen: Console) -> AbstractContextManager[None]:
-    """Serve the page of the run that this process starts."""
     from rig.live.launch import live_page_of_this_run
 
     return live_page_of_this_run(listen, port, lambda line: screen.print(line, soft_wrap=True))
@@ -187,7 +183,7 @@ def _live_page(listen: str, port: int, screen: Console) -> AbstractContextManage
 def check(protocol: ProtocolName, settings: Settings = None, rig: RigName = None, json: AsJson = False) -> None:
     """Check a protocol against a rig, without touching hardware."""
     from rig.cli import assignments, run_output
-    from rig.cli.console import console
+    from rig.cli.output import console, print_json
     from rig.config.loader import chosen_rig
     from rig.experiment import run as experiment
 
@@ -221,7 +217,7 @@ def doctor(
 ) -> None:
     """Check this machine, and the cards of a rig; name a remedy for each missing part."""
     from rig.cli import run_output
-    from rig.cli.console import console
+    from rig.cli.output import console, print_json
     from rig.config.loader import load, named_rig
     from rig.doctor import examine
 
@@ -289,7 +285,7 @@ def live(
     port: Port = LIVE_PORT,
 ) -> None:
     """Show a running experiment in the browser, or play an archive."""
-    from rig.cli.console import console
+    from rig.cli.output import console
     from rig.cli.run_names import resolve
     from rig.live.launch import show
 
@@ -300,7 +296,7 @@ def live(
     raise typer.Exit(show(found, pid, listen, port, lambda line: screen.print(line, soft_wrap=True)))
 
 
-for command in (annotate.note, annotate.tag, archives.runs, archives.show, archives.export, archives.recover):
+for command in (archives.note, archives.tag, archives.runs, archives.show, archives.export, archives.recover):
     app.command()(command)
 app.command(cls=PlottingCommand)(archives.report)
 app.command()(publish.publish)

@@ -16,11 +16,9 @@ from rich.text import Text
 
 import runs as records
 from protocols.problems import BadInputError, Problem, raise_all
-from rig.cli.column_table import ColumnTable, facts_table
 from rig.cli.completion import DATA
-from rig.cli.console import console
 from rig.cli.exit_status import FAULT
-from rig.cli.json_output import print_json
+from rig.cli.output import ColumnTable, console, facts_table, print_json
 from rig.cli.run_names import resolve
 from runs import annotation_file
 from runs.catalogue import Entry
@@ -50,7 +48,6 @@ def check_search(folder: Path, since: str = "", until: str = "") -> None:
 
 
 def show(name: Path, as_json: bool) -> None:
-    """Print the provenance and the summary of an archive."""
     archive = resolve(name)
     run = records.open(archive)
     summary = summarise(run)
@@ -97,7 +94,6 @@ def _more_warnings(number: int) -> tuple[tuple[str, str], ...]:
 
 
 def _gravity(quantity: Quantity) -> str:
-    """Return the measured direction of gravity, with its standard uncertainty."""
     direction = ", ".join(f"{value:.3f}" for value in quantity.value)
     return (
         f"[{direction}] in the rod-base frame, +- {math.degrees(quantity.uncertainty):.1f} degrees ({quantity.source})"
@@ -123,14 +119,12 @@ def _tip_source(run: Run) -> str:
 
 
 def _study(place: StudyRun | None) -> str:
-    """Return the place of a run in its study."""
     if place is None:
         return "-"
     return f"{place.study}, {place.role} {place.number}, combination {place.combination}, block {place.block}"
 
 
 def summary_facts(archive: Path) -> dict[str, Any]:
-    """Return a run's summary for JSON."""
     summary = summarise(records.open(archive))
     facts: dict[str, Any] = asdict(summary)
     if not summary.camera:
@@ -193,7 +187,6 @@ def summary_table(summary: Summary, counters: Mapping[str, int]) -> Group:
 
 
 def _add_tip_path(table: Table, path: TipErrorSummary) -> None:
-    """Add the errors of the tip on its paths."""
     errors = [("measured", path.measured)]
     if path.truth is not None:
         errors.append(("true, simulated", path.truth))
@@ -215,7 +208,6 @@ def _add_tip_path(table: Table, path: TipErrorSummary) -> None:
 
 
 def _add_tip_plans(table: Table, plans: TipPlans) -> None:
-    """Add what the tip controller needed."""
     counts = [str(plans.count)]
     if plans.not_solved:
         counts.append(f"{plans.not_solved} not solved")
@@ -246,7 +238,6 @@ def recover(folder: Path) -> None:
 
 
 def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
-    """Print the entries of a catalogue."""
     if as_json:
         print_json(entries)
         return
@@ -271,6 +262,5 @@ def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
 
 
 def cycles(specimen: str, count: int, runs_counted: int) -> None:
-    """Print how many pressure cycles a specimen has made."""
     counted = f"{runs_counted} run{'' if runs_counted == 1 else 's'}"
     typer.echo(f"specimen {specimen}: {count} pressure cycle{'' if count == 1 else 's'} in {counted} of this folder")

@@ -37,11 +37,12 @@ def runs(
     json: AsJson = False,
 ) -> None:
     """List the archives of a folder, newest first."""
-    from rig.cli import archive_output, recovery_notice
+    from rig.cli import archive_output
+    from rig.cli.run_names import report_interrupted
     from runs.catalogue import catalogue, search, specimen_cycles
 
     archive_output.check_search(folder, since, until)
-    recovery_notice.notify(folder)
+    report_interrupted(folder)
     entries = catalogue(folder)
     found = search(entries, text, since=since, until=until, tag=tag, specimen=specimen, study=study)
     archive_output.runs(found, folder, json)
@@ -157,3 +158,23 @@ def recover(
     from rig.cli import archive_output
 
     archive_output.recover(folder)
+
+
+def note(archive: Archive, text: Annotated[str, typer.Argument(metavar="TEXT", help="The note, in quotes.")]) -> None:
+    """Add a note to a run; the archive stays as it is."""
+    from rig.cli.run_names import resolve
+    from runs.annotations import add_note
+
+    typer.echo(add_note(resolve(archive), text))
+
+
+def tag(
+    archive: Archive,
+    tags: Annotated[list[str], typer.Argument(metavar="TAG..", help="One or several words, as bad.")],
+    remove: Annotated[bool, typer.Option("--remove", help="Remove these tags.")] = False,
+) -> None:
+    """Add tags to a run, or remove them; the archive stays as it is."""
+    from rig.cli.run_names import resolve
+    from runs.annotations import add_tags, remove_tags
+
+    typer.echo((remove_tags if remove else add_tags)(resolve(archive), tags))

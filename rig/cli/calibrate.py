@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rig.cli.address_space import NumericalCommand
-from rig.cli.help_formatter import HelpGroup
+from rig.cli.command_groups import HelpGroup
 from rig.cli.options import (
     AsJson,
     Calibrations,

@@ -17,9 +17,7 @@ from rig.calibrate.dlt import DLTCalibration
 from rig.calibrate.dlt_fit import DLTCalibrationResult
 from rig.calibrate.pressure import PressureCalibration
 from rig.calibrate.tool import ToolCalibration
-from rig.cli.column_table import ColumnTable
-from rig.cli.console import console
-from rig.cli.json_output import print_json
+from rig.cli.output import ColumnTable, console, print_json
 from rig.config import calibration_schema
 from rig.config.calibration_files import read
 from rig.config.optics import placement_of
@@ -28,7 +26,6 @@ _WORST_SHOWN = 5
 
 
 def _print_file(file: Path, simulated: bool) -> None:
-    """Print the file of a result, and whether it was simulated."""
     typer.echo(f"{file}{' (simulated: nothing real was measured)' if simulated else ''}")
 
 
@@ -52,7 +49,6 @@ def cameras(done: Sequence[CalibratedCamera], *, of_a_rig: bool, as_json: bool) 
 
 
 def _print_camera(found: CameraCalibration, name: str) -> None:
-    """Print a camera's intrinsics, their residuals, and advice for better views."""
     screen = console()
     values = ColumnTable("parameter", numbers=("value", "+-"))
     for parameter, value, std in zip(PARAMETERS, found.parameters, found.std, strict=True):
@@ -91,7 +87,6 @@ def _pairs(result: DLTCalibrationResult) -> list[dict[str, Any]]:
 
 
 def dlt(done: DLTCalibration, *, as_json: bool) -> None:
-    """Print coefficients, poses, residuals and cross-validation error of a DLT."""
     if as_json:
         print_json({**_file_facts(done.file), "pairs": _pairs(done.result)})
         return

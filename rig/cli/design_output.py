@@ -9,9 +9,7 @@ from pathlib import Path
 import typer
 
 from calibration.identify.simulated_experiments import MeasurementErrors
-from rig.cli.column_table import ColumnTable
-from rig.cli.console import console
-from rig.cli.json_output import print_json
+from rig.cli.output import ColumnTable, console, print_json
 from rig.design.design import LIBRARY, REPEATS, Design
 from rig.design.expected_poses import errors_text
 from rig.design.law_comparison import RIGHT, LawDesign, share_text
@@ -19,41 +17,34 @@ from rig.design.law_comparison import RIGHT, LawDesign, share_text
 
 def error_bars(found: Design, to: Path, source: str, *, as_json: bool) -> None:
     """Print the expected standard errors of a design beside those of the library; source: run of the assumed errors."""
-    bars, library, repeated = found.bars, found.library.std.tolist(), found.repeated.std.tolist()
-    numbers = list(zip(bars.values.tolist(), bars.std.tolist(), bars.alone.tolist(), library, repeated, strict=True))
-    labels = list(zip(bars.names, bars.units, bars.decided.tolist(), strict=True))
-    of_arms = list(zip(bars.by_arm.min(axis=0).tolist(), bars.by_arm.max(axis=0).tolist(), strict=True))
+    bars = found.bars
+    low, high = bars.by_arm.min(axis=0).tolist(), bars.by_arm.max(axis=0).tolist()
+    std = (bars.std.tolist(), bars.alone.tolist(), found.library.std.tolist(), found.repeated.std.tolist())
+    labels = (bars.names, bars.units, bars.decided.tolist())
+    rows = list(zip(*labels, bars.values.tolist(), low, high, *std, strict=True))
     if as_json:
-        rows = {
+        parameters = {
             name: {
                 "value": value,
-                "std": std,
-                "std_of_arms": arms,
+                "std": own,
+                "std_of_arms": (least, most),
                 "std_without_model_error": alone,
-                "std_library": other,
-                f"std_{REPEATS}_runs": least,
+                "std_library": library,
+                f"std_{REPEATS}_runs": repeated,
                 "unit": unit,
                 "identified": decided,
             }
-            for (name, unit, decided), (value, std, alone, other, least), arms in zip(
-                labels, numbers, of_arms, strict=True
-            )
+            for name, unit, decided, value, least, most, own, alone, library, repeated in rows
         }
-        print_json({"protocol": str(to), "errors": _errors(found.errors, source), "parameters": rows})
+        print_json({"protocol": str(to), "errors": _errors(found.errors, source), "parameters": parameters})
         return
     table = ColumnTable(
         "parameter", "value", "design +-", "of arms", "library +-", "ratio", f"{REPEATS} runs +-", "unit", "identified"
     )
-    for (name, unit, decided), (value, std, _, other, least), (low, high) in zip(labels, numbers, of_arms, strict=True):
-        shown = (
-            f"{value:.4g}",
-            f"{std:.3g}",
-            f"{low:.2g}..{high:.2g}",
-            f"{other:.3g}",
-            f"{std / other:.2f}",
-            f"{least:.2g}",
-        )
-        table.add_row(name, *shown, unit, "yes" if decided else "no")
+    for name, unit, decided, value, least, most, own, _, library, repeated in rows:
+        spread, ratio = f"{least:.2g}..{most:.2g}", f"{own / library:.2f}"
+        numbers = (f"{value:.4g}", f"{own:.3g}", spread, f"{library:.3g}", ratio, f"{repeated:.2g}")
+        table.add_row(name, *numbers, unit, "yes" if decided else "no")
     screen = console()
     screen.print(table)
     screen.print(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from rich.table import Table
 from rich.text import Text
 
-from rig.cli.column_table import ColumnTable
+from rig.cli.output import ColumnTable
 from rig.config.drivers import InstalledDriver
 from rig.driver_contract.check import CheckResult, CheckVerdict
 
@@ -38,7 +38,6 @@ def _about(row: InstalledDriver) -> str:
 
 
 def result_line(result: CheckResult) -> Text:
-    """Return one result as it comes."""
     line = Text(f"{result.device}, {result.check}: ")
     return line.append(result.verdict, _STYLE[result.verdict])
 

@@ -23,8 +23,7 @@ def drivers(json: AsJson = False) -> None:
     Status 1: an installed plug-in cannot be used.
     """
     from rig.cli import driver_output
-    from rig.cli.console import console
-    from rig.cli.json_output import print_json
+    from rig.cli.output import console, print_json
     from rig.hardware.installed_drivers import installed_drivers
 
     rows = tuple(installed_drivers())
@@ -50,8 +49,7 @@ def check_drivers(
 ) -> None:
     """Test the drivers of a rig against what softrig relies on; moves the outputs of its cards."""
     from rig.cli import driver_output
-    from rig.cli.console import console
-    from rig.cli.json_output import print_json
+    from rig.cli.output import console, print_json
     from rig.config import loader
     from rig.driver_contract.runner import results
 
@@ -78,5 +76,4 @@ def check_drivers(
 
 
 def _pulled(card: str) -> None:
-    """Ask the operator to pull the cable of a card."""
     typer.prompt(f"Pull the cable of card {card}; then Enter", default="", show_default=False, err=True)

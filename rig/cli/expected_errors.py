@@ -10,8 +10,8 @@ from typing import Any, NoReturn
 
 import typer
 
+from rig.cli.command_groups import HelpGroup
 from rig.cli.exit_status import BAD_INPUT, FAULT, INTERRUPTED
-from rig.cli.help_formatter import HelpGroup
 
 
 class PlainErrors(HelpGroup):
@@ -31,7 +31,6 @@ class PlainErrors(HelpGroup):
             return super().make_context(*args, **kwargs)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a command."""
         with _errors_as_messages():
             return super().invoke(ctx)
 
@@ -151,6 +150,5 @@ def _is_unloadable(error: Exception) -> bool:
 
 
 def fail(message: str, status: int) -> NoReturn:
-    """Print a message as an error and end the command."""
     typer.echo(message, err=True)
     raise typer.Exit(status)

@@ -16,9 +16,7 @@ from calibration.identify.parameters_document import Baseline, content, section_
 from calibration.identify.profile_likelihood import LikelihoodProfile
 from calibration.identify.residual_dependence import Dependence
 from calibration.identify.results import Estimate, Fit, RunFit, SectionFit
-from rig.cli.column_table import ColumnTable
-from rig.cli.console import console
-from rig.cli.json_output import print_json
+from rig.cli.output import ColumnTable, console, print_json
 from rig.identify.from_archives import Identification
 from rig.identify.model_comparison import RunComparison
 
@@ -26,9 +24,9 @@ from rig.identify.model_comparison import RunComparison
 _MOST = 0.5
 
 
-def notes(lines: Iterable[str]) -> None:
-    """Print notes on standard error."""
-    screen = console(stderr=True)
+def results(lines: Iterable[str], beside_json: bool) -> None:
+    """Print lines on standard output; on standard error beside JSON, or for notes."""
+    screen = console(stderr=beside_json)
     for line in lines:
         screen.print(line, soft_wrap=True)
 
@@ -36,7 +34,6 @@ def notes(lines: Iterable[str]) -> None:
 def identification(
     done: Identification, predicted: Sequence[Prediction], dependences: Sequence[Dependence], as_json: bool
 ) -> None:
-    """Print the estimates and the errors of the runs that were held out."""
     if as_json:
         _print_json(done.fit, done.baseline, predicted, dependences)
     else:
@@ -124,7 +121,6 @@ def _estimates(fit: Fit, dependences: Sequence[Dependence]) -> None:
 
 
 def _model_error(found: Findings) -> None:
-    """Print what the residuals show of the errors of the model."""
     screen = console()
     for shown in found.tables:
         screen.print(shown.caption, soft_wrap=True)
@@ -231,24 +227,17 @@ def _sections(sections: Sequence[SectionFit]) -> str:
 def failure(fit: Fit) -> None:
     """Print that the search ended worse than it began."""
     before, after = (1e3 * fit.problem.rms_m(z) for z in (0 * fit.solution.z, fit.solution.z))
-    notes(
+    results(
         [
             f"the search ended no better than it began: rms {after:.3f} mm, {before:.3f} mm before; "
             f"no parameter is reported. Free fewer parameters, add --starts {2 * max(fit.starts, 4)}, or start from "
             "another rig with --start"
-        ]
+        ],
+        beside_json=True,
     )
 
 
-def results(lines: Iterable[str], beside_json: bool) -> None:
-    """Print lines on standard output; on standard error if that holds JSON."""
-    screen = console(stderr=beside_json)
-    for line in lines:
-        screen.print(line, soft_wrap=True)
-
-
 def profile_intervals(found: Iterable[LikelihoodProfile], beside_json: bool) -> None:
-    """Print the intervals of profile likelihoods."""
     for one in found:
         ends = "flat: not bounded by the data" if one.flat else interval(one.name, one.unit, one.interval)
         results([f"{one.name}: 95 % by profile {ends}"], beside_json)
@@ -267,7 +256,6 @@ def bootstrap_errors(fit: Fit, found: Bootstrap, samples: int, beside_json: bool
 
 
 def _prediction_errors(found: Sequence[Prediction], beside_json: bool) -> None:
-    """Print the prediction errors of held-out runs."""
     for one in found:
         how = ", under its measured wrench" if one.under_wrench else ""
         errors = f"rms {1e3 * one.rms_before_m:.3f} -> {1e3 * one.rms_m:.3f} mm, "
@@ -313,7 +301,6 @@ def comparison(found: RunComparison, as_json: bool) -> None:
 
 
 def _damping(row: ComparisonRow) -> str:
-    """Return the damping of a row's model as text."""
     if not row.candidate.damping:
         return "no"
     return "yes, undecided" if row.damping_s is None else f"yes, {1e3 * row.damping_s:.1f} ms"

@@ -10,7 +10,7 @@ import typer
 
 from rig.cli import completion
 from rig.cli.address_space import EstimationCommand
-from rig.cli.default_command import DefaultCommandGroup
+from rig.cli.command_groups import DefaultCommandGroup
 from rig.cli.exit_status import FAULT
 from rig.cli.options import Archives, AsJson, Every, Free, ParametersFile, Replace, Scheduler
 
@@ -168,7 +168,6 @@ def _check_bootstrap(refits: int, scheduler: str | None, store: Path | None) -> 
 
 
 def _profiles(best: Fit, json: bool) -> tuple[LikelihoodProfile, ...]:
-    """Compute and print the profile-likelihood intervals."""
     from calibration.identify.profile_likelihood import profiles
     from rig.cli import identification_output as output
     from rig.cli.progress import progress_bar
@@ -180,7 +179,6 @@ def _profiles(best: Fit, json: bool) -> tuple[LikelihoodProfile, ...]:
 
 
 def _bootstrap(best: Fit, count: int, scheduler: str | None, store: Path | None, json: bool) -> Bootstrap:
-    """Compute and print the bootstrap errors."""
     from calibration.identify.bootstrap import bootstrap
     from rig.cli import identification_output as output
     from rig.cli.progress import progress_bar
@@ -238,18 +236,17 @@ def compare(
 
 def _opened(archives: Sequence[Path], leave_out: Sequence[Path] = (), *, one_arm: bool = False) -> OpenedRuns:
     """Open the runs to identify from, and those left out; print notes on them."""
-    from rig.cli.identification_output import notes
+    from rig.cli import identification_output as output
     from rig.cli.run_names import resolve
     from rig.identify.from_archives import open_runs
 
     unseen = [resolve(name) for name in leave_out]
     opened = open_runs([resolve(name) for name in archives], unseen, one_arm=one_arm)
-    notes(opened.notes)
+    output.results(opened.notes, beside_json=True)
     return opened
 
 
 def _read(archives: Sequence[Run], quasi_static: bool) -> list[Poses]:
-    """Read the data of the runs, with a progress bar."""
     from rig.cli.progress import progress_bar
     from rig.identify.estimation import read_poses
 
@@ -266,7 +263,6 @@ def _refuse(why: str, options: Mapping[str, object]) -> None:
 
 
 def _priors(items: Sequence[str]) -> dict[str, Prior]:
-    """Parse priors of the form NAME=MEAN+-STD; return them by name."""
     from calibration.identify import Prior
 
     priors: dict[str, Prior] = {}

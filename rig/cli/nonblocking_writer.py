@@ -41,11 +41,9 @@ class NonBlockingWriter:
         """Do nothing: the thread writes at once."""
 
     def isatty(self) -> bool:
-        """Delegate to the underlying stream."""
         return self._stream.isatty()
 
     def fileno(self) -> int:
-        """Delegate to the underlying stream."""
         return self._fd
 
     def close(self) -> None:

@@ -2,7 +2,7 @@
 
 Titles, notes, archives and file names are untrusted. Control characters in them could change the terminal's colours,
 move its cursor, or reverse a name. `rig.cli.app.main` puts a `PrintableStream` over the standard
-streams; the console of every screen (`rig.cli.console.console`) bypasses it and escapes the characters itself.
+streams; the console of every screen (`rig.cli.output.console`) bypasses it and escapes the characters itself.
 """
 
 from __future__ import annotations
@@ -24,35 +24,29 @@ class PrintableStream(io.TextIOBase):
         self.rich_proxied_file = stream
 
     def write(self, text: str) -> int:
-        """Write a text with its control characters escaped."""
         if not isinstance(text, str):
             raise TypeError(f"a text is written, not {type(text).__name__}")
         self.rich_proxied_file.write(printable(text))
         return len(text)
 
     def flush(self) -> None:
-        """Flush the stream below."""
         self.rich_proxied_file.flush()
 
     def close(self) -> None:
         """Leave the underlying stream open."""
 
     def isatty(self) -> bool:
-        """Tell whether the stream below is a terminal."""
         return self.rich_proxied_file.isatty()
 
     def fileno(self) -> int:
-        """Return the file of the stream below."""
         return self.rich_proxied_file.fileno()
 
     @property
     def encoding(self) -> str:  # type: ignore[override]
-        """Delegate to the underlying stream."""
         return self.rich_proxied_file.encoding
 
     @property
     def errors(self) -> str | None:  # type: ignore[override]
-        """Delegate to the underlying stream."""
         return self.rich_proxied_file.errors
 
 

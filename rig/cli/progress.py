@@ -11,12 +11,13 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    ProgressColumn,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
 
-from rig.cli.console import console
+from rig.cli.output import console
 
 # Slow and fast models alternate, so the remaining time needs an average over a long period.
 _SPEED_PERIOD_S = 3600.0
@@ -26,18 +27,7 @@ LINE_PERIOD_S = 10.0
 @contextmanager
 def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
     """Show how many of a number of tasks are done; yield a function to call with (done, total)."""
-    screen = console(stderr=True)
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with (
-        Progress(
-            *columns,
-            console=screen,
-            transient=True,
-            disable=not screen.is_terminal,
-            speed_estimate_period=_SPEED_PERIOD_S,
-        ) as bar,
-        _lines(what, disable=screen.is_terminal) as line,
-    ):
+    with _shown(what, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as (bar, line):
         job = bar.add_task(what, total=None)
 
         def update(done: int, total: int) -> None:
@@ -50,12 +40,7 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
 @contextmanager
 def state_of(what: str) -> Iterator[Callable[[str], None]]:
     """Show that a computation of unknown length runs, and for how long; yield a function to call with its state."""
-    screen = console(stderr=True)
-    columns = (TextColumn(what), BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-    with (
-        Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar,
-        _lines(what, disable=screen.is_terminal) as line,
-    ):
+    with _shown(what, BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}")) as (bar, line):
         job = bar.add_task("", total=None)
 
         def update(state: str) -> None:
@@ -63,6 +48,18 @@ def state_of(what: str) -> Iterator[Callable[[str], None]]:
             line(state)
 
         yield update
+
+
+@contextmanager
+def _shown(what: str, *columns: ProgressColumn) -> Iterator[tuple[Progress, Callable[[str], None]]]:
+    """Show a bar of these columns, or lines where there is no terminal."""
+    screen = console(stderr=True)
+    off = not screen.is_terminal
+    bar = Progress(
+        TextColumn(what), *columns, console=screen, transient=True, disable=off, speed_estimate_period=_SPEED_PERIOD_S
+    )
+    with bar, _lines(what, disable=screen.is_terminal) as line:
+        yield bar, line
 
 
 @contextmanager

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from rich.table import Table
 
-from rig.cli.column_table import ColumnTable
+from rig.cli.output import ColumnTable
 from rig.reproduce.comparison import PaperComparison
 from rig.reproduce.table4 import HORIZON_S, Table4Row
 
 
 def compared(rows: tuple[PaperComparison, ...]) -> Table:
-    """Return the paper's results beside the computed ones."""
     table = ColumnTable("item", "what", "paper", "here", "by", "why different")
     for row in rows:
         table.add_row(row.item, row.what, row.paper, row.computed, row.origin, row.why)

@@ -32,10 +32,10 @@ def study(
     """
     from protocols.problems import bad_input
     from rig.cli import assignments, study_output
-    from rig.cli.console import console
+    from rig.cli.output import console
     from rig.cli.progress import progress_bar
     from rig.cli.run_output import confirm
-    from rig.cli.study_terminal import StudyTerminal
+    from rig.cli.study_output import StudyTerminal
     from rig.config.loader import chosen_rig
     from rig.study import execution
     from rig.study.study import archived, finished, load, recovered

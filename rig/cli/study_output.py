@@ -1,16 +1,23 @@
-"""Terminal output of a study."""
+"""A study in the terminal: its plan, its runs in real time, and what was written."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
 from rich.console import Console
 
-from rig.cli.column_table import ColumnTable
-from rig.cli.json_output import print_json
+from rig.cli import run_output
+from rig.cli.output import ColumnTable, print_json
+from rig.cli.terminal import Terminal
+from rig.execution.plan import RunPlan
+from rig.execution.stop_signals import StopSignals
+from rig.experiment import run as experiment
+from rig.experiment.run import RunRequest
 from rig.study.study import ASSUMED_OVERHEAD_S, Study, finished, overhead_s
 from runs.catalogue import Entry
+from runs.records import Status
 
 
 def planned(screen: Console, study: Study, entries: tuple[Entry, ...], *, as_json: bool = False) -> None:
@@ -58,7 +65,6 @@ def _time(seconds: float) -> str:
 def written(
     screen: Console, study: Study, done: Mapping[int, Entry], page: Path, table: Path, *, as_json: bool = False
 ) -> None:
-    """Print what was written."""
     if as_json:
         runs = {number: done[number].run_id for number in sorted(done)}
         files = {"page": str(page), "table": str(table)}
@@ -67,3 +73,34 @@ def written(
     screen.print(f"{len(done)} of {len(study.runs)} runs of study {study.name} are finished")
     screen.print(f"table   {table}", soft_wrap=True)
     screen.print(f"report  {page}", soft_wrap=True)
+
+
+class StudyTerminal:
+    """Shows each run as `rig run` does; rests and asks between the runs. Ctrl-C stops the study."""
+
+    def __init__(self, screen: Console) -> None:
+        self._screen = screen
+
+    def run(self, request: RunRequest, plan: RunPlan) -> Status:
+        place = request.study
+        assert place is not None
+        self._screen.print(f"study {place.study}: {place.role} {place.number}, block {place.block}", style="bold")
+        with (
+            StopSignals(restore=True) as signals,
+            Terminal(self._screen, lambda: signals.reason, run_output.title(request)) as terminal,
+        ):
+            result = experiment.run(request, plan, terminal)
+        run_output.last_screen(self._screen, result)
+        return result.outcome.status
+
+    def rest(self, seconds: float) -> None:
+        self._screen.print(f"rest for {seconds:g} s")
+        time.sleep(seconds)
+
+    def confirm(self, prompt: str) -> None:
+        """Print what the operator has to do; return after Enter."""
+        self._screen.print(prompt, style="bold yellow")
+        try:
+            self._screen.input("then Enter ", markup=False)
+        except EOFError:
+            raise KeyboardInterrupt from None

@@ -66,7 +66,6 @@ class Terminal:
         self._keys.__exit__(*error)
 
     def show(self, progress: Progress) -> None:
-        """Show the progress of the run."""
         if self._live is not None and progress.prompt is None:
             self._typed = self._typed.replace("\n", "")  # Enter answers the current prompt only, not a later one
         with suppress(OSError):
@@ -110,10 +109,6 @@ class Terminal:
         if self._no_operator:
             return "a prompt waits for an operator, and standard input has ended"
         return self._stop_reason()
-
-
-def _bar(pascal: float) -> str:
-    return f"{pascal / PA_PER_BAR:7.3f}"
 
 
 def _point(metres: NDArray[np.float64]) -> str:
@@ -198,7 +193,6 @@ def _screen(title: str, progress: Progress) -> Group:
 
 
 def _auxiliary(progress: Progress) -> list[str]:
-    """The auxiliary inputs of the rig, each with its name and unit."""
     if progress.sample is None or not progress.auxiliary:
         return []
     values = progress.sample["aux"].tolist()
@@ -206,8 +200,8 @@ def _auxiliary(progress: Progress) -> list[str]:
 
 
 def _pressures(sample: NDArray[np.void]) -> list[str]:
-    pairs = zip(sample["setpoint_pa"], sample["measured_pa"], strict=True)
-    return [f"{i}: {_bar(s).strip()} / {_bar(m).strip()}" for i, (s, m) in enumerate(pairs, 1)]
+    pairs = zip(sample["setpoint_pa"] / PA_PER_BAR, sample["measured_pa"] / PA_PER_BAR, strict=True)
+    return [f"{i}: {setpoint:.3f} / {measured:.3f}" for i, (setpoint, measured) in enumerate(pairs, 1)]
 
 
 def _reference(observation: NDArray[np.void]) -> str:
@@ -244,7 +238,6 @@ def _tip(progress: Progress, observation: NDArray[np.void]) -> list[Text]:
 
 
 def _estimates(adapted: Sequence[Quantity], row: NDArray[np.void]) -> list[str]:
-    """Return the current estimates with their standard uncertainties."""
     std = np.sqrt(np.diagonal(row["covariance"]))
     return [
         f"{quantity.name} {value:.5g} +- {deviation:.2g} {quantity.unit}".rstrip()

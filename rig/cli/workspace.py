@@ -11,8 +11,7 @@ def workspace(
     """Show what the tip of a rig can reach at rest; --to FILE.png, .pdf or .svg draws it."""
 
     from rig.cli import workspace_output
-    from rig.cli.console import console
-    from rig.cli.json_output import print_json
+    from rig.cli.output import console, print_json
     from rig.config.loader import chosen_rig, load
     from rig.config.sections import variant_named
 

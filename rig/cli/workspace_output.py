@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.console import Group
 
 from protocols.problems import bad_input
-from rig.cli.column_table import ColumnTable
+from rig.cli.output import ColumnTable
 from rig.config.schema import RigConfig
 from runs.overwriting import refuse_existing
 
@@ -30,7 +30,6 @@ def check_drawing(to: Path, replace: bool) -> None:
 
 
 def save(space: TipWorkspace, to: Path) -> None:
-    """Draw what can be reached."""
     from rig.tip_planning import workspace
     from runs.report import drawing
 
@@ -39,7 +38,6 @@ def save(space: TipWorkspace, to: Path) -> None:
 
 
 def table(space: TipWorkspace, config: RigConfig) -> Group:
-    """Return the extent and the sections as text."""
     low, high = space.height_mm
     limits = config.limits
     facts = (

@@ -16,7 +16,6 @@ ALLOWED = {
     "rig/driver_contract/second_process.py": "its own process: standard output is the channel to the parent",
     "rig/experiment/report_process.py": "its own process: standard output is the channel to the parent",
     "rig/experiment/warm.py": "python -m rig.experiment.warm: make runs it",
-    "rig/live/page_log.py": "log of the page's own process",
     "rig/live/server.py": "its own process: no other could report that the page ends",
     "rig/realtime/child_process.py": "flushes the streams that a child process shares; reports for a lost supervisor",
     "rig/simulator/plant_process.py": "its own process: standard output is the channel to the parent",

@@ -34,7 +34,7 @@ class Counterpart:
 
 OPEN = {"rig": "rig:open"}
 FILE = {"to": "pathlib:Path.write_text", "replace": "pathlib:Path.write_text"}
-OUTPUT = dict.fromkeys(("to", "replace", "note"), "rig.calibrate.output_file:OutputFile")
+OUTPUT = dict.fromkeys(("to", "replace", "note"), "rig.calibrate.file_sections:OutputFile")
 RUNS = {"archives": "runs"}
 
 COUNTERPARTS = {

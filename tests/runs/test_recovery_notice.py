@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import tests.support.synthetic_runs as made_up
-from rig.cli.recovery_notice import notify
+from rig.cli.run_names import report_interrupted
 from runs.records import RunFooter, Status
 from tests.runs.test_recovery import orphan
 from tests.support.command_line import status_of
@@ -44,6 +44,6 @@ def test_every_command_that_reads_the_folder_reports_a_run_that_was_cut_off_on_t
 
 def test_a_running_experiment_is_not_an_orphan(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     writer = made_up.write_journal(tmp_path / "going.mcap", footer=False)
-    notify(tmp_path)
+    report_interrupted(tmp_path)
     writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
     assert capfd.readouterr().err == ""

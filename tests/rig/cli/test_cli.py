@@ -361,7 +361,7 @@ def test_a_closed_terminal_does_not_change_how_a_run_ends(gone: str) -> None:
         "import os, sys\n"
         f"outer, inner = os.{gone}()\n"
         "os.dup2(inner, 1)\nos.close(inner)\nos.close(outer)\n"
-        "from rig.cli import run_output\nfrom rig.cli.console import console\n"
+        "from rig.cli import run_output\nfrom rig.cli.output import console\n"
         "from rig.experiment.run import RunResult\n"
         "from runs.records import RunFooter, Status\n"
         "result = RunResult(RunFooter(0, Status.INTERRUPTED, 'the terminal was closed'), None, None)\n"

@@ -15,8 +15,7 @@ import pytest
 from rich.text import Text
 
 import tests.support.synthetic_runs as made_up
-from rig.cli.column_table import ColumnTable
-from rig.cli.console import PrintableConsole
+from rig.cli.output import ColumnTable, PrintableConsole
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
 from runs.printable_text import printable

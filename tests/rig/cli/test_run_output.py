@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console, RenderableType
 
 from rig.cli import run_output
-from rig.cli.console import console
+from rig.cli.output import console
 from rig.cli.terminal import Terminal
 from rig.cli.terminal import _uncertainty as uncertainty_text
 from rig.config import loader

@@ -1,14 +1,23 @@
-"""The console of every screen: it prints control characters visibly, obeys no markup, and keeps numbers whole."""
+"""Output of every command: the console, tables and JSON.
+
+The console prints control characters visibly, obeys no markup, and keeps numbers whole.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import json
+import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
+import typer
 from rich.cells import cell_len
-from rich.console import Console, ConsoleOptions, RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.padding import Padding
 from rich.segment import Segment
+from rich.table import Table
 from rich.text import Text
 
 from runs.printable_text import printable
@@ -82,3 +91,59 @@ def console(stderr: bool = False) -> Console:
     """Return the console of every screen; output to a file is 110 columns wide."""
     plain = PrintableConsole(stderr)
     return plain if plain.is_terminal else PrintableConsole(stderr, 110)
+
+
+LEAST_COLUMNS = 60
+"""A narrower terminal has no room for columns side by side."""
+
+
+class ColumnTable(Table):
+    """A table without lines; below `LEAST_COLUMNS` each row is its first cell, then a line for each other cell."""
+
+    def __init__(self, *heads: str, numbers: Iterable[str] = (), title: str | None = None) -> None:
+        """Text columns with the `heads`, then columns of `numbers`; others are added with `add_column`."""
+        super().__init__(box=None, padding=(0, 2, 0, 0), title=title, title_justify="left")
+        for head in heads:
+            self.add_column(head, overflow="fold")
+        for head in numbers:
+            self.add_column(head, justify="right")
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        if options.max_width >= LEAST_COLUMNS:
+            yield from super().__rich_console__(console, options)
+            return
+        heads = [column.header for column in self.columns]
+        for cells in zip(*(column.cells for column in self.columns), strict=True):
+            first, *others = cells
+            filled = [(head, cell) for head, cell in zip(heads[1:], others, strict=True) if str(cell)]
+            if len(filled) == 1:
+                filled = [(first, filled[0][1])]
+            else:
+                yield Text(f"{heads[0]} {first}".strip(), "bold")
+            listed = facts_table(filled)
+            yield Padding(listed, (0, 0, 0, 2 if len(filled) > 1 else 0))
+
+
+def facts_table(facts: Iterable[tuple[RenderableType, RenderableType]] = ()) -> Table:
+    """Return a table without heads: a name and its value in each row."""
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    table.add_column()
+    table.add_column(overflow="fold")
+    for name, value in facts:
+        table.add_row(name, value)
+    return table
+
+
+def print_json(facts: Any) -> None:
+    """Print indented JSON; a dataclass becomes an object, NaN and infinity become null."""
+    typer.echo(json.dumps(_plain(facts), indent=2))
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return _plain(dataclasses.asdict(value))
+    if isinstance(value, dict):
+        return {key: _plain(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
