@@ -56,6 +56,7 @@ def page_of(section: BoardPattern) -> BoardPage:
 
 
 def texts(section: BoardPattern, page: BoardPage, name: str) -> tuple[str, ...]:
+    """The text above the board."""
     width, height = page.print_mm
     lengths = ", ".join(f"{of} {value:g} mm" for of, value in section.lengths_mm.items())
     return (

@@ -51,6 +51,7 @@ def identity_of(config: RigConfig, name: str) -> calibration_schema.CameraIdenti
 
 
 def card_of(config: RigConfig, name: str) -> calibration_schema.CardIdentity:
+    """A rig's card."""
     card = config.cards[name]
     return calibration_schema.CardIdentity(name=name, driver=card.driver, device=card.device)
 
@@ -71,12 +72,14 @@ def matrix(covariance: NDArray[np.float64]) -> calibration_schema.Matrix:
 
 
 def left_out(skipped: tuple[ExcludedView, ...]) -> tuple[calibration_schema.ExcludedViewSection, ...]:
+    """Views that were not used."""
     return tuple(calibration_schema.ExcludedViewSection(name=s.name, sha256=s.sha256, reason=s.reason) for s in skipped)
 
 
 def camera_file(
     found: CameraCalibration, identity: calibration_schema.CameraIdentity, board: BoardPattern, note: str = ""
 ) -> calibration_schema.CameraFile:
+    """The file of a camera's intrinsics."""
     return calibration_schema.CameraFile(
         **origin(note),
         kind="camera",

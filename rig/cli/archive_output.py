@@ -48,6 +48,7 @@ def check_search(folder: Path, since: str = "", until: str = "") -> None:
 
 
 def show(name: Path, as_json: bool) -> None:
+    """Print the provenance and the summary of an archive."""
     archive = resolve(name)
     run = records.open(archive)
     summary = summarise(run)
@@ -125,6 +126,7 @@ def _study(place: StudyRun | None) -> str:
 
 
 def summary_facts(archive: Path) -> dict[str, Any]:
+    """Return a run's summary for JSON."""
     summary = summarise(records.open(archive))
     facts: dict[str, Any] = asdict(summary)
     if not summary.camera:
@@ -238,6 +240,7 @@ def recover(folder: Path) -> None:
 
 
 def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
+    """Print the entries of a catalogue."""
     if as_json:
         print_json(entries)
         return
@@ -262,5 +265,6 @@ def runs(entries: Sequence[Entry], folder: Path, as_json: bool) -> None:
 
 
 def cycles(specimen: str, count: int, runs_counted: int) -> None:
+    """Print how many pressure cycles a specimen has made."""
     counted = f"{runs_counted} run{'' if runs_counted == 1 else 's'}"
     typer.echo(f"specimen {specimen}: {count} pressure cycle{'' if count == 1 else 's'} in {counted} of this folder")

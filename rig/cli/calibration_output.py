@@ -87,6 +87,7 @@ def _pairs(result: DLTCalibrationResult) -> list[dict[str, Any]]:
 
 
 def dlt(done: DLTCalibration, *, as_json: bool) -> None:
+    """Print coefficients, poses, residuals and cross-validation error of a DLT."""
     if as_json:
         print_json({**_file_facts(done.file), "pairs": _pairs(done.result)})
         return

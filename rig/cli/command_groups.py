@@ -24,6 +24,7 @@ class HelpFormatter(_Formatter):  # type: ignore[misc]
         super().__init__(indent_increment, width or max(LEAST_WIDTH, min(columns, MOST_WIDTH)), max_width)
 
     def write_dl(self, rows: Sequence[tuple[str, str]], col_max: int = 30, col_spacing: int = 2) -> None:
+        """Write names and explanations."""
         rows = [(self._folded(name), text) for name, text in rows]
         super().write_dl(rows, min(col_max, int(self.width * (1 - TEXT_SHARE)) - 2), col_spacing)
 
@@ -41,6 +42,7 @@ class HelpGroup(typer.core.TyperGroup):
     """A command group that lists its commands with whole sentences."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands and the first sentence about each."""
         commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
         rows = [(name, one.get_short_help_str(1000)) for name, one in commands if one is not None and not one.hidden]
         with formatter.section("Commands"):
@@ -52,6 +54,7 @@ class DefaultCommandGroup(HelpGroup):
 
     @property
     def default_command(self) -> Any:
+        """The first sub-command."""
         return next(iter(self.commands.values()))
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

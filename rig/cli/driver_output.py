@@ -38,6 +38,7 @@ def _about(row: InstalledDriver) -> str:
 
 
 def result_line(result: CheckResult) -> Text:
+    """Return one result as it comes."""
     line = Text(f"{result.device}, {result.check}: ")
     return line.append(result.verdict, _STYLE[result.verdict])
 

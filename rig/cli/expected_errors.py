@@ -150,5 +150,6 @@ def _is_unloadable(error: Exception) -> bool:
 
 
 def fail(message: str, status: int) -> NoReturn:
+    """Print a message as an error and end the command."""
     typer.echo(message, err=True)
     raise typer.Exit(status)

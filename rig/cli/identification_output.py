@@ -34,6 +34,7 @@ def results(lines: Iterable[str], beside_json: bool) -> None:
 def identification(
     done: Identification, predicted: Sequence[Prediction], dependences: Sequence[Dependence], as_json: bool
 ) -> None:
+    """Print the estimates and the errors of the runs that were held out."""
     if as_json:
         _print_json(done.fit, done.baseline, predicted, dependences)
     else:
@@ -238,6 +239,7 @@ def failure(fit: Fit) -> None:
 
 
 def profile_intervals(found: Iterable[LikelihoodProfile], beside_json: bool) -> None:
+    """Print the intervals of profile likelihoods."""
     for one in found:
         ends = "flat: not bounded by the data" if one.flat else interval(one.name, one.unit, one.interval)
         results([f"{one.name}: 95 % by profile {ends}"], beside_json)

@@ -41,6 +41,7 @@ class NonBlockingWriter:
         """Do nothing: the thread writes at once."""
 
     def isatty(self) -> bool:
+        """Delegate to the underlying stream."""
         return self._stream.isatty()
 
     def fileno(self) -> int:

@@ -36,6 +36,7 @@ class PrintableStream(io.TextIOBase):
         """Leave the underlying stream open."""
 
     def isatty(self) -> bool:
+        """Tell whether the stream below is a terminal."""
         return self.rich_proxied_file.isatty()
 
     def fileno(self) -> int:
@@ -43,10 +44,12 @@ class PrintableStream(io.TextIOBase):
 
     @property
     def encoding(self) -> str:  # type: ignore[override]
+        """Delegate to the underlying stream."""
         return self.rich_proxied_file.encoding
 
     @property
     def errors(self) -> str | None:  # type: ignore[override]
+        """Delegate to the underlying stream."""
         return self.rich_proxied_file.errors
 
 

@@ -10,6 +10,7 @@ from rig.reproduce.table4 import HORIZON_S, Table4Row
 
 
 def compared(rows: tuple[PaperComparison, ...]) -> Table:
+    """Return the paper's results beside the computed ones."""
     table = ColumnTable("item", "what", "paper", "here", "by", "why different")
     for row in rows:
         table.add_row(row.item, row.what, row.paper, row.computed, row.origin, row.why)

@@ -36,6 +36,7 @@ _PLOT_LINES = 10
 
 
 def title(request: RunRequest) -> str:
+    """Return a one-line title of a run."""
     how = "virtual time" if request.fast else "real time"
     marked = " (simulated)" if request.config.simulated else ""
     return f"{request.protocol.name} on {request.config.name}{marked}, {how}, model {request.variant}"
@@ -121,6 +122,7 @@ def peak_bar(plan: RunPlan) -> list[float]:
 
 
 def check_facts(request: RunRequest, plan: RunPlan) -> dict[str, object]:
+    """Return the check screen for JSON."""
     return {
         "protocol": request.protocol.name,
         "parameters": {p.name: p.value for p in request.protocol.parameters},
@@ -191,6 +193,7 @@ def tip_paths(plan: RunPlan) -> Table:
 
 
 def confirm(screen: Console) -> bool:
+    """Ask the operator to arm the rig."""
     if not sys.stdin.isatty():
         screen.print("standard input is not a terminal: use --yes to arm without confirmation")
         return False
@@ -229,6 +232,7 @@ def last_screen(screen: Console, result: RunResult) -> None:
 
 
 def result_facts(result: RunResult) -> dict[str, object]:
+    """Return the result of a run for JSON."""
     from rig.cli.archive_output import summary_facts
 
     return {
@@ -249,6 +253,7 @@ def exit_status(result: RunResult) -> int:
 
 
 def findings_table(findings: tuple[Finding, ...]) -> Table:
+    """Return the findings of `rig doctor` as a table."""
     table = ColumnTable("", "topic", "found", "what to do")
     for finding in findings:
         remedy = "" if finding.verdict == "ok" else finding.remedy

@@ -65,6 +65,7 @@ def _time(seconds: float) -> str:
 def written(
     screen: Console, study: Study, done: Mapping[int, Entry], page: Path, table: Path, *, as_json: bool = False
 ) -> None:
+    """Print what was written."""
     if as_json:
         runs = {number: done[number].run_id for number in sorted(done)}
         files = {"page": str(page), "table": str(table)}

@@ -30,6 +30,7 @@ def check_drawing(to: Path, replace: bool) -> None:
 
 
 def save(space: TipWorkspace, to: Path) -> None:
+    """Draw what can be reached."""
     from rig.tip_planning import workspace
     from runs.report import drawing
 
@@ -38,6 +39,7 @@ def save(space: TipWorkspace, to: Path) -> None:
 
 
 def table(space: TipWorkspace, config: RigConfig) -> Group:
+    """Return the extent and the sections as text."""
     low, high = space.height_mm
     limits = config.limits
     facts = (

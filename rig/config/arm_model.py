@@ -53,6 +53,7 @@ def model_geometry(geometry: GeometryConfig) -> model.Geometry:
 
 
 def model_material(material: MaterialConfig) -> model.Material:
+    """Convert the material of the YAML."""
     return model.Material(
         youngs_modulus_pa=material.youngs_modulus_pa,
         a1_per_n=material.a1_per_N,

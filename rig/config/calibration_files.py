@@ -58,6 +58,7 @@ def parse(source: Document) -> LoadedCalibration:
 
 
 def text_of(found: CalibrationFile) -> str:
+    """Serialise a calibration as YAML."""
     data = found.model_dump(mode="json", exclude_none=True)
     first = {key: data.pop(key) for key in ("softrig_calibration", "kind", "made")}
     head = "# A calibration by softrig. Name it under `calibrations:` in a rig's file to use it.\n"

@@ -231,6 +231,7 @@ OVERLAYS: dict[type[CalibrationFile], type[CalibrationOverlay[Any]]] = {
 
 
 def overlay_of(calibration: LoadedCalibration) -> CalibrationOverlay[Any]:
+    """Return the overlay of a file."""
     return OVERLAYS[type(calibration.found)](calibration.source, calibration.found)
 
 

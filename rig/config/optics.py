@@ -38,6 +38,7 @@ def placement_of(found: RigidTransform) -> Placement:
 
 
 def lens_of(camera: CameraConfig) -> Lens:
+    """Return the camera's intrinsics."""
     lens = camera.lens
     return Lens.of(lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, lens.distortion)
 
@@ -70,6 +71,7 @@ def board_section(config: RigConfig) -> BoardConfig:
 
 
 def board_of(config: RigConfig) -> Board:
+    """Return the board on the end cap."""
     return board_section(config).board()
 
 

@@ -96,6 +96,7 @@ class RigConfig(Section):
 
     @property
     def tip_sources(self) -> tuple[CameraConfig | TrackerConfig, ...]:
+        """Cameras and trackers."""
         return (*self.cameras.values(), *self.trackers.values())
 
     @property

@@ -97,6 +97,7 @@ def prepare(config: RigConfig) -> ControlSettings:
 
 
 def initial(settings: ControlSettings) -> ControlState:
+    """The state before the first sample."""
     return ControlState(None, (RegulatorState(),) * len(settings.valves), (SensorState(),) * len(settings.valve_of))
 
 

@@ -65,6 +65,7 @@ class CardSubject:
 
     @property
     def output_tolerance(self) -> Floats:
+        """Largest deviation of a read-back."""
         return np.array([(c.high - c.low) * READBACK_TOLERANCE for c in self.setup.outputs])
 
     def stated(self, outputs: Floats) -> str:

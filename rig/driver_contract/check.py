@@ -50,6 +50,7 @@ class CheckResult:
 
     @property
     def failed(self) -> bool:
+        """True if the driver broke the contract."""
         return self.verdict is CheckVerdict.FAIL
 
 

@@ -82,10 +82,12 @@ class RunRequest:
 
     @property
     def config(self) -> RigConfig:
+        """Configuration of the rig."""
         return self.rig.config
 
     @property
     def rig_file(self) -> Path:
+        """Path of the rig file."""
         return Path(self.rig.file)
 
 

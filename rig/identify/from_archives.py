@@ -48,6 +48,7 @@ class Identification:
     notes: tuple[str, ...]
 
     def predictions(self) -> list[Prediction]:
+        """Predict the data that were held out."""
         return [predict(self.fit, poses) for poses in self.held_out]
 
 

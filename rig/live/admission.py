@@ -61,6 +61,7 @@ class Admission:
         self._open: list[Connection] = []
 
     def enter(self, transport: asyncio.Transport) -> Connection:
+        """Register a new connection."""
         connection = Connection(self, transport)
         self._open.append(connection)
         self.make_room(ClientClass.STRANGER)

@@ -36,6 +36,7 @@ class TipMeasurement:
 
     @property
     def covariance_m2(self) -> Floats:
+        """Covariance (3, 3) of the position."""
         return self.pose_covariance[:3, :3]
 
     @property

@@ -39,6 +39,7 @@ class Creator:
 
     @property
     def id(self) -> str:
+        """Identifier in the crate."""
         return f"https://orcid.org/{self.orcid}" if self.orcid else f"#person-{quote(self.name)}"
 
 

@@ -71,6 +71,7 @@ class SinusoidalRun:
 
 
 def motions(runs: Mapping[str, Run]) -> tuple[SinusoidalRun, SinusoidalRun]:
+    """Cases 1 and 2."""
     return SinusoidalRun(runs["sine-1"]), SinusoidalRun(runs["sine-2"])
 
 

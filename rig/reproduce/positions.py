@@ -90,6 +90,7 @@ def compared(data: RestPositions) -> Iterator[PaperComparison]:
 
 
 def verdict(data: RestPositions) -> str:
+    """Return whether Table 3 is reproduced."""
     return table3_verdict([data.error_percent(variant) for variant, *_ in MODELS], data.origin)
 
 

@@ -144,6 +144,7 @@ def drawing(rows: tuple[Table4Row, ...]) -> PaperFigure:
 
 
 def figure(canvas: Figure, rows: tuple[Table4Row, ...]) -> None:
+    """See `drawing`."""
     axes = canvas.subplots()
     for space, mark in (("euler", "o"), ("rk4", "s")):
         chosen = [row for row in rows if row.space == space and math.isfinite(row.error_mm)]

@@ -98,6 +98,7 @@ class Faults:
         return CameraFault(int(self.row["camera"][0]))
 
     def camera_delay_ns(self, number: int) -> int:
+        """Delay of a picture of a camera [ns]."""
         return int(self.row["camera_delay_ns"][0]) if self.camera(number) is CameraFault.LATE else 0
 
     def inject(self, **words: float) -> None:
@@ -111,6 +112,7 @@ class Faults:
         self.row["active"][0] = 1
 
     def clear(self) -> None:
+        """Remove all faults."""
         self.row["active"][0] = 0
         self.row[:] = np.zeros(1, FAULTS_DTYPE)
 

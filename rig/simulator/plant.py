@@ -150,6 +150,7 @@ class Plant:
         self._outputs_v[valve] = volts
 
     def output(self, valve: int) -> float:
+        """The voltage of a valve's output."""
         return float(self._outputs_v[valve])
 
     def _pass(self, steps: int) -> None:

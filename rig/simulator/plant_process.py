@@ -64,6 +64,7 @@ class SimulatedCard:
         self._card.start()
 
     def newest_write_ns(self) -> int:
+        """Time of the last write to an output."""
         return int(self._written.max()) if len(self._written) else 0
 
     def driven(self) -> bool:
@@ -76,6 +77,7 @@ class SimulatedCard:
         self._card.write(self._outputs[self._channels])
 
     def tip_weight_kg(self) -> float:
+        """Mass of the weight on the end cap [kg]."""
         return float(self.registers.header["tip_weight_kg"][0])
 
     def publish(self, plant: Plant) -> None:

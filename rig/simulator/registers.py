@@ -196,6 +196,7 @@ class Registers:
 
     @property
     def plant_t_ns(self) -> int:
+        """Present time of the plant."""
         return int(self.header["plant_t_ns"][0])
 
     def set_tip_weight(self, weight_kg: float) -> None:
@@ -223,6 +224,7 @@ class Registers:
 
     @property
     def scans_written(self) -> int:
+        """Number of scans since the plant started."""
         return int(self.header["scans"][0])
 
     def scans_since(self, first: int, columns: list[int]) -> tuple[Scans, int]:

@@ -166,6 +166,7 @@ class Subdevice:
             self._subdevice.command()
 
     def cancel(self) -> None:
+        """Stop the command."""
         with _as_card_error(self._path, "sampling cannot be stopped"):
             self._subdevice.cancel()
 
