@@ -39,7 +39,7 @@ def valid(items: Mapping[str, Item | None]) -> dict[str, Item]:
     return {name: item for name, item in items.items() if item is not None}
 
 
-def different_devices(section: str, items: Cards | Cameras) -> Iterator[ValidationFault]:
+def different_devices(section: str, items: Mapping[str, CardConfig | CameraConfig | None]) -> Iterator[ValidationFault]:
     """Refuse two items of a section with one device."""
     taken: dict[tuple[str, str | int], str] = {}
     for name, item in valid(items).items():
