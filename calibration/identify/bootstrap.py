@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identify.least_squares import LeastSquaresProblem
+from calibration.identify.likelihood import Weights
 from calibration.identify.orientation import turned_by
 from calibration.identify.parameter import Prior
 from calibration.identify.parameters import named
@@ -57,8 +58,7 @@ class Refit:
     predicted: tuple[Array, ...]
     rotation: tuple[Array, ...]
     sections: tuple[tuple[tuple[Array, Array], ...], ...]
-    covariance: tuple[Array, ...]
-    common: tuple[Array, ...]
+    weights: tuple[Weights, ...]
     seed: int
 
 
@@ -89,8 +89,7 @@ def bootstrap(
         predicted=tuple(run.predicted_m for run in fit.runs),
         rotation=tuple(problem.rotations(fit.solution.z)),
         sections=tuple(problem.sections(fit.solution.z)),
-        covariance=tuple(_covariance(weights.whitener) for weights in fit.solution.weights),
-        common=tuple(weights.common for weights in fit.solution.weights),
+        weights=fit.solution.weights,
         seed=0,
     )
     tasks = [replace(task, seed=seed * 1_000_003 + k) for k in range(samples)]
@@ -106,9 +105,9 @@ def refit(task: Refit) -> Array:
     actuators = task.data[0].actuators
     priors: Mapping[str, Prior] = dict(task.priors)
     data = [
-        _drawn(rng, tips, rotation, sections, covariance, common, poses)
-        for poses, tips, rotation, sections, covariance, common in zip(
-            task.data, task.predicted, task.rotation, task.sections, task.covariance, task.common, strict=True
+        _drawn(rng, tips, rotation, sections, weights, poses)
+        for poses, tips, rotation, sections, weights in zip(
+            task.data, task.predicted, task.rotation, task.sections, task.weights, strict=True
         )
     ]
     free = with_own_values(named(task.free, actuators), task.per_run, actuators)
@@ -124,29 +123,19 @@ def refit(task: Refit) -> Array:
     return problem.values(solution.z)
 
 
-def _covariance(whitener: Array) -> Array:
-    """Covariances (K, D, D) of a whitener; zero where it is zero."""
-    out: Array = np.asarray(np.linalg.pinv(np.swapaxes(whitener, 1, 2) @ whitener), dtype=np.float64)
-    return out
-
-
 def _drawn(
     rng: np.random.Generator,
     tips: Array,
     rotation: Array,
     sections: Sequence[tuple[Array, Array]],
-    covariance: Array,
-    common: Array,
+    weights: Weights,
     poses: Poses,
 ) -> Poses:
-    """Poses that err as the covariance and the errors that all share say; NaN without a measurement.
+    """Poses that err as the weights say; NaN without a measurement.
 
     Tips (K, 3) with orientations (K, 3, 3), and the same of each section, are the true ones.
     """
-    values, vectors = np.linalg.eigh(covariance)
-    unit = rng.standard_normal(values.shape)
-    error: Array = np.asarray(np.einsum("kij,kj->ki", vectors, np.sqrt(np.maximum(values, 0.0)) * unit))
-    error = error + common @ rng.standard_normal(common.shape[2])
+    error = weights.drawn(rng)
     drawn = replace(poses, tip_m=np.where(poses.has_tip[:, None], tips + error[:, :3], np.nan))
     if poses.orientation is not None:
         turned = turned_by(poses.orientation, rotation, error[:, 3:6], poses.has_orientation)

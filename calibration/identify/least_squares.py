@@ -22,10 +22,11 @@ from calibration.identify.likelihood import (
 )
 from calibration.identify.parameter import Parameter, Prior
 from calibration.identify.poses import Poses
+from calibration.identify.pressure_response import PressureErrors
 from calibration.identify.scaled_parameter import ScaledParameter
 from calibration.identify.setup import Setup
 from calibration.identify.solution import Solution
-from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor, PressureErrors
+from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
 
 Array = NDArray[np.float64]
 
@@ -230,7 +231,10 @@ class LeastSquaresProblem:
         sigma = Discrepancy.estimated(self.data, gaps, covariances, fitted)
         weights = (
             Weights.of(
-                poses.pose_covariance + own.independent + sigma.covariance(poses.kinds), poses.measured, own.common
+                poses.pose_covariance + own.independent + sigma.covariance(poses.kinds),
+                poses.measured,
+                own.common,
+                own.motion,
             )
             for own, poses in zip(pressure, self.data, strict=True)
         )

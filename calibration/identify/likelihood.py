@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 from scipy.special import chdtr, chdtri
 
 from calibration.identify.poses import TIP, TIP_ROTATION, Poses
+from calibration.identify.pressure_response import BandedFactor, MotionResponse
 
 Array = NDArray[np.float64]
 
@@ -102,6 +103,7 @@ class Weights:
     """Weights of one `Poses` with D numbers per entry: `whitener` (K, D, D) makes residuals [m, rad] unit normal.
 
     Its rows are zero where nothing was measured. It is lower triangular: the tips are whitened as without rotations.
+    factor: Cholesky factor of the whole covariance, where entries correlate; it then takes the place of `whitener`.
     common (K, D, m): errors that all entries share, per unit of m independent unit normal coefficients. Whitened, they
     are basis (K D, m) times orthogonal coefficients, and `shrink` (m,) makes these unit normal, too. log_det:
     ln det(2 pi C) of what was measured.
@@ -112,12 +114,20 @@ class Weights:
     basis: Array
     shrink: Array
     log_det: float
+    factor: BandedFactor | None = None
 
     @classmethod
-    def of(cls, covariance: Array, measured: NDArray[np.bool_], common: Array | None = None) -> Weights:
+    def of(
+        cls,
+        covariance: Array,
+        measured: NDArray[np.bool_],
+        common: Array | None = None,
+        motion: MotionResponse | None = None,
+    ) -> Weights:
         """From covariances (K, D, D) of measured minus predicted, and which numbers (K, D) were measured.
 
-        common (K, D, m): errors that all entries share, beside these.
+        common (K, D, m): errors that all entries share, beside these. motion: response to errors of the pressures,
+        whose covariances are part of these.
         """
         whitener = np.zeros_like(covariance)
         seen = measured[:, 0]
@@ -126,12 +136,16 @@ class Weights:
         whitener[~measured] = 0.0
         logs = np.log(np.diagonal(lower, axis1=1, axis2=2))[measured[seen]]
         log_det = float(2 * logs.sum() + logs.size * math.log(2 * math.pi))
+        factor = None if motion is None else BandedFactor.of(covariance, motion.lagged, measured)
+        if factor is not None:
+            log_det += 2 * float(np.log(factor.diagonal).sum() - logs.sum())
         if common is None:
             common = np.zeros((*measured.shape, 0))
         # By the covariance I + U U' of whitened residuals, of which U has few columns.
-        basis, sizes, _ = np.linalg.svd((whitener @ common).reshape(measured.size, -1), full_matrices=False)
+        shared = whitener @ common if factor is None else factor.solve(np.where(measured[:, :, None], common, 0.0))
+        basis, sizes, _ = np.linalg.svd(shared.reshape(measured.size, -1), full_matrices=False)
         shrink = 1 / np.hypot(1.0, sizes) - 1
-        return cls(whitener, common, basis, shrink, log_det + float(np.log1p(sizes**2).sum()))
+        return cls(whitener, common, basis, shrink, log_det + float(np.log1p(sizes**2).sum()), factor)
 
     @property
     def shared(self) -> bool:
@@ -140,11 +154,25 @@ class Weights:
 
     def whitened(self, rows: Array) -> Array:
         """Residuals (K, D), or derivatives of them (K, D, n), in uncorrelated standard deviations."""
-        flat = np.einsum("kij,kjn->kin", self.whitener, rows.reshape(*self.whitener.shape[:2], -1))
+        flat = rows.reshape(*self.whitener.shape[:2], -1)
+        if self.factor is None:
+            flat = np.einsum("kij,kjn->kin", self.whitener, flat)
+        else:
+            flat = self.factor.solve(np.where(self.whitener.any(axis=2)[:, :, None], flat, 0.0))
         flat = flat.reshape(len(self.basis), -1)
         if self.shared:
             flat = flat + self.basis @ (self.shrink[:, None] * (self.basis.T @ flat))
         out: Array = flat.reshape(rows.shape)
+        return out
+
+    def drawn(self, rng: np.random.Generator) -> Array:
+        """Errors (K, D) with the covariance of these weights."""
+        unit = rng.standard_normal(self.whitener.shape[:2])
+        if self.factor is None:
+            error = np.einsum("kij,kj->ki", np.linalg.pinv(self.whitener), unit)
+        else:
+            error = self.factor.times(unit.ravel()).reshape(unit.shape)
+        out: Array = error + self.common @ rng.standard_normal(self.common.shape[2])
         return out
 
 

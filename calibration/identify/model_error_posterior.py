@@ -186,8 +186,9 @@ def normal_equations(
         good = poses.has_tip & ~outlying(whitened(poses, gaps[run], solution.weights[run]))
         if not good.any():
             continue
-        covariance = poses.pose_covariance + pressure[run].independent + noise.covariance(poses.kinds)
-        weights = Weights.of(covariance, poses.measured & good[:, None], pressure[run].common)
+        by_pressure, measured = pressure[run], poses.measured & good[:, None]
+        covariance = poses.pose_covariance + by_pressure.independent + noise.covariance(poses.kinds)
+        weights = Weights.of(covariance, measured, by_pressure.common, by_pressure.motion)
         # Correlated entries count as fewer independent ones.
         share = 1 / math.sqrt(solution.correlation[run])
         own = share * weights.whitened(np.nan_to_num(gaps[run]))[good].ravel()

@@ -22,13 +22,19 @@ Solved = tuple[Array, Array]
 """Points (K, 1 + S, 3) and orientations (K, 1 + S, 3, 3) of the tip and then of the sections of the poses."""
 
 
-def richardson(coarse: Solved, fine: Solved) -> Solved:
-    """Shapes without the error of second order of two solutions, the second one with half the time steps."""
-    (points, rotations), (coarse_points, coarse_rotations) = fine, coarse
-    turned = rotations + (rotations - coarse_rotations) / 3
-    # One step of Newton and Schulz leaves a rotation: the two solutions differ by milliradians.
-    turned = turned @ (3 * np.eye(3) - np.swapaxes(turned, -1, -2) @ turned) / 2
-    return points + (points - coarse_points) / 3, turned
+def richardson(solutions: Sequence[Solved], steps: Sequence[int]) -> Solved:
+    """Shapes extrapolated to infinitely many time steps, from solutions with so many steps.
+
+    The errors of second order vanish, and with more solutions those of fourth order and so on.
+    """
+    squares = np.square(np.array(steps, np.float64))
+    shares = [
+        float(np.prod([own / (own - other) for j, other in enumerate(squares) if j != i]))
+        for i, own in enumerate(squares)
+    ]
+    points, turned = (sum(share * one[part] for share, one in zip(shares, solutions, strict=True)) for part in (0, 1))
+    # One step of Newton and Schulz leaves a rotation: the solutions differ by milliradians.
+    return points, turned @ (3 * np.eye(3) - np.swapaxes(turned, -1, -2) @ turned) / 2
 
 
 def section_places_m(poses: Poses) -> list[float]:

@@ -163,6 +163,11 @@ class Poses:
         """Number of actuators N."""
         return int(self.pressure_pa.shape[1])
 
+    def pressed(self, shift_pa: Array) -> Poses:
+        """A motion with its pressures changed by shift_pa (K, N) in the frames."""
+        samples = None if self.samples is None else self.samples.shifted(self.frame_s, shift_pa)
+        return replace(self, pressure_pa=self.pressure_pa + shift_pa, samples=samples)
+
     def only(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Poses:
         """A subset of the entries; of a motion it must be contiguous."""
         first_s = float(np.arange(len(self))[chosen][0]) * self.period_s if self.samples is not None else 0.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,13 @@ from calibration.identify.pose_solutions import (
 )
 from calibration.identify.poses import Poses
 from calibration.identify.pressure_course import PressureCourse
+from calibration.identify.pressure_response import (
+    SHORTEST,
+    MotionResponse,
+    PressureErrors,
+    combs,
+    response_frames,
+)
 from calibration.identify.pressure_samples import PressureSamples
 from calibration.identify.setup import Setup
 from model import sensitivities
@@ -34,8 +40,9 @@ Key = tuple[object, ...]
 # Time steps per camera period: at one step the time scheme's own damping would pass for the material's.
 SUBSTEPS = 2
 # Where inertia is asked for: two steps slow the arm's own oscillation, and a density came out 16 % too low. These are
-# extrapolated: eight steps alone move a damping by half a percent where the arm is driven near its first mode.
-FINE_SUBSTEPS = 4
+# extrapolated: eight steps alone move a damping by half a percent where the arm is driven near its first mode. There,
+# two numbers of steps are not enough for an arm with little damping.
+FINE_SUBSTEPS, _FINER = 4, (1.5, 2.0)
 _MAX_SOLVED = 64
 _MAX_SENSITIVITIES = 40
 _LOAD_STEP = 1e-3
@@ -52,38 +59,22 @@ class PushResponse:
     by_load: Array
 
 
-class PressureErrors(NamedTuple):
-    """Errors of K predictions, D numbers each, by errors of the measured pressures.
-
-    independent (K, D, D): covariances of those that are independent from entry to entry. common (K, D, m): those that
-    all entries share, per unit of m independent unit normal coefficients.
-    """
-
-    independent: Array
-    common: Array
-
-    @property
-    def covariance(self) -> Array:
-        """Covariances (K, D, D) of both together."""
-        out: Array = self.independent + self.common @ np.swapaxes(self.common, 1, 2)
-        return out
-
-
 @dataclass
 class Predictor:
     """Predicts the tips of one `Poses`; keeps the last solved shapes, because mounting and tool need no new ones.
 
-    substeps: time steps per frame of a motion. extrapolated: its tips with this many steps and with twice as many are
-    extrapolated to infinitely many (Richardson; the time scheme is of second order). Its slopes are those of the
-    coarse steps: the search needs no better ones, and they are most of its cost.
+    substeps: time steps per frame of a motion. extrapolated: its tips with this many steps, an even number, with 1.5
+    times and with twice as many are extrapolated to infinitely many (Richardson). Its slopes are those of the coarse
+    steps: the search needs no better ones, and they are most of its cost.
     """
 
     poses: Poses
     substeps: int = SUBSTEPS
     extrapolated: bool = False
     _solved: dict[Key, Solved] = field(default_factory=dict)
-    _finer: Predictor | None = None
+    _finer: tuple[Predictor, ...] = ()
     _through: Predictor | None = None
+    _by_comb: dict[Key, Array] = field(default_factory=dict)
 
     def __call__(self, setup: Setup) -> Array:
         """Tips (K, 3) [m] as they would be measured; NaN where the model has no solution."""
@@ -125,9 +116,10 @@ class Predictor:
         coarse = self._solved_with_substeps(setup)
         if not (self.extrapolated and self.poses.moving):
             return coarse
-        if self._finer is None:
-            self._finer = Predictor(self.poses, 2 * self.substeps)
-        return richardson(coarse, self._finer._solved_with_substeps(setup))
+        if not self._finer:
+            self._finer = tuple(Predictor(self.poses, round(finer * self.substeps)) for finer in _FINER)
+        every = (coarse, *(one._solved_with_substeps(setup) for one in self._finer))
+        return richardson(every, (self.substeps, *(one.substeps for one in self._finer)))
 
     def _solved_with_substeps(self, setup: Setup) -> Solved:
         """The shapes with the time steps of this predictor; kept."""
@@ -240,18 +232,45 @@ class Predictor:
         return self._through
 
     def pressure_errors(self, setup: Setup) -> PressureErrors:
-        """What errors of the measured pressures do to the predictions, by the arm's statics."""
+        """What errors of the measured pressures do to the predictions; those that all entries share, by the statics."""
         poses = self.poses
         size, numbers = len(poses), poses.numbers
         found = PressureErrors(np.zeros((size, numbers, numbers)), np.zeros((size, numbers, 0)))
         if not poses.pressure_std_pa.any() and poses.unresolved_pa is None:
             return found
+        in_motion = poses.moving and len(poses) >= SHORTEST
+        if in_motion:
+            motion = self._response_in_motion(setup)
+            found = found._replace(independent=motion.covariance, motion=motion)
+            if poses.unresolved_pa is None:
+                return found
         still, nearest = self._at_rest()
         slope = _by_pressure(still, setup)
+        if poses.unresolved_pa is not None:
+            found = found._replace(common=slope[nearest] @ poses.unresolved_pa)
+        if in_motion:
+            return found
         mixed = slope if poses.pressure_mixing is None else slope @ poses.pressure_mixing
         spread = mixed[nearest] * poses.pressure_std_pa[:, None, :]
-        found = found._replace(independent=spread @ np.swapaxes(spread, 1, 2))
-        return found if poses.unresolved_pa is None else found._replace(common=slope[nearest] @ poses.unresolved_pa)
+        return found._replace(independent=spread @ np.swapaxes(spread, 1, 2))
+
+    def _response_in_motion(self, setup: Setup) -> MotionResponse:
+        """How predictions of a motion respond to errors of the pressures in its frames."""
+        poses = self.poses
+        frames = response_frames(len(poses), poses.period_s, poses.numbers)
+        sets, key = combs(len(poses), frames), self._key(setup)
+        if key not in self._by_comb:
+            step = sensitivities.PRESSURE_STEP_PA
+            changed = np.zeros((len(sets), poses.actuators, *poses.pressure_pa.shape))
+            for own, at in zip(changed, sets, strict=True):
+                own[:, at, :] = step * np.eye(poses.actuators)[:, None, :]
+            pressed = [poses.pressed(shift_pa) for shift_pa in changed.reshape(-1, *poses.pressure_pa.shape)]
+            # A delay of the sensors moves the response in time and leaves its power.
+            slopes = self.slopes_by_pressure(replace(setup, sensor_lag_s=0.0), pressed, step)
+            self._by_comb = {key: np.nan_to_num(slopes).reshape(*slopes.shape[:2], len(sets), poses.actuators)}
+        slopes = self._by_comb[key]
+        mixed = slopes if poses.pressure_mixing is None else slopes @ poses.pressure_mixing
+        return MotionResponse.of_combs(mixed, sets, frames, poses.pressure_std_pa)
 
     def push_response(self, setup: Setup) -> PushResponse:
         """How predictions at rest respond to the pressures that push the arm, and to the load."""
