@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 RESPONSE_S, _MOST_NUMBERS = 1.0, 200
 # What follows is left out where it has a smaller share of the variance.
 _DECAYED = 1e-4
+# Weights of three frames that leave out slow errors.
+_HIGH_PASS = (-0.25, 0.5, -0.25)
 # Frames of a motion before its first response: the curve through the pressures starts one frame before an error.
 _BEFORE, _FIRST = 1, 2
 # Frames of a motion that is too short for a response.
@@ -30,7 +32,7 @@ SHORTEST = 8
 
 def response_frames(count: int, period_s: float, numbers: int) -> int:
     """Frames L of a response, in a motion of so many frames with so many numbers each."""
-    return max(2, min(round(RESPONSE_S / period_s), _MOST_NUMBERS // numbers, count - _FIRST - 1))
+    return max(len(_HIGH_PASS), min(round(RESPONSE_S / period_s), _MOST_NUMBERS // numbers, count - _FIRST - 1))
 
 
 def combs(count: int, frames: int) -> list[NDArray[np.intp]]:
@@ -43,8 +45,8 @@ def combs(count: int, frames: int) -> list[NDArray[np.intp]]:
 class MotionResponse:
     """Response of predictions in a motion to errors of the pressures in its frames.
 
-    impulse (M, L, D, N) [m, rad per unit]: predictions, from the frame before on, by an error in one frame, for M
-    frames. nearest (K,): the one of these that stands for each frame. std (K, N): standard deviations of the errors,
+    impulse (M, L, D, E) [m, rad per unit]: predictions, from the frame before on, by E errors in one frame, for M
+    frames. nearest (K,): the one of these that stands for each frame. std (K, E): standard deviations of the errors,
     which are independent.
     """
 
@@ -54,7 +56,11 @@ class MotionResponse:
 
     @classmethod
     def of_combs(cls, slopes: Array, sets: list[NDArray[np.intp]], frames: int, std: Array) -> MotionResponse:
-        """From derivatives (K, D, sets, N) of predictions by the pressures of all frames of each set together."""
+        """From derivatives (K, D, sets, N) of predictions by the pressures of all frames of each set together.
+
+        Errors of fast frequencies, to which the arm does not respond, are added by the response at rest: there the
+        model is not known to be better.
+        """
         at = np.concatenate(sets)
         comb = np.repeat(np.arange(len(sets)), [len(one) for one in sets])
         rows = at[:, None] - _BEFORE + np.arange(frames)
@@ -63,7 +69,10 @@ class MotionResponse:
         power = np.einsum("mldn,n->ld", np.square(impulse), np.square(std).mean(axis=0))
         left = np.cumsum(power[::-1], axis=0)[::-1]
         length = int((left > _DECAYED * left[0]).any(axis=1).sum())
-        return cls(impulse[:, : max(length, 2)], nearest, std)
+        impulse = impulse[:, : max(length, len(_HIGH_PASS))]
+        fast = np.zeros_like(impulse)
+        fast[:, : len(_HIGH_PASS)] = np.multiply.outer(_HIGH_PASS, impulse.sum(axis=1)).swapaxes(0, 1)
+        return cls(np.concatenate([impulse, fast], axis=3), nearest, np.concatenate([std, std], axis=1))
 
     @cached_property
     def lagged(self) -> Array:
@@ -85,7 +94,8 @@ class MotionResponse:
     @property
     def covariance(self) -> Array:
         """Covariances (K, D, D) of the predictions in each frame."""
-        return self.lagged[0]
+        out: Array = self.lagged[0]
+        return out
 
 
 @dataclass(frozen=True)
