@@ -158,7 +158,8 @@ class Weights:
         if self.factor is None:
             flat = np.einsum("kij,kjn->kin", self.whitener, flat)
         else:
-            flat = self.factor.solve(np.where(self.whitener.any(axis=2)[:, :, None], flat, 0.0))
+            measured = np.asarray(self.whitener.any(axis=2))
+            flat = self.factor.solve(np.where(measured[:, :, None], flat, 0.0))
         flat = flat.reshape(len(self.basis), -1)
         if self.shared:
             flat = flat + self.basis @ (self.shrink[:, None] * (self.basis.T @ flat))

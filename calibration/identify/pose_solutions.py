@@ -32,7 +32,7 @@ def richardson(solutions: Sequence[Solved], steps: Sequence[int]) -> Solved:
         float(np.prod([own / (own - other) for j, other in enumerate(squares) if j != i]))
         for i, own in enumerate(squares)
     ]
-    points, turned = (sum(share * one[part] for share, one in zip(shares, solutions, strict=True)) for part in (0, 1))
+    points, turned = (np.tensordot(shares, np.stack(part), axes=1) for part in zip(*solutions, strict=True))
     # One step of Newton and Schulz leaves a rotation: the solutions differ by milliradians.
     return points, turned @ (3 * np.eye(3) - np.swapaxes(turned, -1, -2) @ turned) / 2
 
