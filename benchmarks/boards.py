@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.other_renderer import PRINT_PX, BoardPose, OtherRenderer
+from calibration.images import Image
 from calibration.vision.board import Board
 from calibration.vision.charuco import CharucoBoard
 from calibration.vision.lens import Lens
@@ -26,11 +27,10 @@ from calibration.vision.marker_board import LEAST_CORNERS
 from calibration.vision.tag_grid import TagGrid
 from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
+from model.arrays import Array
 from rig.simulator.board_rendering import print_table, table_renderer
 from rig.simulator.scene import ImageDegradation, Scene
 
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
 Draw = Callable[[RigidTransform, int], Image]
 
 TIP_IN_BOARD = np.array([0.0, 0.0, -0.030])
@@ -94,16 +94,16 @@ class BoardErrors:
     `bound` (n,) is its Cramer-Rao bound from the corners that no occlusion hides, in m per pixel of error of a corner.
     """
 
-    tip_m: Floats
-    covariance_m2: Floats
-    bound: Floats
+    tip_m: Array
+    covariance_m2: Array
+    bound: Array
 
     @property
     def lost(self) -> int:
         """How many poses were not measured."""
         return int(np.isnan(self.tip_m[:, 0]).sum())
 
-    def sizes(self) -> Floats:
+    def sizes(self) -> Array:
         """Mean, median and root mean square of the lengths of the errors, and the stated root mean square, in um."""
         length = np.linalg.norm(self.tip_m, axis=1)
         stated = np.sqrt(np.nanmean(np.trace(self.covariance_m2, axis1=1, axis2=2)))
@@ -143,7 +143,7 @@ def ours(board: Board, occlusion: Occlusion | None, seed: int) -> Draw:
     return lambda seen, k: scene.render(seen, seen, seen, k)
 
 
-def covered_table(board: Board, occlusion: Occlusion) -> tuple[Floats, Floats, Floats]:
+def covered_table(board: Board, occlusion: Occlusion) -> tuple[Array, Array, Array]:
     """The table of a print, a part of which is covered by a matt strip."""
     (width, height), (across, down, table) = board.extent, print_table(board)
     across, table = _split(across, table, occlusion.left * width, occlusion.right * width)
@@ -155,13 +155,13 @@ def covered_table(board: Board, occlusion: Occlusion) -> tuple[Floats, Floats, F
     return across, down, table
 
 
-def _split(lines: Floats, columns: Floats, first: float, last: float) -> tuple[Floats, Floats]:
+def _split(lines: Array, columns: Array, first: float, last: float) -> tuple[Array, Array]:
     """Lines and the columns of the table between them, with two more lines."""
     split = np.unique(np.concatenate([lines, [first, last]]))
     return split, columns[:, np.searchsorted(lines, np.concatenate([[-np.inf], split]), side="right")]
 
 
-def _middles(lines: Floats) -> Floats:
+def _middles(lines: Array) -> Array:
     """A place in each of the cells that the lines part, also before the first and after the last."""
     return np.concatenate([[-np.inf], (lines[1:] + lines[:-1]) / 2, [np.inf]])
 

@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 import protocols
 from calibration.identify.parameter import Prior
@@ -28,6 +27,7 @@ from calibration.identify.parameters import named
 from calibration.identify.setup import Setup
 from calibration.parallel_map import parallel_map
 from calibration.vision.transforms import RigidTransform
+from model.arrays import Array
 from rig.config.arm_model import model_arm
 from rig.config.calibration_overlay import as_stated
 from rig.config.loader import RigFile, read
@@ -41,8 +41,6 @@ from rig.identify.estimation import rig_uncertainties
 from rig.identify.initial_setup import truth_of
 from rig.observation.online_estimation import default_parameters
 from runs.run import Run
-
-Array = NDArray[np.float64]
 
 MATERIAL = {
     "a1_per_N": "a1_per_n",

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 import protocols
 from calibration.design.information import ErrorBars, Unknowns, error_bars
@@ -28,14 +27,13 @@ from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, perform_as_planned
 from calibration.parallel_map import parallel_map
+from model.arrays import Array
 from rig.config.loader import load
 from rig.config.schema import RigConfig
 from rig.design.design import design, free_parameters, unknowns_of
 from rig.design.expected_poses import errors_of_run, expected_poses
 from rig.identify.estimation import rig_uncertainties
 from runs.run import Run
-
-Array = NDArray[np.float64]
 
 STATIC = ("ramp-a", "ramp-b", "extension-pressure", "extension-weights")
 # Of the arms about the rig's value: an arm that is drawn from the stated 20 ms would often have no damping.

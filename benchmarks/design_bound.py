@@ -15,19 +15,17 @@ import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 import protocols
 from calibration.design.information import Unknowns, block_information, error_bars, of_interest
 from calibration.identify.information import covariance
 from calibration.identify.poses import Poses
 from calibration.identify.simulated_experiments import MeasurementErrors
+from model.arrays import Array
 from rig.config.loader import load
 from rig.design.blocks import BLOCK_S, blocks
 from rig.design.design import ENDS_S, LIBRARY, framed, free_parameters, unknowns_of
 from rig.design.expected_poses import expected_poses
-
-Array = NDArray[np.float64]
 
 # Time steps per frame, as while blocks are compared; and the factor of the last column.
 _SUBSTEPS, _MANY = 4, 1e4

@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model
 import runs
@@ -36,13 +35,12 @@ from calibration.identify.simulated_experiments import (
     run_trial,
 )
 from calibration.parallel_map import parallel_map
+from model.arrays import Array
 from rig.config.loader import load
 from rig.identify.estimation import from_poses, read_poses
 from rig.identify.initial_setup import rig_of
 from rig.observation.online_estimation import default_parameters
 from runs.report.drawing import save
-
-Array = NDArray[np.float64]
 
 FREE_MOVING = ("damping_s", "density_kg_m3", "sensor_lag_s", "rpe_per_bar")
 FREE = ("law", "rpe_per_bar", "cap_mass_kg", "base_x_m", "base_z_m", "base_ry_rad")

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import beta
 
 from calibration.identify.candidates import Candidate
@@ -25,13 +24,12 @@ from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, perform_as_planned
 from calibration.parallel_map import parallel_map
+from model.arrays import Array
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
 from rig.design.law_comparison import design_comparison
 from rig.identify.estimation import rig_uncertainties, sensor_priors
 from rig.identify.model_comparison import laws_named
-
-Array = NDArray[np.float64]
 
 PAIRS = (
     ("homogeneous+rpe", "inhomogeneous+rpe"),

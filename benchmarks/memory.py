@@ -13,18 +13,16 @@ import argparse
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.identify import Setup, identify
 from calibration.identify.poses import Poses
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan_slow
 from model import Arm
 from model.actuation import Proportional, StopElement
+from model.arrays import Array
 from model.material import MaxwellBranch
 from rig.arm_effects.creep import CreepEffect
 from rig.arm_effects.hysteresis import HysteresisEffect
-
-Array = NDArray[np.float64]
 
 PERIOD_S, BAR = 0.25, 1e5
 CORNERS_BAR = (0.0, 0.5, 0.46, 0.5, 0.3, 0.6, 0.56, 0.1, 0.4, 0.0)

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model
 from calibration.identify.data import SETTLE_S
@@ -30,6 +29,7 @@ from calibration.identify.pressure_history import pressure_history
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, perform, plan
 from calibration.parallel_map import parallel_map
+from model.arrays import Array
 from rig.arm_effects.base import ArmEffectSection
 from rig.arm_effects.coupling import CouplingSection
 from rig.arm_effects.creep import CreepBranch, CreepSection
@@ -37,8 +37,6 @@ from rig.arm_effects.gains import GainsSection
 from rig.arm_effects.hysteresis import HysteresisSection, SlipElement
 from rig.arm_effects.push import PushSection
 from rig.arm_effects.softening import SofteningSection
-
-Array = NDArray[np.float64]
 
 FREE = ("law", "rpe_per_bar", "cap_mass_kg", "shear_ratio", "base", "sensor_offsets")
 _DWELL_S, _STEP_S = 4.0, 0.02

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from calibration.images import Image
+from model.arrays import Array
 
 PRINT_PX = 64
 """Pixels of the print to a square."""
@@ -48,8 +48,8 @@ class OtherRenderer:
         self,
         squares: tuple[float, float],
         square_m: float,
-        matrix: Floats,
-        distortion: Floats,
+        matrix: Array,
+        distortion: Array,
         size: tuple[int, int],
         look: BoardPose,
         seed: int,
@@ -75,7 +75,7 @@ class OtherRenderer:
         # What lies round the board is drawn once: its noise is not that of each picture.
         self._behind = self._developed(np.full((height, width), _SURROUND, np.float32), self._fall_off)
 
-    def picture(self, rotation: Floats, translation: Floats) -> Image:
+    def picture(self, rotation: Array, translation: Array) -> Image:
         """The board's frame (centre, x right, y up, z to the viewer) stands at this pose before the camera."""
         look = self._look
         image = self._behind.copy()
@@ -108,7 +108,7 @@ class OtherRenderer:
         grey = grey + std * self._rng.standard_normal(grey.shape, dtype=np.float32)
         return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
 
-    def _box(self, rotation: Floats, translation: Floats) -> tuple[int, int, int, int]:
+    def _box(self, rotation: Array, translation: Array) -> tuple[int, int, int, int]:
         """Pixels that the print may touch."""
         across, down = ((n / 2 + _MARGIN_SQUARES) * self._square_m for n in self._squares)
         t = np.linspace(-1, 1, 9)
@@ -122,7 +122,7 @@ class OtherRenderer:
         return int(low[0]), int(low[1]), int(high[0]), int(high[1])
 
     def _to_print(
-        self, u: Floats, v: Floats, rotation: Floats, translation: Floats
+        self, u: Array, v: Array, rotation: Array, translation: Array
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Where in the print the light of pixels (v, u) comes from."""
         # Undistortion is smooth: it is computed on a coarse grid and interpolated.
@@ -140,7 +140,7 @@ class OtherRenderer:
         return tuple(_spread(p, cv, cu, v, u) for p in (px, py))  # type: ignore[return-value]
 
 
-def _spread(values: Floats, rows: Floats, columns: Floats, v: Floats, u: Floats) -> NDArray[np.float32]:
+def _spread(values: Array, rows: Array, columns: Array, v: Array, u: Array) -> NDArray[np.float32]:
     from scipy.interpolate import RectBivariateSpline
 
     return RectBivariateSpline(rows, columns, values, kx=3, ky=3)(v, u).astype(np.float32)

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from model.arrays import Array
 from rig.config import loader
 from rig.config.schema import RigConfig
 
-Array = NDArray[np.float64]
 Step = dict[str, Any]
 
 NOISE_MM = 0.1

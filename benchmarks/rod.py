@@ -19,9 +19,9 @@ from pathlib import Path
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from model import Arm, Loads, batch
+from model.arrays import Array
 from model.dynamics import Dynamics
 from model.paper.rod import PaperRod
 from model.sensitivities import statics as answers
@@ -29,7 +29,6 @@ from model.sensitivities import tip_gradient
 from model.statics import statics
 from model.variation import Variation
 
-Array = NDArray[np.float64]
 BAR = 1e5
 DT = 1 / 30
 # Operations of one lane in one stage of RK4 with a constant stiffness, counted in the machine code of

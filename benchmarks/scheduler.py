@@ -22,15 +22,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 import runs
 from calibration.identify.data import poses_of
 from calibration.parallel_map import parallel_map
+from model.arrays import Array
 from rig.identify.estimation import from_poses
 from rig.identify.initial_setup import rig_of
-
-Array = NDArray[np.float64]
 
 PROCESSES = 2
 FREE = ("law", "rpe_per_bar", "base", "sensor_offsets")

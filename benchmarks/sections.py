@@ -14,7 +14,6 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model
 from calibration.identify.fit import identify
@@ -26,8 +25,7 @@ from calibration.identify.section_mounts import mount_priors
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, perform, plan
 from calibration.parallel_map import parallel_map
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 FREE = ("law", "rpe_per_bar", "shear_ratio", "base", "tool")
 NAMES = tuple(p.name for p in named(FREE, 3))

@@ -14,14 +14,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model
+from model.arrays import Array
 from model.statics import statics
 from model.variants import MODULUS_RULES
 from rig.reproduce.positions import PRINTED, excursion_errors
-
-Array = NDArray[np.float64]
 
 LEVELS_PA: Array = np.linspace(0.15e5, 0.65e5, 11)
 CASES = ((1.0, 0.0, 0.0), (0.0, 1.0, 1.0))

@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model
+from model.arrays import Array
 from model.dynamics import Dynamics
 from model.units import PA_PER_BAR
 from rig.arm_effects.base import ArmEffect
@@ -24,8 +24,6 @@ from rig.tip_control.interface import (
     TipControlSettings,
 )
 from rig.tip_control.plan_follower import PlanFollower
-
-Array = NDArray[np.float64]
 
 CYCLE_S = 0.005
 _HISTORY_S = 1.0

@@ -19,10 +19,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model
 from benchmarks.tip_closed_loop import CYCLE_S, ClosedLoop, Task, Truth, simulate
+from model.arrays import Array
 from model.inverse.static_map import StaticMap
 from rig.arm_effects.base import ArmEffect
 from rig.config.loader import load
@@ -32,8 +32,6 @@ from rig.tip_control.learning import DisturbanceLearner, PathPeriod, Repetition
 from rig.tip_control.registry import controller_class
 from rig.tip_control.tip_dynamics import TipDynamics
 from runs.interpolation import interpolated
-
-Array = NDArray[np.float64]
 
 LIMIT_PA, RATE_PA_S = 0.7e5, 1e5
 HEIGHT_M = 0.19

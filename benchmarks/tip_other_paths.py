@@ -17,17 +17,16 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 import protocols
 from benchmarks.random_tip_paths import stated_rig
 from benchmarks.virtual_tip_run import SHARED_HORIZON, distances_m, perform
+from model.arrays import Array
 from protocols import SetPointTrajectory
 from rig.config import loader
 from rig.config.schema import RigConfig
 from rig.tip_planning.inverse import RigTipInverse
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 HEIGHT_MM = 190.0

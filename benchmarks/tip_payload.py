@@ -16,18 +16,16 @@ import argparse
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model
 from benchmarks.tip_closed_loop import CYCLE_S, ClosedLoop, Task, Truth, simulate
 from benchmarks.tip_control import LIMIT_PA, RATE_PA_S, drawn, effects_of, published
+from model.arrays import Array
 from model.inverse.static_map import StaticMap
 from rig.tip_control.horizon import HorizonControl
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.tip_dynamics import TipDynamics
 from runs.interpolation import interpolated
-
-Array = NDArray[np.float64]
 
 HUNG_S, END_S = 6.0, 9.0
 NEAR_M = 0.3e-3

@@ -14,15 +14,13 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model
 from benchmarks.tip_control import LIMIT_PA, drawn, published
 from benchmarks.tip_payload import HUNG_S, Poses
 from model import sensitivities
+from model.arrays import Array
 from model.inverse.static_map import StaticMap
-
-Array = NDArray[np.float64]
 
 MATERIAL = ("a1_per_n", "a2_per_n2", "rpe_per_bar", "shear_ratio", "density_kg_m3")
 MATERIAL_STD, STRENGTH_STD, CAP_STD_KG = 0.04, 0.03, 0.002

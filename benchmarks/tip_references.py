@@ -13,6 +13,7 @@ the rig, and paths that are not followed: after the lead-in the RMS of the 3-D d
 is above NEAR_RMS_MM, or its largest value above NEAR_MM.
 
 Every path has a line in the results; with a file of results only the missing paths are run, and the table is printed
+from model.arrays import Array
 from the whole file. Path K is the same for the same seed, whatever was run before it.
 """
 
@@ -27,7 +28,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import protocols
 from benchmarks.random_tip_paths import SHAPES, drawn_rig, stated_rig, tip_step
@@ -39,7 +39,6 @@ from rig.experiment.preflight import check
 from rig.tip_planning.inverse import RigTipInverse
 from runs.records import Level, Status
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 NEAR_RMS_MM, NEAR_MM = 2.0, 5.0

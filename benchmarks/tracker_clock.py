@@ -12,13 +12,12 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from rig.hardware.trackers.sender_clock import SenderClock
 
-Floats = NDArray[np.float64]
 MINIMUM_S, DRIFT, RATE_HZ, FIRST_LOOK_S, FACTOR = 2e-3, 100e-6, 100, 2.0, 1.5
-JITTERS: dict[str, Callable[[np.random.Generator, float, int], Floats]] = {
+JITTERS: dict[str, Callable[[np.random.Generator, float, int], Array]] = {
     "exponential": lambda random, mean, n: random.exponential(mean, n),
     "half normal": lambda random, mean, n: np.abs(random.normal(0, mean, n)),
     "uniform": lambda random, mean, n: random.uniform(0, 2 * mean, n),
@@ -27,7 +26,7 @@ JITTERS: dict[str, Callable[[np.random.Generator, float, int], Floats]] = {
 
 
 CHANGE_S = 20.0
-CLOCKS: dict[str, Callable[[Floats], Floats]] = {
+CLOCKS: dict[str, Callable[[Array], Array]] = {
     f"drift {ppm:+d} ppm, stated below 200": partial(np.multiply, ppm * 1e-6) for ppm in (0, 500, -500)
 }
 CLOCKS |= {
@@ -41,7 +40,7 @@ CLOCKS |= {
 """How far the sender's clock is ahead at times (n,) [s]."""
 
 
-def changing(random: np.random.Generator, ahead_s: Floats, mean_s: float) -> tuple[Floats, Floats, int, int]:
+def changing(random: np.random.Generator, ahead_s: Array, mean_s: float) -> tuple[Array, Array, int, int]:
     """Errors [s] and standard uncertainties [s] of the poses from 2 s on, steps found, and messages left out."""
     clock, errors, stds, left_out = SenderClock(), [], [], 0
     phase_s = random.uniform(0, 1e6)
@@ -75,7 +74,7 @@ def print_changes(trials: int, seconds: float, seed: int) -> None:
             )
 
 
-def trial(random: np.random.Generator, delays_s: Floats) -> tuple[list[float], list[float], float]:
+def trial(random: np.random.Generator, delays_s: Array) -> tuple[list[float], list[float], float]:
     """Errors [s] and standard uncertainties [s] at each look, and the error of the drift at the end."""
     clock, errors, stds, look_s = SenderClock(), [], [], FIRST_LOOK_S
     phase_s = random.uniform(0, 1e6)

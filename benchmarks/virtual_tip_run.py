@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.inline_pipeline import InlinePipeline
+from model.arrays import Array
 from protocols import SetPointTrajectory
 from protocols.tip_reference import TipMotion
 from rig.config.schema import RigConfig
@@ -23,8 +24,6 @@ from rig.tip_control.horizon import HorizonControl
 from rig.tip_control.interface import TipControlSettings
 from rig.virtual import executor
 from runs.records import Event, Picture, RunFooter
-
-Array = NDArray[np.float64]
 
 
 class KeptRecord:

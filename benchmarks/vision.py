@@ -28,6 +28,7 @@ from calibration.vision.planar_motion import PlaneOfMotion
 from calibration.vision.pose import Pose
 from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
+from model.arrays import Array
 from rig.simulator.scene import ImageDegradation, Scene
 
 if __package__:
@@ -35,7 +36,6 @@ if __package__:
 else:
     from other_renderer import BoardPose, OtherRenderer
 
-Floats = NDArray[np.float64]
 
 BOARD = Checkerboard(7, 6, 0.008)
 TIP_IN_BOARD = np.array([0.0, 0.0, -0.030])
@@ -123,10 +123,10 @@ def motion(setting: Setting, frames: int) -> Iterator[RigidTransform]:
 class VisionBenchmark:
     """Errors (n, 3) [m] in the world, squared Mahalanobis distances (n,), and seconds per frame (n,)."""
 
-    errors_m: Floats
-    distances: Floats
-    render_s: Floats
-    see_s: Floats
+    errors_m: Array
+    distances: Array
+    render_s: Array
+    see_s: Array
     lost: int
 
 
@@ -195,7 +195,7 @@ def measure(setting: Setting, frames: int, draw: list[Draw]) -> VisionBenchmark:
 
 def _tip(
     trackers: list[BoardTracker], cameras: list[DLT], places: list[RigidTransform], pictures: list[NDArray[np.uint8]]
-) -> tuple[Floats, Floats] | None:
+) -> tuple[Array, Array] | None:
     sightings = [tracker.detect(grey(picture)) for tracker, picture in zip(trackers, pictures, strict=True)]
     if any(s.pose is None for s in sightings):
         return None
@@ -211,7 +211,7 @@ def _tip(
 def row(setting: Setting, result: VisionBenchmark) -> str:
     """One line of the table, errors in mm as mean/95 %."""
 
-    def shown(values: Floats) -> str:
+    def shown(values: Array) -> str:
         return f"{values.mean() * 1e3:.3f}/{np.quantile(values, 0.95) * 1e3:.3f}" if len(values) else "-"
 
     e = result.errors_m
@@ -258,7 +258,7 @@ def speed(degradation: ImageDegradation) -> None:
         print(f"| {size[0]}x{size[1]} | " + " | ".join(cells) + " |", flush=True)
 
 
-def _cpu_ms(looks: Iterator[tuple[Callable[[NDArray[np.uint8]], object], NDArray[np.uint8]]]) -> Floats:
+def _cpu_ms(looks: Iterator[tuple[Callable[[NDArray[np.uint8]], object], NDArray[np.uint8]]]) -> Array:
     times = []
     for see, picture in looks:
         began = time.thread_time()

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.corner_search import SeenCorners, no_board, seen_corners, with_exposure
 from calibration.intrinsics_covariance import intrinsics_covariance
@@ -17,8 +16,7 @@ from calibration.view_coverage import ViewCoverage, view_geometry
 from calibration.views import View, views_in
 from calibration.vision.board import Board
 from calibration.vision.lens import Lens
-
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 _CONVERGED = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 _LEAST_VIEWS = 4
@@ -51,9 +49,9 @@ class CalibratedView:
     name: str
     sha256: str
     corners: SeenCorners
-    residuals_px: Floats
-    rotation_vector: Floats
-    translation_m: Floats
+    residuals_px: Array
+    rotation_vector: Array
+    translation_m: Array
 
     @property
     def rms_px(self) -> float:
@@ -71,14 +69,14 @@ class CameraCalibration:
     width_px: int
     height_px: int
     board: Board
-    parameters: Floats
-    covariance: Floats
+    parameters: Array
+    covariance: Array
     rms_px: float
     views: tuple[CalibratedView, ...]
     skipped: tuple[ExcludedView, ...]
 
     @property
-    def std(self) -> Floats:
+    def std(self) -> Array:
         """Standard uncertainties (9,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
@@ -178,7 +176,7 @@ def _solve(
     return CameraCalibration(*size, board, parameters, covariance, float(rms), tuple(used), tuple(skipped))
 
 
-def _slopes(points_m: Floats, lens: Lens, view: CalibratedView) -> tuple[Floats, Floats]:
+def _slopes(points_m: Array, lens: Lens, view: CalibratedView) -> tuple[Array, Array]:
     """Derivatives of the corner coordinates of a view by its pose (2 n, 6) and by the intrinsics (2 n, 9)."""
     _, jacobian = cv2.projectPoints(points_m, view.rotation_vector, view.translation_m, lens.matrix, lens.distortion)
     slope = np.asarray(jacobian, dtype=np.float64)

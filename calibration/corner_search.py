@@ -9,13 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.images import Image
 from calibration.vision.board import Board
 from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.corners import refine_corners, spacing
 from calibration.vision.exposure import exposure_fault
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from model.arrays import Array
 
 _FLAGS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _SUBPIX = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
@@ -28,9 +27,9 @@ class SeenCorners:
     """Corners of a board in one picture: `which` (n,) of the board's corners, and where they are seen, `px` (n, 2)."""
 
     which: NDArray[np.intp]
-    px: Floats
+    px: Array
 
-    def shared(self, other: SeenCorners) -> tuple[Floats, Floats]:
+    def shared(self, other: SeenCorners) -> tuple[Array, Array]:
         """Places (k, 2) [px] of the corners that both pictures show, in this one and in the other."""
         _, own, others = np.intersect1d(self.which, other.which, assume_unique=True, return_indices=True)
         return self.px[own], other.px[others]
@@ -50,7 +49,7 @@ def _(board: Checkerboard, image: Image) -> SeenCorners | None:
     return None if px is None else every_corner(px)
 
 
-def every_corner(px: Floats) -> SeenCorners:
+def every_corner(px: Array) -> SeenCorners:
     """All corners of a board, seen at `px` (n, 2)."""
     return SeenCorners(np.arange(len(px)), px)
 
@@ -83,7 +82,7 @@ def with_exposure(reason: str, image: Image) -> str:
     return f"{reason}; {fault}" if (fault := exposure_fault(image)) else reason
 
 
-def find_corners(image: Image, corners: tuple[int, int]) -> Floats | None:
+def find_corners(image: Image, corners: tuple[int, int]) -> Array | None:
     """Corners (n, 2) of any checkerboard in a grey picture, to sub-pixel, in rows as seen from the print's front.
 
     The colours determine which end comes first where one count is odd and the other even, the first square between
@@ -100,7 +99,7 @@ def find_corners(image: Image, corners: tuple[int, int]) -> Floats | None:
     return np.asarray(refined[:, 0, :], dtype=np.float64)
 
 
-def _seeds(image: Image, corners: tuple[int, int]) -> Floats | None:
+def _seeds(image: Image, corners: tuple[int, int]) -> Array | None:
     """Corners (n, 2) to about a pixel."""
     scale = max(1, -(-image.shape[1] // _WIDTH_PX))
     for factor in (scale, 1) if scale > 1 else (1,):
@@ -120,7 +119,7 @@ def _seeds(image: Image, corners: tuple[int, int]) -> Floats | None:
     return None
 
 
-def _in_order(image: Image, grid: Floats) -> Floats:
+def _in_order(image: Image, grid: Array) -> Array:
     """Corners (rows, columns, 2) in the order that the colours determine."""
     along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
     if along[0] * down[1] - along[1] * down[0] < 0:  # seen from the front, rows run clockwise before columns

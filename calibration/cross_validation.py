@@ -6,14 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.dlt import DLTError, calibrate, reconstruct, undistort
 from calibration.multiview_pose import fit_rigid
 from calibration.vision.board import Board
 from calibration.vision.lens import Lens
-
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 _LEAST_STAYING = 8
 # Corners of a view that say something of the board's shape.
@@ -25,8 +23,8 @@ class PointObservations:
     """Observations of control points by one camera: names, `world_m` (n, 3), `pixels` (n, 2), and its lens if known."""
 
     names: tuple[str, ...]
-    world_m: Floats
-    pixels: Floats
+    world_m: Array
+    pixels: Array
     lens: Lens | None = None
 
 
@@ -34,9 +32,9 @@ class PointObservations:
 class CrossValidation:
     """Errors of the held-out points: distances [m], or pixels with only one camera; `edges_m` of boards."""
 
-    errors_m: Floats
-    errors_px: Floats
-    edges_m: Floats
+    errors_m: Array
+    errors_px: Array
+    edges_m: Array
 
 
 def leave_out(
@@ -68,7 +66,7 @@ def leave_out(
                 errors_px += np.linalg.norm(seen - dlt.project(camera.world_m[rows]), axis=1).tolist()
             continue
         shared = [name for name in points if sum(name in at for _, _, at in fitted) > 1]
-        found: dict[str, Floats] = {}
+        found: dict[str, Array] = {}
         for looking in {tuple(i for i, (_, _, at) in enumerate(fitted) if name in at) for name in shared}:
             those = [n for n in shared if tuple(i for i, (_, _, at) in enumerate(fitted) if n in at) == looking]
             pixels = [fitted[i][0].pixels[[fitted[i][2][n] for n in those]] for i in looking]

@@ -16,12 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.vision.lens import Lens
 from calibration.vision.transforms import RigidTransform
-
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 LEAST_POINTS = 6
 _STEPS = 50
@@ -45,9 +43,9 @@ class DLT:
     `lens` is the distortion that is taken out first, None where the pictures have none.
     """
 
-    coefficients: Floats
-    covariance: Floats
-    residuals_px: Floats
+    coefficients: Array
+    covariance: Array
+    residuals_px: Array
     lens: Lens | None = None
 
     @classmethod
@@ -65,7 +63,7 @@ class DLT:
         return cls(coefficients, by_place @ by_place.T, np.zeros((0, 2)), lens)
 
     @property
-    def matrix(self) -> Floats:
+    def matrix(self) -> Array:
         """Projection matrix (3, 4) with the last entry 1."""
         return np.append(self.coefficients, 1.0).reshape(3, 4)
 
@@ -75,20 +73,20 @@ class DLT:
         return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1)))) if len(self.residuals_px) else 0.0
 
     @property
-    def centre_m(self) -> Floats:
+    def centre_m(self) -> Array:
         """Projection centre (3,): the null space of the matrix."""
         matrix = self.matrix
         return np.asarray(-np.linalg.solve(matrix[:, :3], matrix[:, 3]))
 
-    def project(self, points_m: Floats) -> Floats:
+    def project(self, points_m: Array) -> Array:
         """Undistorted pixels (n, 2) of world points (n, 3)."""
         return _project(self.matrix, points_m)
 
-    def by_coefficients(self, points_m: Floats) -> Floats:
+    def by_coefficients(self, points_m: Array) -> Array:
         """Derivative (2 n, 11) of the pixels of world points (n, 3) by the coefficients; rows u0, v0, u1, ..."""
         return _by_coefficients(self.matrix, points_m)
 
-    def undistorted(self, pixels: Floats) -> Floats:
+    def undistorted(self, pixels: Array) -> Array:
         """Undistorted measured pixels (n, 2)."""
         return pixels if self.lens is None else undistort(pixels, self.lens)
 
@@ -108,24 +106,24 @@ def decompose(dlt: DLT) -> tuple[Lens, RigidTransform]:
     return lens, RigidTransform(np.asarray(rotation.T), dlt.centre_m)
 
 
-def _placed(lens: Lens, camera_in_world: RigidTransform) -> Floats:
+def _placed(lens: Lens, camera_in_world: RigidTransform) -> Array:
     world_in_camera = camera_in_world.inverse()
     return _coefficients(lens.matrix @ np.column_stack([world_in_camera.rotation, world_in_camera.translation_m]))
 
 
-def _slipped(frame: RigidTransform, turn_rad: Floats, shift_m: Floats) -> RigidTransform:
+def _slipped(frame: RigidTransform, turn_rad: Array, shift_m: Array) -> RigidTransform:
     return RigidTransform(
         RigidTransform.from_vectors(turn_rad, shift_m).rotation @ frame.rotation, frame.translation_m + shift_m
     )
 
 
-def undistort(pixels: Floats, lens: Lens) -> Floats:
+def undistort(pixels: Array, lens: Lens) -> Array:
     """Remove the lens distortion from pixels (n, 2)."""
     matrix = lens.matrix
     return lens.rays(pixels) @ matrix[:2, :2].T + matrix[:2, 2]
 
 
-def calibrate(control_points_m: Floats, pixels: Floats, lens: Lens | None = None, std_px: float | None = None) -> DLT:
+def calibrate(control_points_m: Array, pixels: Array, lens: Lens | None = None, std_px: float | None = None) -> DLT:
     """Coefficients from control points (n, 3) [m] and where the camera saw them (n, 2) [px].
 
     `lens` is taken out first. `std_px` is the standard uncertainty of one pixel coordinate; if None it is
@@ -155,13 +153,13 @@ def calibrate(control_points_m: Floats, pixels: Floats, lens: Lens | None = None
 class ReconstructedPoints:
     """Reconstructed points `m` (n, 3), their covariance (n, 3, 3) [m^2] and residual rms over the cameras (n,) [px]."""
 
-    m: Floats
-    covariance: Floats
-    residual_px: Floats
+    m: Array
+    covariance: Array
+    residual_px: Array
 
 
 def reconstruct(
-    cameras: Sequence[DLT], pixels: Sequence[Floats], covariances: Sequence[Floats] | None = None
+    cameras: Sequence[DLT], pixels: Sequence[Array], covariances: Sequence[Array] | None = None
 ) -> ReconstructedPoints:
     """Points from two or more cameras' pixels, each (n, 2), with covariances (n, 2, 2) where they are known.
 
@@ -201,7 +199,7 @@ def reconstruct(
     return ReconstructedPoints(points, np.asarray(np.linalg.inv(total)), np.asarray(residual))
 
 
-def _meet(matrices: Sequence[Floats], seen: Floats) -> Floats:
+def _meet(matrices: Sequence[Array], seen: Array) -> Array:
     """Points (n, 3) that fit the cameras' linear equations best; `seen` (cameras, n, 2)."""
     rows = np.concatenate([uv[:, :, None] * m[2] - m[:2] for m, uv in zip(matrices, seen, strict=True)], axis=1)
     rows = rows / np.linalg.norm(rows[:, :, :3], axis=2, keepdims=True)
@@ -211,7 +209,7 @@ def _meet(matrices: Sequence[Floats], seen: Floats) -> Floats:
     return np.asarray(-(np.linalg.pinv(rows[:, :, :3]) @ rows[:, :, 3:])[:, :, 0])
 
 
-def _check(points: Floats, pixels: Floats) -> None:
+def _check(points: Array, pixels: Array) -> None:
     if points.ndim != 2 or points.shape[1] != 3 or pixels.shape != (len(points), 2):
         raise DLTError(f"control points (n, 3) need pixels (n, 2); here are {points.shape} and {pixels.shape}")
     if len(points) < LEAST_POINTS:
@@ -223,7 +221,7 @@ def _check(points: Floats, pixels: Floats) -> None:
         raise DLTError("the control points lie in one plane: move the board between views, or add points out of it")
 
 
-def _normaliser(points: Floats) -> Floats:
+def _normaliser(points: Array) -> Array:
     """Hartley normalisation: centroid at the origin, mean distance sqrt(dimension)."""
     dimension = points.shape[1]
     centre = points.mean(axis=0)
@@ -233,7 +231,7 @@ def _normaliser(points: Floats) -> Floats:
     return similarity
 
 
-def _linear(points: Floats, pixels: Floats) -> Floats:
+def _linear(points: Array, pixels: Array) -> Array:
     """Projection matrix (3, 4), up to scale, by DLT: singular vector of the normalised equations."""
     to_points, to_pixels = _normaliser(points), _normaliser(pixels)
     world = np.column_stack([points, np.ones(len(points))]) @ to_points.T
@@ -249,26 +247,26 @@ def _linear(points: Floats, pixels: Floats) -> Floats:
     return np.asarray(np.linalg.inv(to_pixels) @ matrix @ to_points)
 
 
-def _coefficients(matrix: Floats) -> Floats:
+def _coefficients(matrix: Array) -> Array:
     """L1 to L11 of a projection matrix: scaled so that its last entry is 1."""
     if abs(matrix[2, 3]) < 1e-9 * np.abs(matrix[2]).max():
         raise DLTError("the origin lies beside the camera, where the 11 coefficients have no value: move the origin")
     return np.asarray((matrix / matrix[2, 3]).ravel()[:11])
 
 
-def _project(matrix: Floats, points: Floats) -> Floats:
+def _project(matrix: Array, points: Array) -> Array:
     h = points @ matrix[:, :3].T + matrix[:, 3]
     return np.asarray(h[:, :2] / h[:, 2:])
 
 
-def by_points(matrix: Floats, points: Floats) -> Floats:
+def by_points(matrix: Array, points: Array) -> Array:
     """Derivative (n, 2, 3) of the pixels of points (n, 3), by each point."""
     h = points @ matrix[:, :3].T + matrix[:, 3]
     uv = h[:, :2] / h[:, 2:]
     return np.asarray((matrix[None, :2, :3] - uv[:, :, None] * matrix[None, 2:, :3]) / h[:, 2, None, None])
 
 
-def _by_coefficients(matrix: Floats, points: Floats) -> Floats:
+def _by_coefficients(matrix: Array, points: Array) -> Array:
     """Derivative (2 n, 11) of pixels by the coefficients; rows u0, v0, u1, ..."""
     world = np.column_stack([points, np.ones(len(points))])
     depth = world @ matrix[2]
@@ -280,15 +278,15 @@ def _by_coefficients(matrix: Floats, points: Floats) -> Floats:
     return slope.reshape(-1, 11)
 
 
-def _refine(coefficients: Floats, points: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats]:
+def _refine(coefficients: Array, points: Array, pixels: Array) -> tuple[Array, Array, Array]:
     """Levenberg-Marquardt on the residuals; returns coefficients, residuals (2 n,) and derivatives (2 n, 11)."""
     # Imported here: the process that measures frames reconstructs only, and SciPy takes 0.2 s to load.
     from scipy.optimize import least_squares
 
-    def residuals(values: Floats) -> Floats:
+    def residuals(values: Array) -> Array:
         return (_project(np.append(values, 1.0).reshape(3, 4), points) - pixels).ravel()
 
-    def derivatives(values: Floats) -> Floats:
+    def derivatives(values: Array) -> Array:
         return _by_coefficients(np.append(values, 1.0).reshape(3, 4), points)
 
     # The columns are scaled, because the coefficients differ by orders of magnitude.

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from calibration.cross_validation import PointObservations
 from calibration.dlt import DLT, by_points, undistort
-
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 _LEAST_STD_PX = 0.02
 
@@ -35,7 +33,7 @@ def adjust(cameras: Sequence[PointObservations], start: Sequence[DLT], points_st
     coefficients = 11 * len(cameras)
     size = coefficients + 3 * len(names)
 
-    def both(x: Floats) -> tuple[Floats, Floats]:
+    def both(x: Array) -> tuple[Array, Array]:
         points = given + points_std_m * x[coefficients:].reshape(-1, 3)
         rest, slope = [], []
         for i, (uv, at, dlt) in enumerate(zip(seen, rows, start, strict=True)):

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from calibration.camera import CalibrationError
@@ -17,8 +16,8 @@ from calibration.vision.board import Board
 from calibration.vision.lens import Lens
 from calibration.vision.pose import solutions
 from calibration.vision.transforms import RigidTransform
+from model.arrays import Array
 
-Floats = NDArray[np.float64]
 Sightings = Mapping[str, SeenCorners]
 
 # Two estimates of one relative pose agree within this: rotation [rad], and translation as a share of the distance.
@@ -49,8 +48,8 @@ class ExtrinsicCalibration:
     cameras: dict[str, RigidTransform]
     boards: dict[str, RigidTransform]
     corners: dict[str, dict[str, SeenCorners]]
-    residuals_px: dict[str, dict[str, Floats]]
-    covariance: Floats
+    residuals_px: dict[str, dict[str, Array]]
+    covariance: Array
     left_out: tuple[tuple[str, str], ...] = ()
 
     @property
@@ -74,7 +73,7 @@ class ExtrinsicCalibration:
             {key: to_world @ board for key, board in self.boards.items()},
         )
 
-    def placement_covariance(self, camera: str, view: str, board_in_world: RigidTransform) -> Floats:
+    def placement_covariance(self, camera: str, view: str, board_in_world: RigidTransform) -> Array:
         """Covariance (6, 6) of a camera's translation [m] and rotation [rad, about its own origin, world axes]."""
         names, keys = list(self.cameras), list(self.boards)
         at = [6 * (len(names) - 1 + keys.index(view)) + k for k in range(6)]
@@ -83,7 +82,7 @@ class ExtrinsicCalibration:
             at = [6 * (own - 1) + k for k in range(6)] + at
         start = np.concatenate(([*_vector(self.cameras[camera].inverse())] if own else [], _vector(self.boards[view])))
 
-        def place(values: Floats) -> RigidTransform:
+        def place(values: Array) -> RigidTransform:
             from_camera = _rigid(values[:6]).inverse() if own else self.cameras[camera]
             return board_in_world @ _rigid(values[-6:]).inverse() @ from_camera
 
@@ -103,7 +102,7 @@ class ExtrinsicCalibration:
         at = [6 * (order.index(name) - 1) + k for name in names for k in range(6)]
         start = np.concatenate([_vector(self.cameras[name].inverse()) for name in names])
 
-        def distance(values: Floats) -> float:
+        def distance(values: Array) -> float:
             moved = {name: _rigid(v).inverse() for name, v in zip(names, values.reshape(-1, 6), strict=True)}
             ends = [moved.get(name, self.cameras[name]).translation_m for name in (camera, other)]
             return float(np.linalg.norm(ends[1] - ends[0]))
@@ -242,8 +241,8 @@ def _assemble(
     return replace(found, residuals_px=_residuals(cameras, found))
 
 
-def _residuals(cameras: Sequence[CameraSightings], at: ExtrinsicCalibration) -> dict[str, dict[str, Floats]]:
-    found: dict[str, dict[str, Floats]] = {}
+def _residuals(cameras: Sequence[CameraSightings], at: ExtrinsicCalibration) -> dict[str, dict[str, Array]]:
+    found: dict[str, dict[str, Array]] = {}
     for camera in cameras:
         to_camera = at.cameras[camera.name].inverse()
         found[camera.name] = {}
@@ -266,7 +265,7 @@ def _refine(cameras: Sequence[CameraSightings], start: ExtrinsicCalibration) -> 
     size = 6 * (len(names) - 1 + len(keys))
     ends = np.cumsum([0, *(2 * len(seen.which) for _, _, seen in rows)])
 
-    def both(x: Floats) -> tuple[Floats, Floats]:
+    def both(x: Array) -> tuple[Array, Array]:
         rest, slope = np.empty(ends[-1]), np.zeros((ends[-1], size))
         for r, (i, k, corners) in enumerate(rows):
             own = slice(ends[r], ends[r + 1])
@@ -299,9 +298,9 @@ def _refine(cameras: Sequence[CameraSightings], start: ExtrinsicCalibration) -> 
     return replace(found, residuals_px=_residuals(cameras, found))
 
 
-def _vector(pose: RigidTransform) -> Floats:
+def _vector(pose: RigidTransform) -> Array:
     return np.concatenate([cv2.Rodrigues(pose.rotation)[0].ravel(), pose.translation_m])
 
 
-def _rigid(values: Floats) -> RigidTransform:
+def _rigid(values: Array) -> RigidTransform:
     return RigidTransform.from_vectors(values[:3], values[3:])

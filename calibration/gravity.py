@@ -6,10 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # Blocks of consecutive readings that are left out in turn. Readings are correlated within a pose.
 _BLOCKS = 10

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 
-def intrinsics_covariance(slopes: Sequence[tuple[Floats, Floats]], residuals: Sequence[Floats]) -> Floats:
+def intrinsics_covariance(slopes: Sequence[tuple[Array, Array]], residuals: Sequence[Array]) -> Array:
     """Covariance (p, p) of intrinsics that are common to all views, with the pose of each view free.
 
     slopes: of each view, the derivatives of its n corner coordinates by its pose (n, 6) and by the intrinsics (n, p);
@@ -40,6 +39,6 @@ def intrinsics_covariance(slopes: Sequence[tuple[Floats, Floats]], residuals: Se
     return np.asarray((larger + larger.T) / 2)
 
 
-def _without_pose(pose: Floats, intrinsics: Floats) -> Floats:
+def _without_pose(pose: Array, intrinsics: Array) -> Array:
     """The part (n, p) of the derivatives by the intrinsics that no change of the pose can replace."""
     return np.asarray(intrinsics - pose @ np.linalg.lstsq(pose, intrinsics, rcond=None)[0])

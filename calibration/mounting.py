@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from calibration.camera import CalibrationError
@@ -23,8 +22,7 @@ from calibration.vision.corners import Corners
 from calibration.vision.lens import Lens
 from calibration.vision.pose import Pose, solutions
 from calibration.vision.transforms import RigidTransform
-
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 _LEAST_STD_PX = 0.01
 # The other side of the planar flip is used only if it fits nearly as well.
@@ -49,7 +47,7 @@ class Mounting:
     """The board in the tip frame, with covariance (6, 6) of translation [m] and rotation [rad, tip axes]."""
 
     board_in_tip: RigidTransform
-    covariance: Floats
+    covariance: Array
     views: tuple[MountedView, ...]
     left_out: tuple[tuple[str, str, str], ...] = ()
     """Name, reason and hash of every view that was not used."""
@@ -121,7 +119,7 @@ def _solve(
     stds = np.array([max(prior.rotation_std_rad, 1e-7)] * 3 + [max(prior.translation_std_m, 1e-8)] * 3)
     points = [sight.corners.of(board.corners_m) for sight in sights]
 
-    def poses(x: Floats) -> list[RigidTransform]:
+    def poses(x: Array) -> list[RigidTransform]:
         # The tip moves about itself, in the camera's axes.
         tip = RigidTransform(RigidTransform.from_vectors(stds[:3] * x[:3], (0, 0, 0)).rotation @ prior.rotation,
                     prior.translation_m + stds[3:] * x[3:6])  # fmt: skip
@@ -129,7 +127,7 @@ def _solve(
         left = iter(x[12:])
         return [tip @ _about_z(next(left) if s.turned else 0.0) @ mounted for s in sights]
 
-    def rest(x: Floats) -> Floats:
+    def rest(x: Array) -> Array:
         found = [x[:6]]
         for sight, at, pose in zip(sights, points, poses(x), strict=True):
             seen = lens.project(at, cv2.Rodrigues(pose.rotation)[0].ravel().astype(np.float64), pose.translation_m)
@@ -187,7 +185,7 @@ def _about_z(angle_rad: float) -> RigidTransform:
     return RigidTransform.from_vectors((0.0, 0.0, angle_rad), (0.0, 0.0, 0.0))
 
 
-def _angle(a: Floats, b: Floats) -> float:
+def _angle(a: Array, b: Array) -> float:
     return float(np.arccos(np.clip((np.sum(a * b) - 1) / 2, -1, 1)))
 
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from calibration.dlt import DLT, by_points, reconstruct
 from calibration.vision.corners import Corners
 from calibration.vision.pose import Pose, residual_covariance
-
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 _STEPS = 20
 _CONVERGED = 1e-10
@@ -22,7 +21,7 @@ _CONVERGED = 1e-10
 _LEAST_COMMON = 4
 
 
-def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corners]) -> Pose | None:
+def board_pose(points_m: Array, cameras: Sequence[DLT], corners: Sequence[Corners]) -> Pose | None:
     """Pose of the board in the world from its corners (n, 3) and their images.
 
     Starts from the reconstructed points that all cameras see, and then minimises the residuals in all pictures
@@ -48,7 +47,7 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
     x = np.concatenate([np.asarray(vector, dtype=np.float64).ravel(), translation])
     whiteners = [np.linalg.inv(np.linalg.cholesky(n)) for n in noise]
 
-    def at(values: Floats) -> _Linearised:
+    def at(values: Array) -> _Linearised:
         projected, slope = _project(points, cameras, values)
         rest = [np.einsum("nij,nj->ni", w, s - p) for w, s, p in zip(whiteners, undistorted, projected, strict=True)]
         white = [np.matmul(w, d) for w, d in zip(whiteners, slope, strict=True)]
@@ -69,10 +68,10 @@ def board_pose(points_m: Floats, cameras: Sequence[DLT], corners: Sequence[Corne
 class _Linearised:
     """A pose x (6,), what it projects (n, 2), and its whitened residuals (2 n,) with their derivatives (2 n, 6)."""
 
-    x: Floats
-    projected: Floats
-    jacobian: Floats
-    residual: Floats
+    x: Array
+    projected: Array
+    jacobian: Array
+    residual: Array
 
     @property
     def cost(self) -> float:
@@ -80,7 +79,7 @@ class _Linearised:
         return float(self.residual @ self.residual)
 
 
-def _gauss_newton(at: Callable[[Floats], _Linearised], x: Floats) -> _Linearised | None:
+def _gauss_newton(at: Callable[[Array], _Linearised], x: Array) -> _Linearised | None:
     """Minimise the sum of squares from x; None if it does not converge."""
     best = at(x)
     for _ in range(_STEPS):
@@ -100,13 +99,13 @@ def _gauss_newton(at: Callable[[Floats], _Linearised], x: Floats) -> _Linearised
 
 
 def _add_common_errors(
-    covariance: Floats,
+    covariance: Array,
     found: _Linearised,
     cameras: Sequence[DLT],
     corners: Sequence[Corners],
-    points: Sequence[Floats],
-    whiteners: Sequence[Floats],
-) -> Floats:
+    points: Sequence[Array],
+    whiteners: Sequence[Array],
+) -> Array:
     """Add to a covariance (6, 6) what all corners of a camera have in common, so that it does not average out.
 
     These are the errors of its coefficients, and of the transport of its corners to another time.
@@ -133,7 +132,7 @@ def _common(count: int, corners: Sequence[Corners]) -> tuple[NDArray[np.intp], l
     return common, [np.flatnonzero(np.isin(s, common)) for s in seen]
 
 
-def _project(points: Sequence[Floats], cameras: Sequence[DLT], values: Floats) -> tuple[list[Floats], list[Floats]]:
+def _project(points: Sequence[Array], cameras: Sequence[DLT], values: Array) -> tuple[list[Array], list[Array]]:
     """Undistorted pixels (n, 2) and their derivatives (n, 2, 6) by rotation vector and translation, per camera."""
     rotation, derivative = cv2.Rodrigues(values[:3])
     # derivative (3, 9): row k holds d R / d r_k, flattened by rows.
@@ -147,7 +146,7 @@ def _project(points: Sequence[Floats], cameras: Sequence[DLT], values: Floats) -
     return pixels, slopes
 
 
-def _undistorted_noise(camera: DLT, corners: Corners) -> Floats:
+def _undistorted_noise(camera: DLT, corners: Corners) -> Array:
     """Corner covariances (n, 2, 2) carried through the removal of the distortion."""
     step = 0.5
     columns = [
@@ -158,7 +157,7 @@ def _undistorted_noise(camera: DLT, corners: Corners) -> Floats:
     return np.asarray(slope @ corners.covariance @ slope.transpose(0, 2, 1))
 
 
-def fit_rigid(points: Floats, world: Floats) -> tuple[Floats, Floats]:
+def fit_rigid(points: Array, world: Array) -> tuple[Array, Array]:
     """Rotation and translation of points (n, 3) to the world in least squares (Kabsch)."""
     centre, place = points.mean(axis=0), world.mean(axis=0)
     u, _, vt = np.linalg.svd((world - place).T @ (points - centre))

@@ -19,12 +19,11 @@ from types import ModuleType
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.processors import usable_processors
 from runs.overwriting import replacing
 
-Array = NDArray[np.float64]
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 Progress = Callable[[int, int], None]

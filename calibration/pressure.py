@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.camera import CalibrationError
-
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 _LEAST_SPAN_V = 0.05
 
@@ -20,11 +18,11 @@ class SensorFit:
 
     offset_pa: float
     scale_pa_per_v: float
-    covariance: Floats
-    residuals_pa: Floats
+    covariance: Array
+    residuals_pa: Array
 
 
-def fit_sensor(volts: Floats, gauge_pa: Floats, gauge_std_pa: float) -> SensorFit:
+def fit_sensor(volts: Array, gauge_pa: Array, gauge_std_pa: float) -> SensorFit:
     """Fit a line through readings (n,); each gauge reading has the standard uncertainty `gauge_std_pa`.
 
     Residuals larger than that enlarge the covariance.

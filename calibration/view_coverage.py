@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from calibration.corner_search import SeenCorners
 from calibration.vision.board import Board
 from calibration.vision.lens import Lens
-
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 REGIONS = (
     ("the top left", "the top", "the top right"),
@@ -39,7 +38,7 @@ class ViewGeometry:
     """One view: corners, and the lean (2,) [deg] of the board, left edge nearer and top edge nearer."""
 
     corners: SeenCorners
-    lean_deg: Floats
+    lean_deg: Array
 
 
 def view_geometry(board: Board, seen: SeenCorners, size: tuple[int, int], lens: Lens | None = None) -> ViewGeometry:
@@ -160,7 +159,7 @@ class ViewCoverage:
         return ""
 
 
-def _apart(a: ViewGeometry, b: ViewGeometry, size: Floats) -> float:
+def _apart(a: ViewGeometry, b: ViewGeometry, size: Array) -> float:
     """How much two views differ: the corners' mean way across the picture, and the lean (45 deg are a picture).
 
     Views that show no corner in common differ by a whole picture.

@@ -7,16 +7,15 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from model.actuation import ActuationLaw, Proportional
+from model.arrays import Array
 from model.geometry import Geometry
 from model.laws.base import ConstitutiveLaw
 from model.material import Material
 from model.units import GRAVITY_M_S2
 from model.variants import MODULUS_RULES, POINTWISE, variant_named
 
-Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 

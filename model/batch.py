@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.arm import Arm
+from model.arrays import Array
 from model.dynamics import ArmTrajectory, Dynamics
 from model.kernel_arguments import KernelArguments
 from model.kernels import layout
@@ -21,7 +22,6 @@ from model.processors import usable_processors
 from model.schemes import DEFAULT_ALPHA, DEFAULT_SCHEME
 from model.statics import steps_along
 
-Array = NDArray[np.float64]
 ROWS_PER_THREAD = 150
 """Fewer rows are solved sooner than a further thread starts."""
 AT_ONCE = 1024  # arms whose kernel arguments are in memory at once

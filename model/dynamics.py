@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.arm import Arm
+from model.arrays import Array
 from model.errors import Unstable
 from model.hysteresis import Hysteresis
 from model.kernel_arguments import KernelArguments
@@ -25,7 +26,6 @@ from model.shape import Shape
 from model.statics import MOST_NODES, shape, states, steps_along
 from model.viscoelasticity import branch_factors
 
-Array = NDArray[np.float64]
 NOT_FINITE = "pressures must be finite"
 
 

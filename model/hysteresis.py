@@ -9,12 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from model.actuation import StopElement
+from model.arrays import Array
 from model.kernels.hysteresis import slide
-
-Array = NDArray[np.float64]
 
 
 class Hysteresis:

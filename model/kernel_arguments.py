@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from model.arm import Arm
+from model.arrays import Array
 from model.geometry import Geometry
 from model.kernels import layout
 from model.kernels.arguments import ArmArguments
@@ -18,8 +18,6 @@ from model.section import CrossSection, section, upper
 from model.units import PA_PER_BAR
 from model.variants import DEFAULT_TUBE_LAW
 from model.viscoelasticity import viscous_time_s
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.arm import Arm
+from model.arrays import Array
 from model.kernel_arguments import KernelArguments
 from model.kernels import layout
 from model.kernels.arguments import LaneArguments
 from model.kernels.lanes import FIRST, work_arrays
 from model.variation import TipWrench, Variation
 from model.viscoelasticity import branch_factors
-
-Array = NDArray[np.float64]
 
 
 def lane_rows(rows: Array, changed: Sequence[Array | None]) -> Array:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from model.arm import Arm
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 VACUUM_PA = -101_325.0
 HIGHEST_PA = 1e8

@@ -18,10 +18,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.geometry import Geometry
 from model.units import PA_PER_BAR
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

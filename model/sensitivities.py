@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.arm import Arm
+from model.arrays import Array
 from model.batch import ROWS_PER_THREAD, spread
 from model.dynamics import Dynamics
 from model.errors import NotConverged, Unstable
@@ -29,8 +30,6 @@ from model.perturbed_arms import PerturbedArms, lane_rows, lane_tip_loads
 from model.pressures import pressures
 from model.statics import steps_along
 from model.variation import TipWrench, Variation
-
-Array = NDArray[np.float64]
 
 STEP = 1e-7
 PRESSURE_STEP_PA = 0.01

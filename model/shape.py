@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-
+from model.arrays import Array
 
 _SMALLEST = 1e-12
 _UNIT = np.eye(3)

@@ -7,9 +7,10 @@ import threading
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from model.arm import Arm
+from model.arrays import Array
 from model.errors import NotConverged, Unstable
 from model.kernel_arguments import KernelArguments
 from model.kernels.axis import axis
@@ -20,7 +21,6 @@ from model.loads import Loads
 from model.pressures import pressures, refuse_other_units
 from model.shape import Shape
 
-Array = NDArray[np.float64]
 # Beyond this a shape or a time step would take seconds, and then more memory than there is.
 MOST_NODES = 20_000
 

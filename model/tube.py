@@ -13,9 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 _STEP = 1e-6

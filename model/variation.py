@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from model.arm import Arm
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 GRADIENT_STEP_PA = 0.01
 """Step of a pressure for the gradient of a solution."""

@@ -8,11 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.material import Material
-
-Array = NDArray[np.float64]
 
 
 def viscous_time_s(material: Material, c0: float, dt_s: float) -> float:

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocols.arrays import Array
 from protocols.problems import BadInputError, Problem, raise_all
 from protocols.schema import InnerSteps, Step
 from protocols.source_positions import Document, path_text
@@ -20,7 +20,6 @@ from protocols.trajectory import Prompt, Segment, SetPointTrajectory, StreamInte
 from protocols.waveforms import Samples, Waveform
 
 Path = tuple[str | int, ...]
-Array = NDArray[np.float64]
 LONGEST_TIP_S = 3600.0
 """Longest path of the tip: its samples are held in memory."""
 SHORTEST_TIP_S = 1e-3

@@ -5,12 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from protocols.arrays import Array
 from protocols.tip_paths import TipPath, TipStart
-
-Array = NDArray[np.float64]
 
 HISTORY_STEP_S = 0.01
 HISTORY_S = 1.0

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from protocols.arrays import Array
 
 GRID_S = 0.005
 """Sampling interval of a reference."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from runs.arrays import Array
 
 
 def interpolated(times_s: NDArray[Any] | float, at_s: NDArray[Any], values: NDArray[Any]) -> Array:

@@ -12,13 +12,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from runs.archive.reader import ArchiveReader
+from runs.arrays import Array
 from runs.periods import whole_periods
 from runs.records import DetectionStatus
 
-Floats = NDArray[np.float64]
 NAN = float("nan")
 FEWEST_FRAMES = 8
 """Frames in a period without which nothing is computed from it."""
@@ -61,7 +60,7 @@ def periodic_motions(run: ArchiveReader) -> tuple[PeriodicMotion, ...]:
     return tuple(found)
 
 
-def _motion(run: ArchiveReader, label: str, bounds: Floats) -> PeriodicMotion:
+def _motion(run: ArchiveReader, label: str, bounds: Array) -> PeriodicMotion:
     tip, pressure = run.tip, run.pressure
     period_s = float(np.diff(bounds).mean())
     rows = slice(*np.searchsorted(pressure.protocol_s, (bounds[0], bounds[-1])))
@@ -102,7 +101,7 @@ def _motion(run: ArchiveReader, label: str, bounds: Floats) -> PeriodicMotion:
     )
 
 
-def fundamental(time_s: Floats, values: Floats, period_s: float) -> complex:
+def fundamental(time_s: Array, values: Array, period_s: float) -> complex:
     """Return the complex amplitude c of `Re(c exp(i w t))` plus a constant, fitted to values (n,) that may have NaN."""
     known = np.isfinite(values)
     if known.sum() < FEWEST_FRAMES:
@@ -113,7 +112,7 @@ def fundamental(time_s: Floats, values: Floats, period_s: float) -> complex:
     return complex(cosine, sine)
 
 
-def goes_round(time_s: Floats, points_mm: Floats, period_s: float) -> bool:
+def goes_round(time_s: Array, points_mm: Array, period_s: float) -> bool:
     """Whether the fundamental of points (n, 3) is an ellipse rather than a line."""
     waves = np.array([fundamental(time_s, column, period_s) for column in points_mm.T])
     if not np.isfinite(waves).all():
@@ -122,7 +121,7 @@ def goes_round(time_s: Floats, points_mm: Floats, period_s: float) -> bool:
     return bool(shortest > ROUND * longest)
 
 
-def loop_percent(across: Floats, along: Floats) -> float:
+def loop_percent(across: Array, along: Array) -> float:
     """Return the area of the closed loop through points (n,), as a part of the rectangle around them [%]."""
     known = np.isfinite(across) & np.isfinite(along)
     x, y = across[known], along[known]
@@ -142,7 +141,7 @@ def _lag_ms(reference: complex, response: complex, period_s: float, *, either_si
     return 1e3 * period_s * math.atan2(ratio.imag, ratio.real) / (2 * math.pi)
 
 
-def _principal_axis(points_mm: Floats) -> Floats | None:
+def _principal_axis(points_mm: Array) -> Array | None:
     known = points_mm[np.isfinite(points_mm).all(axis=1)]
     if len(known) < FEWEST_FRAMES:
         return None

@@ -7,21 +7,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runs.arrays import Array
+
 TOLERANCE = 0.02
 """Largest relative deviation of a period from their median."""
 _MISSING = 0.01
 """Part of a period that may be missing at the end of whole ones: the time from the last row to the next."""
 
-Floats = NDArray[np.float64]
 
-
-def last_period(time_s: Floats, setpoint_bar: Floats) -> tuple[float, float] | None:
+def last_period(time_s: Array, setpoint_bar: Array) -> tuple[float, float] | None:
     """Return start and end [s] of the last of `period_bounds`; None if the set-points do not repeat."""
     bounds = period_bounds(time_s, setpoint_bar)
     return None if bounds is None else (float(bounds[-2]), float(bounds[-1]))
 
 
-def whole_periods(time_s: Floats, setpoint_bar: Floats) -> Floats | None:
+def whole_periods(time_s: Array, setpoint_bar: Array) -> Array | None:
     """Return the bounds (k + 1,) [s] of as many periods as fit, from the first row on; None if they do not repeat.
 
     Their length is the mean of those of `period_bounds`, which leaves the parts before and after the crossings out.
@@ -34,7 +34,7 @@ def whole_periods(time_s: Floats, setpoint_bar: Floats) -> Floats | None:
     return np.asarray(time_s[0] + period_s * np.arange(count + 1))
 
 
-def period_bounds(time_s: Floats, setpoint_bar: Floats) -> Floats | None:
+def period_bounds(time_s: Array, setpoint_bar: Array) -> Array | None:
     """Return the bounds (k + 1,) [s] of the whole periods of set-points (n, actuators); None if they do not repeat.
 
     A period lies between two upward crossings of the mid-range, interpolated, of the actuator that moves most.

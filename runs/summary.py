@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs.archive.reader import ArchiveReader
+from runs.arrays import Array
 from runs.columns import Tip
 from runs.columns.conversions import PA_PER_BAR
 from runs.periodic_motion import PeriodicMotion, periodic_motions
@@ -35,7 +36,6 @@ MOVED_MM = 2.0
 """Smallest motion of the tip that defines a plane of motion and a normalised error."""
 _FLAT = 0.1
 
-Floats = NDArray[np.float64]
 NAN = float("nan")
 
 
@@ -228,7 +228,7 @@ def settled_steps(steps: Iterable[StepSummary]) -> tuple[StepSummary, ...]:
     )
 
 
-def plane_of_motion(points_mm: Floats) -> Floats | None:
+def plane_of_motion(points_mm: Array) -> Array | None:
     """Return the unit vector (2,) in x and y along which points (n, 3) move; None if they do not span one."""
     points = points_mm[np.isfinite(points_mm).all(axis=1), :2]
     if len(points) < 2:
@@ -237,24 +237,24 @@ def plane_of_motion(points_mm: Floats) -> Floats | None:
     size = size / np.sqrt(len(points))
     if np.ptp(points @ direction[0]) < MOVED_MM or size[1] > _FLAT * size[0]:
         return None
-    unit: Floats = direction[0] * (1.0 if direction[0][np.argmax(abs(direction[0]))] > 0 else -1.0)
+    unit: Array = direction[0] * (1.0 if direction[0][np.argmax(abs(direction[0]))] > 0 else -1.0)
     return unit
 
 
-def in_plane(difference_mm: Floats, plane: Floats | None) -> Floats:
+def in_plane(difference_mm: Array, plane: Array | None) -> Array:
     """Return the lengths (n,) of differences (n, 3) projected on the plane of motion; NaN without a plane."""
     if plane is None:
         return np.full(len(difference_mm), NAN)
     return np.asarray(np.hypot(difference_mm[:, :2] @ plane, difference_mm[:, 2]))
 
 
-def rest_mm(tip: Tip, measured: NDArray[np.bool_]) -> Floats:
+def rest_mm(tip: Tip, measured: NDArray[np.bool_]) -> Array:
     """Return the mean measured tip (3,) at rest without pressure and weight; NaN if there is none."""
     rest = measured & (np.abs(tip.pressure_bar) < _REST_BAR).all(axis=1) & ~(tip.weight_g > 0)
     return tip.measured_mm[rest].mean(axis=0) if rest.any() else np.full(3, NAN)
 
 
-def statistics(errors_mm: Floats) -> Statistics:
+def statistics(errors_mm: Array) -> Statistics:
     """Return mean, 95th percentile and maximum of the finite errors."""
     finite = errors_mm[np.isfinite(errors_mm)]
     if len(finite) == 0:
@@ -262,14 +262,14 @@ def statistics(errors_mm: Floats) -> Statistics:
     return Statistics(float(finite.mean()), float(np.percentile(finite, 95)), float(finite.max()))
 
 
-def _steps(run: ArchiveReader, measured: NDArray[np.bool_], plane: Floats | None) -> tuple[StepSummary, ...]:
+def _steps(run: ArchiveReader, measured: NDArray[np.bool_], plane: Array | None) -> tuple[StepSummary, ...]:
     rest = rest_mm(run.tip, measured)
     played = (interval for interval in run.header.intervals if interval.kind != "prompt")
     return tuple(_step(run, interval, measured, plane, rest) for interval in played)
 
 
 def _step(
-    run: ArchiveReader, interval: Interval, measured: NDArray[np.bool_], plane: Floats | None, rest: Floats
+    run: ArchiveReader, interval: Interval, measured: NDArray[np.bool_], plane: Array | None, rest: Array
 ) -> StepSummary:
     tip, pressure = run.tip, run.pressure
     settled_from = interval.stop_s - SETTLED_PART * (interval.stop_s - interval.start_s)
@@ -310,11 +310,11 @@ def _step(
     )
 
 
-def _settling_s(time_s: Floats, setpoint: Floats, got: Floats) -> float:
+def _settling_s(time_s: Array, setpoint: Array, got: Array) -> float:
     """Return the time from the last change of the set-point to the end of the last excursion; infinite if it lasts."""
     still = np.flatnonzero((setpoint != setpoint[-1]).any(axis=1))
     moved = int(still[-1]) + 1 if len(still) else 0
-    off: Floats = np.abs(got - setpoint)[moved:].max(axis=1)
+    off: Array = np.abs(got - setpoint)[moved:].max(axis=1)
     outside = np.flatnonzero(off > BAND_BAR)
     if len(outside) == 0:
         return 0.0
@@ -322,13 +322,13 @@ def _settling_s(time_s: Floats, setpoint: Floats, got: Floats) -> float:
     return float(time_s[back] - time_s[moved]) if back < len(time_s) else np.inf
 
 
-def _overshoot_bar(before: Floats, after: Floats, got: Floats) -> float:
+def _overshoot_bar(before: Array, after: Array, got: Array) -> float:
     """Return the largest overshoot of pressures (n, k) over their new set-points (k,)."""
     beyond = (got - after) * np.sign(after - before)
     return float(max(beyond.max(), 0.0))
 
 
-def _truth(run: ArchiveReader, measured: NDArray[np.bool_], plane: Floats | None) -> TruthSummary | None:
+def _truth(run: ArchiveReader, measured: NDArray[np.bool_], plane: Array | None) -> TruthSummary | None:
     if run.simulated is None or not measured.any():
         return None
     tip, truth = run.tip, run.simulated.tip_mm
@@ -349,7 +349,7 @@ def _truth(run: ArchiveReader, measured: NDArray[np.bool_], plane: Floats | None
     )
 
 
-def _has_ellipsoid(covariance: Floats) -> NDArray[np.bool_]:
+def _has_ellipsoid(covariance: Array) -> NDArray[np.bool_]:
     """Return which covariances (n, 3, 3) are finite and positive definite."""
     finite: NDArray[np.bool_] = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
     smallest = np.linalg.eigvalsh(np.where(finite[:, None, None], covariance, 0.0))[:, 0]
@@ -357,26 +357,26 @@ def _has_ellipsoid(covariance: Floats) -> NDArray[np.bool_]:
     return np.asarray(finite & (smallest > np.finfo(float).eps * np.where(finite, largest, 0.0)))
 
 
-def _vector(values: Floats, root: bool = False) -> tuple[float, float, float]:
+def _vector(values: Array, root: bool = False) -> tuple[float, float, float]:
     if len(values) == 0:
         return NAN, NAN, NAN
     x, y, z = np.sqrt(values.mean(axis=0)) if root else values.mean(axis=0)
     return float(x), float(y), float(z)
 
 
-def _mean(values: Floats | list[float]) -> float:
+def _mean(values: Array | list[float]) -> float:
     finite = np.asarray(values)[np.isfinite(values)]
     return float(finite.mean()) if len(finite) else NAN
 
 
-def _rms(values: Floats) -> float:
+def _rms(values: Array) -> float:
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else NAN
 
 
-def _weighted_rms(values: Floats, weights: Floats) -> float:
+def _weighted_rms(values: Array, weights: Array) -> float:
     return float(np.sqrt(np.average(values**2, weights=weights))) if weights.sum() > 0 else NAN
 
 
-def _percentile(values: Floats, percent: float) -> float:
+def _percentile(values: Array, percent: float) -> float:
     return float(np.percentile(values, percent)) if len(values) else NAN

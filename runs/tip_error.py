@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs.archive.reader import ArchiveReader
+from runs.arrays import Array
 
-Floats = NDArray[np.float64]
 NAN = float("nan")
 LEAST_FRAMES = 5
 """Frames from which the error is split into its parts."""
@@ -66,7 +66,7 @@ def tip_error(run: ArchiveReader) -> TipErrorSummary | None:
     velocity = _velocity(run.tip.time_s, target, reference.motion)
     path = reference.period > 0
 
-    def split(tip_mm: Floats) -> TipError:
+    def split(tip_mm: Array) -> TipError:
         off = np.where(free, 0.0, tip_mm - np.where(free, 0.0, target))
         known = path & np.isfinite(tip_mm).all(axis=1)
         whole = _whole(off, known, reference.motion, reference.period)
@@ -79,7 +79,7 @@ def tip_error(run: ArchiveReader) -> TipErrorSummary | None:
     return TipErrorSummary(split(run.tip.measured_mm), truth, _rms(predicted))
 
 
-def _velocity(time_s: Floats, target_mm: Floats, motion: NDArray[np.int64]) -> Floats:
+def _velocity(time_s: Array, target_mm: Array, motion: NDArray[np.int64]) -> Array:
     """Velocities (m, 3) [mm/s] of the reference; zero where it has none."""
     velocity = np.zeros_like(target_mm)
     for number in range(1, int(motion.max(initial=0)) + 1):
@@ -89,7 +89,7 @@ def _velocity(time_s: Floats, target_mm: Floats, motion: NDArray[np.int64]) -> F
     return velocity
 
 
-def _whole(off_mm: Floats, path: NDArray[np.bool_], motion: NDArray[np.int64], period: NDArray[np.int64]) -> TipError:
+def _whole(off_mm: Array, path: NDArray[np.bool_], motion: NDArray[np.int64], period: NDArray[np.int64]) -> TipError:
     """The errors over the whole path and over each of its periods."""
     frames = int(path.sum())
     if not frames:
@@ -104,7 +104,7 @@ def _whole(off_mm: Floats, path: NDArray[np.bool_], motion: NDArray[np.int64], p
     )
 
 
-def _with_parts(whole: TipError, off: Floats, rate: Floats, frame: NDArray[np.int64]) -> TipError:
+def _with_parts(whole: TipError, off: Array, rate: Array, frame: NDArray[np.int64]) -> TipError:
     """The error with its lag, contour and noise, of errors [mm] and reference velocities [mm/s] (n, 3) of frames."""
     speed = np.linalg.norm(rate, axis=1)
     moving = speed > MOVING_MM_S
@@ -123,7 +123,7 @@ def _with_parts(whole: TipError, off: Floats, rate: Floats, frame: NDArray[np.in
     )
 
 
-def _noise(changes: Floats) -> float:
+def _noise(changes: Array) -> float:
     """Root mean square of the length of white noise with second differences (n, 3) in three coordinates.
 
     White noise of variance s^2 gives second differences of variance 6 s^2. Each s comes from the median of their
@@ -135,6 +135,6 @@ def _noise(changes: Floats) -> float:
     return float(np.linalg.norm(std))
 
 
-def _rms(rows: Floats) -> float:
+def _rms(rows: Array) -> float:
     """Root mean square of the lengths of rows (n, 3)."""
     return float(np.sqrt(np.mean((rows**2).sum(axis=1)))) if len(rows) else NAN

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.stats import binom, chi2, norm
 
@@ -22,8 +21,7 @@ from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.model_comparison import MIN_DECISIVE
 from calibration.identify.poses import Poses
 from calibration.identify.tip_predictor import Predictor
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # A smaller squared distance, in variances, does not separate laws: the rival contains the true law, or nearly so.
 _ALIKE = 1.0

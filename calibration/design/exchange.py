@@ -6,11 +6,10 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.processors import usable_processors
 
-Array = NDArray[np.float64]
 Criterion = Callable[[Array], Array]
 """From covariances (.., m, m) of the parameters of interest to numbers (..) to minimise."""
 

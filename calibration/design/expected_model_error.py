@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.likelihood import Discrepancy
 from calibration.identify.model_error import CoefficientPrior, lacking
 from calibration.identify.model_error_posterior import effect_columns, normal_equations
 from calibration.identify.model_error_sampler import PRESENT, AmplitudeSampler
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # Sweeps of the sampler for each draw of the measurement errors; the medians are over many draws.
 _SWEEPS = 60

@@ -18,9 +18,8 @@ from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import located, scaled_errors
 from calibration.identify.undetermined import UNDETERMINED_SPANS
+from model.arrays import Array
 from model.processors import usable_processors
-
-Array = NDArray[np.float64]
 
 # Draws of the measurement errors that the expected error bars are medians over. Their seed is fixed.
 _DRAWS = 25

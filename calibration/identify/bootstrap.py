@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.likelihood import Weights
@@ -19,8 +18,7 @@ from calibration.identify.results import Fit
 from calibration.identify.scaled_parameter import with_own_values
 from calibration.identify.setup import Setup
 from calibration.parallel_map import Progress, parallel_map
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 
 @dataclass(frozen=True)

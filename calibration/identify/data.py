@@ -18,13 +18,11 @@ from calibration.identify.pressure_samples import on_even_frames
 from calibration.identify.pressure_smoothing import curve, noise_std, regression_calibrated, smoothed
 from calibration.identify.section_poses import mean_sections, section_poses
 from calibration.identify.unresolved_pressures import unresolved_courses
+from model.arrays import Array
 from model.units import KG_PER_G, M_PER_MM, PA_PER_BAR
 from runs.interpolation import interpolated
 from runs.records import DetectionStatus
 from runs.run import Run
-
-Array = NDArray[np.float64]
-
 
 SETTLE_S = 1.5
 # A frame is used if it lies at most this many camera periods outside the pressure record.

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.identify.model_error import ModelErrorTerm, error_inputs, lacking, reference_pressure_pa
 from calibration.identify.model_error_sampler import PRESENT
 from calibration.identify.poses import Poses
 from model.arm import Arm
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 
 @dataclass(frozen=True)

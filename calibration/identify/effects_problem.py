@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.model_error import error_inputs, lacking, reference_pressure_pa
 from calibration.identify.setup import Setup
 from calibration.identify.tip_predictor import Predictor
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 
 class EffectsProblem(LeastSquaresProblem):

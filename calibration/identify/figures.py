@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 import model
@@ -21,8 +20,6 @@ from calibration.identify.results import NORMAL_95, Fit
 from calibration.identify.setup import Setup
 from model.units import PA_PER_BAR
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
-
-Array = NDArray[np.float64]
 
 _AXES = "xyz"
 _PUBLISHED = ("youngs_modulus_pa", "a1_per_n", "a2_per_n2", "rpe_per_bar", "shear_ratio")

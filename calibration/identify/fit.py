@@ -6,7 +6,6 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.identify.errors import NoDataError
 from calibration.identify.least_squares import LeastSquaresProblem
@@ -32,8 +31,7 @@ from calibration.identify.undetermined import (
     span_factors,
     standard_deviations,
 )
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 _PRIOR_ONLY_RATIO = 0.95
 

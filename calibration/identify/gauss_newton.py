@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 _MAX_STEP = 1.0
 # Levenberg damping, in sums of squares per squared span: the first value, and the value below which it is zero.

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from calibration.identify.fit_range import outside
@@ -15,8 +14,7 @@ from calibration.identify.model_error import error_inputs
 from calibration.identify.poses import Poses
 from calibration.identify.results import NORMAL_95, Fit, SectionFit, rms
 from calibration.identify.scaled_parameter import ScaledParameter
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # Squared Mahalanobis distance that 95 % of normal tips stay below.
 _ELLIPSOID_95 = float(chdtri(3, 0.05))

@@ -7,9 +7,8 @@ without the scaling, one unknown that is known to nine digits makes all the othe
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # Eigenvalue of a matrix with unit diagonal below which a direction has no information.
 _SINGULAR = 1e-13

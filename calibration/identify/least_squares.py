@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.identify.gauss_newton import gauss_newton
 from calibration.identify.information import determined_covariance, sandwich
@@ -27,8 +26,7 @@ from calibration.identify.scaled_parameter import ScaledParameter
 from calibration.identify.setup import Setup
 from calibration.identify.solution import Solution
 from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # Step of an unknown, in spans, for the model's directional derivatives.
 _STEP = 1e-7

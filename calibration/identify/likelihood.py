@@ -15,8 +15,7 @@ from scipy.special import chdtr, chdtri
 
 from calibration.identify.poses import TIP, TIP_ROTATION, Poses
 from calibration.identify.pressure_response import BandedFactor, MotionResponse
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # Threshold of the Huber loss, as a Mahalanobis distance: 1 % of normal tips lie beyond it.
 OUTLIER = math.sqrt(chdtri(3, 0.01))

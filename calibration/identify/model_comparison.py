@@ -21,9 +21,8 @@ from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
 from calibration.identify.tip_predictor import SUBSTEPS, Predictor
 from calibration.parallel_map import Progress, parallel_map
+from model.arrays import Array
 from model.units import PA_PER_BAR
-
-Array = NDArray[np.float64]
 
 # A smaller difference of a criterion is no evidence (rule of thumb of Burnham and Anderson).
 _MIN_BIC_GAIN = 10.0

@@ -20,9 +20,8 @@ from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from calibration.identify.tip_predictor import Predictor
 from model.arm import Arm
+from model.arrays import Array
 from model.units import PA_PER_BAR
-
-Array = NDArray[np.float64]
 
 # At this peak and this total variation of the pressure, over the reference pressure, softening is 63 % complete.
 _SOFT_PEAK, _SOFT_TRAVEL = 0.5, 3.0

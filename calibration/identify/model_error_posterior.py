@@ -31,8 +31,7 @@ from calibration.identify.model_error import (
 )
 from calibration.identify.model_error_sampler import LEVELS, AmplitudeSampler, NormalEquations
 from calibration.identify.solution import Solution
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # Probability above which a term counts as found.
 FOUND = 0.95

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from calibration.identify.model_error import CoefficientPrior
+from model.arrays import Array
 
-Array = NDArray[np.float64]
 Levels = tuple[int, ...]
 
 # Probability that a term is present before anything is known of this arm.

@@ -6,14 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calibration.identify.orientation import Orientations
 from calibration.identify.setup import SectionMount, Setup
 from calibration.rotation_vectors import inverse_right_jacobian, left_jacobian
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 
 def rotation_between(one: Array, other: Array) -> Array:

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calibration.identify.errors import NoDataError
+from model.arrays import Array
 from model.units import M_PER_MM
 from runs.run import Run
-
-Array = NDArray[np.float64]
 
 RAD_PER_DEG = np.pi / 180
 # Fewest frames of a plateau.

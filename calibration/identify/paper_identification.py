@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model
 from calibration.identify.errors import NoDataError
 from calibration.identify.poses import Poses
+from model.arrays import Array
 from model.units import GRAVITY_M_S2, PA_PER_BAR
-
-Array = NDArray[np.float64]
 
 # Eq 32 was fitted to weights of 100 to 1200 g, and E is printed beside it.
 PUBLISHED_WEIGHTS_KG: Array = np.linspace(0.1, 1.2, 12)

@@ -8,15 +8,11 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from calibration.identify.memory_parameters import MemoryNumber, memory_groups, memory_numbers
 from calibration.identify.parameter import MOUNTING_M, MOUNTING_RAD, Parameter, constant
 from calibration.identify.section_mounts import mount_parameter
 from calibration.identify.setup import Setup
 
-Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 

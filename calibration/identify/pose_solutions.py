@@ -6,18 +6,17 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import model
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
 from model import sensitivities
+from model.arrays import Array
 from model.dynamics import Dynamics
 from model.sensitivities import Gradients
 from model.variation import TipWrench, Variation
 
-Array = NDArray[np.float64]
 Solved = tuple[Array, Array]
 """Points (K, 1 + S, 3) and orientations (K, 1 + S, 3, 3) of the tip and then of the sections of the poses."""
 

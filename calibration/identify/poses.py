@@ -13,8 +13,7 @@ from calibration.identify.pressure_course import PressureCourse
 from calibration.identify.pressure_history import PressureHistory
 from calibration.identify.pressure_samples import PressureSamples
 from calibration.identify.section_poses import SectionPoses
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # Fewest entries of a quasi-static motion for which the correlation of neighbours can be estimated.
 MIN_IN_SEQUENCE = 32

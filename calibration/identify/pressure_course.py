@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # The steps are as short as this, unless a run would take more of them than so many.
 _STEP_S, _MOST_STEPS = 0.1, 1500

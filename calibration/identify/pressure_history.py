@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
+from model.arrays import Array
 from runs.interpolation import interpolated
-
-Array = NDArray[np.float64]
 
 # Time constants of the lagged pressures.
 LAGS_S = (1.0, 10.0, 100.0)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # A response is followed so long: the first mode of a soft arm has decayed then. Of predictions of many numbers it is
 # shorter, for the effort grows with the square of this many numbers.

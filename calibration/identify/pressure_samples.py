@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.identify.pressure_smoothing import curve
+from model.arrays import Array
 from runs.interpolation import interpolated
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

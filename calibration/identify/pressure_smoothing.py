@@ -10,11 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import convolve1d
 
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # Window widths in samples, each about 1.6 times the one before.
 _WIDTHS = (9, 15, 23, 37, 59)

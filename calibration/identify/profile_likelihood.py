@@ -6,12 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from calibration.identify.results import Estimate, Fit
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # Rise of the sum of squares at the ends of a 95 % interval (likelihood ratio, chi-squared).
 RISE_95 = float(chdtri(1, 0.05))

@@ -15,9 +15,8 @@ from calibration.identify.parameter import Parameter, Prior
 from calibration.identify.parameters import named
 from calibration.identify.section_mounts import mount_parameter, offset_names
 from calibration.identify.setup import Setup
+from model.arrays import Array
 from model.statics import statics
-
-Array = NDArray[np.float64]
 
 _STEP = 1e-4
 # Standard deviation of a parameter without a prior, in spans.

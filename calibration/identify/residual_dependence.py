@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from calibration.identify.likelihood import outlying, whitened
 from calibration.identify.poses import Poses
 from calibration.identify.results import Fit
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 _PERMUTATIONS = 999
 # Largest probability of a significant dependence.

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.likelihood import Discrepancy
@@ -18,8 +17,7 @@ from calibration.identify.parameters import known
 from calibration.identify.poses import Poses, section_kind
 from calibration.identify.setup import Setup
 from calibration.identify.solution import Solution
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 NORMAL_95 = 1.959963984540054
 # An estimate that is more standard uncertainties away from what was known of it is reported.

@@ -6,14 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.nuisance import MOTION_ONLY
 from calibration.identify.poses import Poses
 from calibration.identify.solution import Solution
+from model.arrays import Array
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 """Called with a short text about the state of the search."""
 

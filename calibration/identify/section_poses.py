@@ -17,12 +17,11 @@ from calibration.identify.orientation import (
     averaged_orientations,
     averaged_share,
 )
+from model.arrays import Array
 from model.units import M_PER_MM
 from runs.columns import Sections
 from runs.records import DetectionStatus
 from runs.run import Run
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

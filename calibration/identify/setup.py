@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import model
+from model.arrays import Array
 
-Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from calibration.identify.drawn_effects import DrawnEffects, drawn_effects
@@ -26,8 +25,7 @@ from calibration.identify.section_poses import SectionPoses
 from calibration.identify.setup import Setup
 from calibration.identify.tip_predictor import Predictor
 from calibration.parallel_map import Progress, parallel_map
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 LAG_PRIOR = Prior(0.0, 0.005)
 # Of the pressures in each frame of a motion.

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from calibration.identify.likelihood import Discrepancy, Weights
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # Correlation factors that differ by a smaller share give the same estimate.
 _SAME_CORRELATION = 0.1

@@ -32,9 +32,9 @@ from calibration.identify.pressure_response import (
 from calibration.identify.pressure_samples import PressureSamples
 from calibration.identify.setup import Setup
 from model import sensitivities
+from model.arrays import Array
 from model.variation import Variation
 
-Array = NDArray[np.float64]
 Key = tuple[object, ...]
 
 # Time steps per camera period: at one step the time scheme's own damping would pass for the material's.

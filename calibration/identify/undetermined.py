@@ -6,7 +6,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.identify.effects_problem import EffectsProblem
 from calibration.identify.information import covariance as covariance_of
@@ -15,8 +14,7 @@ from calibration.identify.model_error_posterior import ModelErrorPosterior, mode
 from calibration.identify.results import Verdict
 from calibration.identify.search import Progress
 from calibration.identify.solution import Solution
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # A parameter with a standard deviation above this many plausible spans is not identified.
 UNDETERMINED_SPANS = 0.5

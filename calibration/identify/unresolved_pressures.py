@@ -11,9 +11,8 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 # A combination of the pressures is resolved if it varies by more than this share of the one that varies most.
 _RESOLVED_SHARE = 1e-3

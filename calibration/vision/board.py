@@ -10,10 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.images import Image
 from calibration.vision.corners import Corners
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from model.arrays import Array
 
 # The white margin round the print, in units of the board.
 QUIET_SQUARES = 1.0
@@ -32,8 +31,8 @@ class PrintedCells:
     Lines are in units from the top left corner of the print. White surrounds it, `margin` units wide.
     """
 
-    across: Floats
-    down: Floats
+    across: Array
+    down: Array
     dark: NDArray[np.bool_]
     margin: float
 
@@ -75,7 +74,7 @@ class Board(ABC):
 
     @cached_property
     @abstractmethod
-    def corners_m(self) -> Floats:
+    def corners_m(self) -> Array:
         """Corners (n, 3) in the board's frame."""
 
     @cached_property
@@ -92,7 +91,7 @@ class Board(ABC):
 
     @cached_property
     @abstractmethod
-    def check_points_m(self) -> Floats:
+    def check_points_m(self) -> Array:
         """Points (k, 3) in the board's frame at which `agrees` reads the grey values."""
 
     @property
@@ -101,25 +100,25 @@ class Board(ABC):
         """What a picture must resolve for the board to be found."""
 
     @abstractmethod
-    def find(self, image: Image) -> Floats | None:
+    def find(self, image: Image) -> Array | None:
         """Find the board in a grey picture: every corner (n, 2) [px] to a few pixels, also covered ones.
 
         None if it is not there, or if it is there twice: which is the rig's cannot be told.
         """
 
     @abstractmethod
-    def refine(self, image: Image, seeds_px: Floats) -> Corners | None:
+    def refine(self, image: Image, seeds_px: Array) -> Corners | None:
         """Refine the corners that are seen, given all (n, 2) to a few pixels; None if too few are seen."""
 
     @abstractmethod
-    def agrees(self, image: Image, check_points_px: Floats) -> bool:
+    def agrees(self, image: Image, check_points_px: Array) -> bool:
         """Tell whether the picture shows this board there, given where `check_points_m` are seen."""
 
     @abstractmethod
-    def spacing(self, corners_px: Floats) -> float:
+    def spacing(self, corners_px: Array) -> float:
         """Smallest distance [px] between neighbours of the corners (n, 2)."""
 
-    def at(self, across: NDArray[np.generic], down: NDArray[np.generic]) -> Floats:
+    def at(self, across: NDArray[np.generic], down: NDArray[np.generic]) -> Array:
         """Points (n, 3) [m] given in units from the top left corner of the print."""
         width, height = self.extent
         x = (np.asarray(across, dtype=np.float64) - width / 2) * self.unit_m

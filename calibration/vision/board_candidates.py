@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from calibration.images import Image
+from model.arrays import Array
+
 Box = tuple[int, int, int, int]
 
 # The search runs on a picture of about this width: corners need no more.
@@ -70,7 +71,7 @@ def _connected(linked: NDArray[np.bool_]) -> NDArray[np.int64]:
     return label
 
 
-def _saddles(image: Image, corners: int) -> Floats:
+def _saddles(image: Image, corners: int) -> Array:
     """Saddle points (k, 2) [px], the strongest of the picture."""
     smooth = cv2.GaussianBlur(image, (0, 0), _SMOOTH_PX).astype(np.float32)
     xx = cv2.Sobel(smooth, cv2.CV_32F, 2, 0, ksize=3, scale=0.25)

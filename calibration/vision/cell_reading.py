@@ -8,10 +8,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.images import Image
+from model.arrays import Array
 from model.kernels.jit import kernel
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 exact_kernel = partial(kernel, sources=(__file__,), fastmath=False)
 
@@ -32,7 +31,7 @@ def grey_at(image: Image, x: float, y: float) -> float:
 @exact_kernel
 def markers_seen(
     image: Image,
-    spots_px: Floats,
+    spots_px: Array,
     dark: NDArray[np.bool_],
     least_contrast: float,
     side_margin: float,

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.vision.board import PrintedCells
 from calibration.vision.marker_board import MarkerBoard, Markers, cells_of
 from calibration.vision.partial_corners import CornerKind
 from calibration.vision.square_grid import SquareGrid
-
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class CharucoBoard(SquareGrid, MarkerBoard):
         return CornerKind(np.ones((len(bright), 2)), bright, clear_m)
 
     @cached_property
-    def plain_m(self) -> Floats:
+    def plain_m(self) -> Array:
         """Middles of the dark squares."""
         rows, columns = np.nonzero(self.squares.dark)
         return self.at(columns + 0.5, rows + 0.5)

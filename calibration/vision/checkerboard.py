@@ -10,16 +10,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.images import Image
 from calibration.vision import board, cell_reading
 from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, FinestDetail, PrintedCells
 from calibration.vision.board_candidates import board_candidates
 from calibration.vision.cell_reading import grey_at
 from calibration.vision.corners import Corners, refine_corners
 from calibration.vision.square_grid import SquareGrid
+from model.arrays import Array
 from model.kernels.jit import kernel
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 exact_kernel = partial(kernel, sources=(__file__, board.__file__, cell_reading.__file__), fastmath=False)
 
@@ -56,7 +55,7 @@ class Checkerboard(SquareGrid):
         return FinestDetail("square", 1.0, _LEAST_SQUARE_PX)
 
     @cached_property
-    def check_points_m(self) -> Floats:
+    def check_points_m(self) -> Array:
         """Points (cells * 5, 3) at which colours are checked: every square, and the quiet zone's ring of cells."""
         across = np.concatenate([[-_QUIET_CHECK], np.arange(self.squares_x) + 0.5, [self.squares_x + _QUIET_CHECK]])
         down = np.concatenate([[-_QUIET_CHECK], np.arange(self.squares_y) + 0.5, [self.squares_y + _QUIET_CHECK]])
@@ -71,18 +70,18 @@ class Checkerboard(SquareGrid):
         return cells.ravel()
 
     @cached_property
-    def _shading(self) -> Floats:
+    def _shading(self) -> Array:
         """Base (cells, 3) of a plane over the cells: lighting may fall off across the board."""
         rows, columns = np.indices((self.squares_y + 2, self.squares_x + 2))
         return np.stack([np.ones(rows.size), rows.ravel() - rows.mean(), columns.ravel() - columns.mean()], axis=-1)
 
     @cached_property
-    def _shading_fits(self) -> tuple[Floats, Floats]:
+    def _shading_fits(self) -> tuple[Array, Array]:
         """Least-squares operators of the bright and the dark cells' planes."""
         bright, dark = self._shading[~self.dark], self._shading[self.dark]
         return np.ascontiguousarray(np.linalg.pinv(bright)), np.ascontiguousarray(np.linalg.pinv(dark))
 
-    def agrees(self, image: Image, check_points_px: Floats) -> bool:
+    def agrees(self, image: Image, check_points_px: Array) -> bool:
         """Tell whether every square and the quiet zone have their colours, given where `check_points_m` are seen.
 
         This is what catches a corner grid that lies one or more squares beside the print, and a board that is
@@ -91,7 +90,7 @@ class Checkerboard(SquareGrid):
         to_bright, to_dark = self._shading_fits
         return bool(_sides_fit(image, check_points_px, self.dark, self._shading, to_bright, to_dark))
 
-    def find(self, image: Image) -> Floats | None:
+    def find(self, image: Image) -> Array | None:
         """Find all corners to about a pixel, in the board's order."""
         corners = []
         for x0, y0, x1, y1 in board_candidates(image, self.pattern[0] * self.pattern[1]):
@@ -100,14 +99,14 @@ class Checkerboard(SquareGrid):
                 corners.append(found + np.array([x0, y0]))
         return corners[0] if len(corners) == 1 else None
 
-    def refine(self, image: Image, seeds_px: Floats) -> Corners | None:
+    def refine(self, image: Image, seeds_px: Array) -> Corners | None:
         """Refine all corners; None where one has no model."""
         return refine_corners(image, seeds_px, self.pattern)
 
 
 @exact_kernel
 def _sides_fit(
-    image: Image, spots_px: Floats, dark: NDArray[np.bool_], shading: Floats, to_bright: Floats, to_dark: Floats
+    image: Image, spots_px: Array, dark: NDArray[np.bool_], shading: Array, to_bright: Array, to_dark: Array
 ) -> bool:
     """Tell whether cells (n,), read at spots (5 n, 2), stand on the sides that `dark` (n,) says.
 
@@ -145,7 +144,7 @@ def _sides_fit(
     return True
 
 
-def _find_in(image: Image, board: Checkerboard) -> Floats | None:
+def _find_in(image: Image, board: Checkerboard) -> Array | None:
     """Search a small picture. The detector does not know which end of the board is which; the colours decide."""
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     found, raw = cv2.findChessboardCorners(image, board.pattern, flags=flags)

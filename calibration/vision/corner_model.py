@@ -7,14 +7,12 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.images import Image
 from calibration.vision import small_systems
 from calibration.vision.small_systems import solve
+from model.arrays import Array
 from model.kernels.jit import kernel
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 _sources = (__file__, small_systems.__file__)
 exact_kernel = partial(kernel, sources=_sources, fastmath=False)
@@ -51,13 +49,13 @@ class CornerFit(NamedTuple):
     `blur` (n, 2) across either edge.
     """
 
-    px: Floats
-    spread: Floats
-    variance: Floats
-    contrast: Floats
-    misfit: Floats
-    levels: Floats
-    blur: Floats
+    px: Array
+    spread: Array
+    variance: Array
+    contrast: Array
+    misfit: Array
+    levels: Array
+    blur: Array
 
 
 @fast_kernel
@@ -94,7 +92,7 @@ def _window(dx: float, dy: float, radius: float) -> float:
 
 
 @fast_kernel
-def _gather(image: Image, cx: float, cy: float, radius: float, light: Floats, room: Floats) -> int:
+def _gather(image: Image, cx: float, cy: float, radius: float, light: Array, room: Array) -> int:
     """Put the pixels of the window round a corner, in even light, into the room; return how many."""
     light_x, light_y = light
     reach = math.ceil(radius + TAPER_PX / 2)
@@ -112,7 +110,7 @@ def _gather(image: Image, cx: float, cy: float, radius: float, light: Floats, ro
 
 
 @fast_kernel
-def _gather_disc(image: Image, cx: float, cy: float, radius: float, light: Floats, room: Floats) -> int:
+def _gather_disc(image: Image, cx: float, cy: float, radius: float, light: Array, room: Array) -> int:
     """Put the pixels of a disc round a corner, in even light and without weights, into the room; return how many."""
     light_x, light_y = light
     reach = math.ceil(radius)
@@ -128,7 +126,7 @@ def _gather_disc(image: Image, cx: float, cy: float, radius: float, light: Float
 
 
 @fast_kernel
-def _edges(room: Floats, edge: int, count: int, cx: float, cy: float, normal: Floats, blur: float) -> None:
+def _edges(room: Array, edge: int, count: int, cx: float, cy: float, normal: Array, blur: float) -> None:
     """Put distance, value and slope of one edge at every pixel into the room."""
     nx, ny = normal
     for k in range(count):
@@ -140,7 +138,7 @@ def _edges(room: Floats, edge: int, count: int, cx: float, cy: float, normal: Fl
 
 
 @fast_kernel
-def _shaped(room: Floats, edge: int, count: int, shape: Floats, knot: float) -> None:
+def _shaped(room: Array, edge: int, count: int, shape: Array, knot: float) -> None:
     """Add the edge's own shape to its value and slope; that of the plain step alone stays."""
     last = shape.shape[0] - 1
     if last < 1:
@@ -157,7 +155,7 @@ def _shaped(room: Floats, edge: int, count: int, shape: Floats, knot: float) -> 
 
 
 @fast_kernel
-def _one_sided(room: Floats, edge: int, count: int) -> None:
+def _one_sided(room: Array, edge: int, count: int) -> None:
     """Turn steps from -1 to 1 into steps from 0 to the root of 2: the product of both spans 2, as that of a saddle."""
     part = math.sqrt(0.5)
     for k in range(count):
@@ -167,7 +165,7 @@ def _one_sided(room: Floats, edge: int, count: int) -> None:
 
 
 @fast_kernel
-def _linear_start(room: Floats, count: int) -> tuple[float, float]:
+def _linear_start(room: Array, count: int) -> tuple[float, float]:
     """Mean and half the step, which follow linearly from the edges of the start."""
     s = s_v = s_e = s_ve = s_ee = 0.0
     for k in range(count):
@@ -184,7 +182,7 @@ def _linear_start(room: Floats, count: int) -> tuple[float, float]:
 
 @fast_kernel
 def _slopes(
-    room: Floats, count: int, normals: Floats, mean: float, half_step: float, blur_1: float, blur_2: float
+    room: Array, count: int, normals: Array, mean: float, half_step: float, blur_1: float, blur_2: float
 ) -> tuple[float, float]:
     """Put what the model leaves and its derivatives into the room; return the weighted sum of squares and weights."""
     n1x, n1y = normals[0]
@@ -208,7 +206,7 @@ def _slopes(
 
 
 @fast_kernel
-def _normal_equations(room: Floats, count: int, matrix: Floats, right: Floats) -> None:
+def _normal_equations(room: Array, count: int, matrix: Array, right: Array) -> None:
     """Sum the weighted products of the derivatives with each other and with what the model leaves."""
     for i in range(_PARAMETERS):
         total = 0.0
@@ -225,7 +223,7 @@ def _normal_equations(room: Floats, count: int, matrix: Floats, right: Floats) -
 
 
 @fast_kernel
-def _spread(room: Floats, count: int, inverse: Floats, spread: Floats) -> None:
+def _spread(room: Array, count: int, inverse: Array, spread: Array) -> None:
     """Covariance (2, 2) of the corner at unit variance of the grey values, from the inverse of the normal equations."""
     xx = xy = yy = 0.0
     for k in range(count):
@@ -243,13 +241,13 @@ def _spread(room: Floats, count: int, inverse: Floats, spread: Floats) -> None:
 @exact_kernel
 def fit(
     image: Image,
-    seeds: Floats,
-    normals: Floats,
+    seeds: Array,
+    normals: Array,
     radius: float,
-    light: Floats,
-    shape: Floats,
+    light: Array,
+    shape: Array,
     knot: float,
-    usual: Floats,
+    usual: Array,
     firmness: float,
     quadrant: bool,
 ) -> CornerFit:
@@ -327,14 +325,14 @@ def fit(
 @exact_kernel
 def edge_shape(
     image: Image,
-    corners: Floats,
-    normals: Floats,
+    corners: Array,
+    normals: Array,
     radius: float,
-    light: Floats,
-    levels: Floats,
-    blur: Floats,
+    light: Array,
+    levels: Array,
+    blur: Array,
     knot: float,
-) -> Floats:
+) -> Array:
     """What the edges of either direction have in common beside the step blurred by a bell (2, knots + 1).
 
     Odd functions of the distance, linear between knots that begin with 0 at the edge; least squares of what the

@@ -14,11 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.images import Image
 from calibration.vision.corner_model import LARGEST_RADIUS_PX, LEAST_VARIANCE, TAPER_PX, edge_shape, fit
+from model.arrays import Array
 from model.kernels.jit import kernel
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 exact_kernel = partial(kernel, sources=(__file__,), fastmath=False)
 fast_kernel = partial(kernel, sources=(__file__,), fastmath=True)
@@ -63,12 +62,12 @@ class Corners:
     `carried_px` (n, 2) is the standard uncertainty that all corners share, as they do when carried to another time.
     """
 
-    px: Floats
-    covariance: Floats
-    contrast: Floats
-    misfit: Floats
+    px: Array
+    covariance: Array
+    contrast: Array
+    misfit: Array
     unexplained: float = 0.0
-    carried_px: Floats | None = None
+    carried_px: Array | None = None
     seen: NDArray[np.intp] | None = None
 
     @property
@@ -76,7 +75,7 @@ class Corners:
         """Which of the board's corners they are (n,)."""
         return np.arange(len(self.px)) if self.seen is None else self.seen
 
-    def of(self, points: Floats) -> Floats:
+    def of(self, points: Array) -> Array:
         """Of the board's points (m, 3) those of the corners (n, 3)."""
         return points if self.seen is None else points[self.seen]
 
@@ -92,7 +91,7 @@ class Corners:
             seen=self.index[kept],
         )
 
-    def padded(self, count: int) -> Floats:
+    def padded(self, count: int) -> Array:
         """All `count` corners of the board (count, 2) [px], NaN where one is not seen."""
         if self.seen is None:
             return self.px
@@ -101,7 +100,7 @@ class Corners:
         return every
 
 
-def spacing(corners_px: Floats, pattern: tuple[int, int]) -> float:
+def spacing(corners_px: Array, pattern: tuple[int, int]) -> float:
     """Smallest distance [px] between neighbours in corners (n, 2) of a pattern (columns, rows)."""
     grid = corners_px.reshape(pattern[1], pattern[0], 2)
     across = np.linalg.norm(np.diff(grid, axis=1), axis=2).min()
@@ -110,7 +109,7 @@ def spacing(corners_px: Floats, pattern: tuple[int, int]) -> float:
 
 
 @exact_kernel
-def _room(grid: Floats) -> float:
+def _room(grid: Array) -> float:
     """Smallest distance [px] between neighbouring edges of corners (rows, columns, 2).
 
     That is less than between corners where squares look sheared.
@@ -125,7 +124,7 @@ def _room(grid: Floats) -> float:
     return least
 
 
-def refine_corners(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> Corners | None:
+def refine_corners(image: Image, seeds_px: Array, pattern: tuple[int, int]) -> Corners | None:
     """Refine corners (n, 2), known to a few pixels, of a pattern (columns, rows) in a grey picture.
 
     None where a corner has no model: too near the border, or its surroundings are not those of a corner.
@@ -161,12 +160,12 @@ def refine_corners(image: Image, seeds_px: Floats, pattern: tuple[int, int]) -> 
     return Corners(found.px, total, found.contrast, found.misfit, unexplained)
 
 
-def _plausible(px: Floats, seeds_px: Floats, radius: float) -> bool:
+def _plausible(px: Array, seeds_px: Array, radius: float) -> bool:
     return bool(np.isfinite(px).all() and np.abs(px - seeds_px).max() <= radius + 1)
 
 
 @exact_kernel
-def median(values: Floats) -> float:
+def median(values: Array) -> float:
     """Median of finite numbers (n,) by insertion sort.
 
     With NumPy's function a kernel on the disk needs numba's compiler and SciPy to be loaded.
@@ -183,7 +182,7 @@ def median(values: Floats) -> float:
 
 
 @exact_kernel
-def column_medians(values: Floats) -> Floats:
+def column_medians(values: Array) -> Array:
     """Median of each column of (n, k)."""
     middle = np.empty(values.shape[1])
     for k in range(values.shape[1]):
@@ -192,7 +191,7 @@ def column_medians(values: Floats) -> Floats:
 
 
 @exact_kernel
-def uncertainty(variance: Floats, spread: Floats) -> tuple[float, Floats]:
+def uncertainty(variance: Array, spread: Array) -> tuple[float, Array]:
     """The grey values' variance about the fits, and the corners' covariance (n, 2, 2).
 
     The noise is pooled over the board, because one corner has too few pixels to estimate it; a corner with much larger
@@ -209,7 +208,7 @@ def uncertainty(variance: Floats, spread: Floats) -> tuple[float, Floats]:
 
 
 @exact_kernel
-def _pixel_noise(image: Image, grid: Floats) -> float:
+def _pixel_noise(image: Image, grid: Array) -> float:
     """Variance of the grey values where nothing is to be seen: between neighbours in the middle of the squares.
 
     `grid` are the corners (rows, columns, 2). Infinite, that is unknown, where the squares are too small to have a
@@ -235,7 +234,7 @@ def _pixel_noise(image: Image, grid: Floats) -> float:
 
 
 @exact_kernel
-def light_gradient(px: Floats, levels: Floats, radius: float) -> Floats:
+def light_gradient(px: Array, levels: Array, radius: float) -> Array:
     """Relative gradient of the light (n, 2) [1/px] at corners (n, 2): a plane through their mean levels (n,).
 
     Least squares over the whole board: the levels of single corners scatter too much where squares are small.
@@ -262,7 +261,7 @@ def light_gradient(px: Floats, levels: Floats, radius: float) -> Floats:
     return light
 
 
-def _coarse(image: Image, seeds_px: Floats, half: int) -> Floats | None:
+def _coarse(image: Image, seeds_px: Array, half: int) -> Array | None:
     """To a tenth of a pixel by OpenCV; None where one diverges, does not move or lies too near the border."""
     height, width = image.shape
     margin = half + 3
@@ -281,7 +280,7 @@ def _coarse(image: Image, seeds_px: Floats, half: int) -> Floats | None:
 
 
 @exact_kernel
-def _edge_normals(grid: Floats) -> Floats:
+def _edge_normals(grid: Array) -> Array:
     """Unit normals (n, 2, 2) of the two edges through each corner (rows, columns, 2): along the column, along the row.
 
     Their signs are such that the first points on along the row and the second on down the column.

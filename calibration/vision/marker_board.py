@@ -10,14 +10,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.images import Image
 from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, Board, FinestDetail, PrintedCells
 from calibration.vision.cell_reading import markers_seen
 from calibration.vision.corners import Corners
 from calibration.vision.partial_corners import CornerKind, refine_seen_corners
 from calibration.vision.plane_map import mapped, plane_to_image
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from model.arrays import Array
 
 # Markers seen, if the board has so many: one alone is read out of clutter too easily.
 _LEAST_MARKERS = 2
@@ -38,7 +37,7 @@ class Markers:
     """
 
     ids: NDArray[np.intp]
-    top_left: Floats
+    top_left: Array
     edge: float
     cells: NDArray[np.bool_]
 
@@ -105,7 +104,7 @@ class MarkerBoard(Board):
         return PrintedCells(across, down, dark, ground.margin)
 
     @cached_property
-    def check_points_m(self) -> Floats:
+    def check_points_m(self) -> Array:
         """Five points of every cell of the markers and of the ring around each (m * (k + 2)^2 * 5, 3)."""
         markers = self.markers
         # The ring is narrower than a cell where the white around the marker is.
@@ -133,13 +132,13 @@ class MarkerBoard(Board):
         """Markers that must be seen."""
         return min(_LEAST_MARKERS, len(self.markers.ids))
 
-    def seen_markers(self, image: Image, check_points_px: Floats) -> NDArray[np.bool_]:
+    def seen_markers(self, image: Image, check_points_px: Array) -> NDArray[np.bool_]:
         """Which markers (m,) show all their cells, given where `check_points_m` are seen."""
         seen: NDArray[np.bool_] = np.empty(len(self.markers.ids), dtype=np.bool_)
         markers_seen(image, check_points_px, self._expected, MIN_CONTRAST_GREY, SIDE_MARGIN, seen)
         return seen
 
-    def agrees(self, image: Image, check_points_px: Floats) -> bool:
+    def agrees(self, image: Image, check_points_px: Array) -> bool:
         """Tell whether enough markers show the right cells: a board that lies a square beside it does not."""
         return int(self.seen_markers(image, check_points_px).sum()) >= self.least_markers
 
@@ -149,11 +148,11 @@ class MarkerBoard(Board):
         """What the corners look like."""
 
     @cached_property
-    def plain_m(self) -> Floats:
+    def plain_m(self) -> Array:
         """Places (k, 3) of one colour, large enough to show the noise of the pixels; none by default."""
         return np.empty((0, 3))
 
-    def refine(self, image: Image, seeds_px: Floats) -> Corners | None:
+    def refine(self, image: Image, seeds_px: Array) -> Corners | None:
         """Refine the corners that look as they must, a second time if they show more markers than the seeds did.
 
         The markers that are seen tell that the board is there; a corner needs no marker beside it.
@@ -173,13 +172,13 @@ class MarkerBoard(Board):
             return corners
         return self._refined(image, again, mapped(again, self.corners_m), now_seen)
 
-    def _refined(self, image: Image, homography: Floats, seeds_px: Floats, seen: NDArray[np.bool_]) -> Corners | None:
+    def _refined(self, image: Image, homography: Array, seeds_px: Array, seen: NDArray[np.bool_]) -> Corners | None:
         if seen.sum() < self.least_markers:
             return None
         corners = refine_seen_corners(image, self.corners_m, seeds_px, homography, self.kind, self.plain_m)
         return corners if corners is not None and _spread_out(corners.of(self.corners_m)) else None
 
-    def find(self, image: Image) -> Floats | None:
+    def find(self, image: Image) -> Array | None:
         """Find the board by its markers."""
         found = self._detected(image)
         if found is None:
@@ -197,7 +196,7 @@ class MarkerBoard(Board):
         refined = plane_to_image(points[on_plane].reshape(-1, 3), px[on_plane].reshape(-1, 2))
         return None if refined is None else mapped(refined, self.corners_m)
 
-    def _detected(self, image: Image) -> tuple[NDArray[np.intp], Floats] | None:
+    def _detected(self, image: Image) -> tuple[NDArray[np.intp], Array] | None:
         """Indices (k,) of the markers that are read, and their corners (k, 4, 2); None if too few, or one twice."""
         quads, ids, _ = self._detector.detectMarkers(image)
         if ids is None:
@@ -214,7 +213,7 @@ class MarkerBoard(Board):
         return cv2.aruco.ArucoDetector(dictionary_named(self.dictionary))
 
     @cached_property
-    def _marker_corners_m(self) -> Floats:
+    def _marker_corners_m(self) -> Array:
         """Corners (m, 4, 3) of the markers, clockwise from the top left."""
         left, top = self.markers.top_left.T
         right, bottom = left + self.markers.edge, top + self.markers.edge
@@ -222,7 +221,7 @@ class MarkerBoard(Board):
         return self.at(across.ravel(), down.ravel()).reshape(-1, 4, 3)
 
 
-def _spread_out(points_m: Floats) -> bool:
+def _spread_out(points_m: Array) -> bool:
     """Whether points (n, 3) determine a pose: at least four, not in a line."""
     if len(points_m) < LEAST_CORNERS:
         return False
@@ -230,7 +229,7 @@ def _spread_out(points_m: Floats) -> bool:
     return bool(widths[1] > _LEAST_WIDTH * widths[0])
 
 
-def _merged(lines: Floats) -> Floats:
+def _merged(lines: Array) -> Array:
     """Sorted lines, those that are the same but for rounding once."""
     ordered = np.sort(lines)
     return np.asarray(ordered[np.concatenate([[True], np.diff(ordered) > 1e-9])])

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.images import Image
 from calibration.vision import corners
 from calibration.vision.corner_model import LEAST_VARIANCE, TAPER_PX, CornerFit, edge_shape, fit
 from calibration.vision.corners import (
@@ -29,10 +30,9 @@ from calibration.vision.corners import (
     uncertainty,
 )
 from calibration.vision.plane_map import edge_normals, least_scale, mapped, plane_to_image
+from model.arrays import Array
 from model.kernels.jit import kernel
 
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
 Indices = NDArray[np.intp]
 
 exact_kernel = partial(kernel, sources=(__file__, corners.__file__), fastmath=False)
@@ -57,7 +57,7 @@ class CornerKind:
     own error gives a corner, and `unexplained` the least share of the variance that neighbours have in common.
     """
 
-    toward: Floats
+    toward: Array
     bright: NDArray[np.bool_]
     clear_m: float
     quadrant: bool = False
@@ -66,7 +66,7 @@ class CornerKind:
 
 
 def refine_seen_corners(
-    image: Image, points_m: Floats, seeds_px: Floats, homography: Floats, kind: CornerKind, plain_m: Floats
+    image: Image, points_m: Array, seeds_px: Array, homography: Array, kind: CornerKind, plain_m: Array
 ) -> Corners | None:
     """Refine those of the corners `points_m` (n, 3), known to a few pixels, that are not hidden.
 
@@ -84,7 +84,7 @@ def refine_seen_corners(
     if moved is None:
         return None
 
-    def fitted(light: Floats, shape: Floats, knot: float, blur: Floats, firmness: float) -> tuple[Indices, CornerFit]:
+    def fitted(light: Array, shape: Array, knot: float, blur: Array, firmness: float) -> tuple[Indices, CornerFit]:
         normals = edge_normals(moved, points_m[kept], kind.toward[kept])
         found = fit(image, px, normals, radius, light, shape, knot, blur, firmness, kind.quadrant)
         with np.errstate(invalid="ignore"):
@@ -136,13 +136,13 @@ def _alike(found: CornerFit, good: Indices, bright: NDArray[np.bool_]) -> Indice
     return np.asarray(good[found.variance[good] <= _FOREIGN * median(found.variance[good])])
 
 
-def _coarse(image: Image, seeds_px: Floats, half: int) -> tuple[Indices, Floats]:
+def _coarse(image: Image, seeds_px: Array, half: int) -> tuple[Indices, Array]:
     """To a tenth of a pixel by OpenCV: the corners that it moves, but not far, and that lie off the border."""
     height, width = image.shape
     margin = half + 3
     limits = np.array([width - 1 - margin, height - 1 - margin])
 
-    def inside(px: Floats) -> NDArray[np.bool_]:
+    def inside(px: Array) -> NDArray[np.bool_]:
         return np.asarray(((px >= margin) & (px <= limits)).all(axis=1))
 
     kept = np.flatnonzero(inside(seeds_px))
@@ -158,7 +158,7 @@ def _coarse(image: Image, seeds_px: Floats, half: int) -> tuple[Indices, Floats]
 
 
 @exact_kernel
-def _pixel_noise(image: Image, plain_px: Floats, half: int) -> float:
+def _pixel_noise(image: Image, plain_px: Array, half: int) -> float:
     """Variance of the grey values between neighbours in squares of `2 half + 1` pixels, the median of the places.
 
     Infinite, that is unknown, without a place in the picture.

@@ -7,14 +7,12 @@ from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.vision import projection
 from calibration.vision.projection import slope_by_turn, turned
 from calibration.vision.transforms import RigidTransform
+from model.arrays import Array
 from model.kernels.jit import kernel
-
-Floats = NDArray[np.float64]
 
 DEPARTURES = 3
 """Residuals of a pose from a plane: the offset and two tilts."""
@@ -30,10 +28,10 @@ class PlaneArguments(NamedTuple):
     of the tip from the camera.
     """
 
-    tip: Floats
-    tip_normal: Floats
-    normal: Floats
-    across: Floats
+    tip: Array
+    tip_normal: Array
+    normal: Array
+    across: Array
     distance_m: float
     offset_variance_m2: float
     lever_rad: float
@@ -45,7 +43,7 @@ NO_PLANE = PlaneArguments(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((2, 3)
 
 
 @exact_kernel
-def depart(plane: PlaneArguments, vector: Floats, translation: Floats, off: Floats, slopes: Floats) -> None:
+def depart(plane: PlaneArguments, vector: Array, translation: Array, off: Array, slopes: Array) -> None:
     """Fill residuals (3,) of a pose from the plane, in standard uncertainties, and their derivatives (3, 6)."""
     rotation, slope, q = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     turned(vector, rotation, slope)
@@ -82,14 +80,14 @@ class PlaneOfMotion:
     `tilt_std_rad` are the standard uncertainties of the distance from the plane and of the rotation out of it.
     """
 
-    normal: Floats
-    through_m: Floats
+    normal: Array
+    through_m: Array
     offset_std_m: float
     tilt_std_rad: float
     board_in_tip: RigidTransform
     camera_in_base: RigidTransform
 
-    def departure(self, rotation_vector: Floats, translation_m: Floats) -> tuple[Floats, Floats]:
+    def departure(self, rotation_vector: Array, translation_m: Array) -> tuple[Array, Array]:
         """Offset and two tilts (3,) of the tip out of the plane in standard uncertainties, and derivatives (3, 6).
 
         By rotation vector and translation of the board in the camera frame. The uncertainties of camera and board poses
@@ -119,7 +117,7 @@ class PlaneOfMotion:
         )
 
     @property
-    def _across(self) -> Floats:
+    def _across(self) -> Array:
         """Two directions (2, 3) in the plane."""
         first = np.cross(self.normal, np.eye(3)[np.argmin(np.abs(self.normal))])
         first /= np.linalg.norm(first)

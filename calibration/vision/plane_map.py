@@ -7,16 +7,14 @@ from functools import partial
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.kernels.jit import kernel
-
-Floats = NDArray[np.float64]
 
 exact_kernel = partial(kernel, sources=(__file__,), fastmath=False)
 
 
-def plane_to_image(points_m: Floats, px: Floats) -> Floats | None:
+def plane_to_image(points_m: Array, px: Array) -> Array | None:
     """Homography (3, 3) of points (n, 3) of a plane to pixels (n, 2) in least squares; None if they lie in a line."""
     if len(points_m) < 4:
         return None
@@ -24,19 +22,19 @@ def plane_to_image(points_m: Floats, px: Floats) -> Floats | None:
     return None if found is None else np.asarray(found, dtype=np.float64)
 
 
-def mapped(homography: Floats, points_m: Floats) -> Floats:
+def mapped(homography: Array, points_m: Array) -> Array:
     """Pixels (n, 2) of points (n, 3) of the plane."""
     px = np.empty((len(points_m), 2))
     _map(homography, np.ascontiguousarray(points_m, np.float64), px)
     return px
 
 
-def least_scale(homography: Floats, points_m: Floats) -> float:
+def least_scale(homography: Array, points_m: Array) -> float:
     """Smallest pixels per metre at points (n, 3), in the direction in which the plane is foreshortened most."""
     return float(_least_scale(homography, np.ascontiguousarray(points_m, np.float64)))
 
 
-def edge_normals(homography: Floats, points_m: Floats, toward: Floats) -> Floats:
+def edge_normals(homography: Array, points_m: Array, toward: Array) -> Array:
     """Unit normals (n, 2, 2) of edges along the plane's y axis and along its x axis, on the side of `toward` (n, 2).
 
     `toward` counts to the right and down, 1 or -1.
@@ -47,7 +45,7 @@ def edge_normals(homography: Floats, points_m: Floats, toward: Floats) -> Floats
 
 
 @exact_kernel
-def _map(h: Floats, points: Floats, px: Floats) -> None:
+def _map(h: Array, points: Array, px: Array) -> None:
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
         w = h[2, 0] * x + h[2, 1] * y + h[2, 2]
@@ -56,7 +54,7 @@ def _map(h: Floats, points: Floats, px: Floats) -> None:
 
 
 @exact_kernel
-def _directions(h: Floats, x: float, y: float) -> tuple[float, float, float, float]:
+def _directions(h: Array, x: float, y: float) -> tuple[float, float, float, float]:
     """Pixels per metre along the plane's x axis (2), and down against its y axis (2)."""
     w = h[2, 0] * x + h[2, 1] * y + h[2, 2]
     u = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w
@@ -66,7 +64,7 @@ def _directions(h: Floats, x: float, y: float) -> tuple[float, float, float, flo
 
 
 @exact_kernel
-def _least_scale(h: Floats, points: Floats) -> float:
+def _least_scale(h: Array, points: Array) -> float:
     least = math.inf
     for k in range(len(points)):
         along_u, along_v, down_u, down_v = _directions(h, points[k, 0], points[k, 1])
@@ -76,7 +74,7 @@ def _least_scale(h: Floats, points: Floats) -> float:
 
 
 @exact_kernel
-def _fill_normals(h: Floats, points: Floats, toward: Floats, normals: Floats) -> None:
+def _fill_normals(h: Array, points: Array, toward: Array, normals: Array) -> None:
     for k in range(len(points)):
         along_u, along_v, down_u, down_v = _directions(h, points[k, 0], points[k, 1])
         # A normal of one direction lies on the side of the other one.

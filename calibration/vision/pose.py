@@ -9,14 +9,12 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.vision.lens import Lens
 from calibration.vision.planar_motion import DEPARTURES, NO_PLANE, PlaneOfMotion
 from calibration.vision.pose_fit import UNKNOWNS, fit_covariance, fit_pose
 from calibration.vision.transforms import RigidTransform
-
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 # Default corner noise.
 _USUAL_STD_PX = 0.05
@@ -35,11 +33,11 @@ class Pose:
     standard uncertainty.
     """
 
-    rotation_vector: Floats
-    translation_m: Floats
-    covariance: Floats
-    residuals_px: Floats
-    projected_px: Floats
+    rotation_vector: Array
+    translation_m: Array
+    covariance: Array
+    residuals_px: Array
+    projected_px: Array
     misfit: float
 
     @property
@@ -52,7 +50,7 @@ class Pose:
         """The pose as a transform."""
         return RigidTransform.from_vectors(self.rotation_vector, self.translation_m)
 
-    def point(self, point_m: Floats) -> tuple[Floats, Floats]:
+    def point(self, point_m: Array) -> tuple[Array, Array]:
         """A point (3,) fixed to the board, in the camera frame, with the covariance (3, 3) that the pose gives it."""
         rotation, derivative = cv2.Rodrigues(self.rotation_vector)
         # derivative (3, 9): row k holds d R / d r_k, flattened by rows.
@@ -62,11 +60,11 @@ class Pose:
 
 
 def refine(
-    points_m: Floats,
-    corners_px: Floats,
+    points_m: Array,
+    corners_px: Array,
     lens: Lens,
-    start: tuple[Floats, Floats],
-    corner_covariance: Floats | None = None,
+    start: tuple[Array, Array],
+    corner_covariance: Array | None = None,
     unexplained: float = 0.0,
     known: PlaneOfMotion | None = None,
 ) -> Pose | None:
@@ -96,7 +94,7 @@ def refine(
     return Pose(x[:3], x[3:], covariance, seen - projected, projected, cost)
 
 
-def residual_covariance(jacobian: Floats, misfit: float, pictures: Sequence[Floats], unexplained: Floats) -> Floats:
+def residual_covariance(jacobian: Array, misfit: float, pictures: Sequence[Array], unexplained: Array) -> Array:
     """Covariance (k, k) of a least-squares fit from its whitened derivatives (2 n + m, k) and its sum of squares.
 
     The residuals scale the covariance, steadied by a weak prior that they are what the corners say. What they show
@@ -118,7 +116,7 @@ def residual_covariance(jacobian: Floats, misfit: float, pictures: Sequence[Floa
 
 
 @lru_cache(maxsize=8)
-def _stacked(shape: tuple[int, int], points: bytes) -> Floats:
+def _stacked(shape: tuple[int, int], points: bytes) -> Array:
     """Correlation (n n,) of errors at points (n, 3) of a board by their distance, row by row."""
     points_m = np.frombuffer(points).reshape(shape)
     apart = np.linalg.norm(points_m[:, None] - points_m, axis=2)
@@ -127,10 +125,10 @@ def _stacked(shape: tuple[int, int], points: bytes) -> Floats:
 
 
 def solutions(
-    points_m: Floats,
-    corners_px: Floats,
+    points_m: Array,
+    corners_px: Array,
     lens: Lens,
-    corner_covariance: Floats | None = None,
+    corner_covariance: Array | None = None,
     unexplained: float = 0.0,
     known: PlaneOfMotion | None = None,
 ) -> tuple[Pose, ...]:

@@ -11,9 +11,8 @@ from calibration.vision import planar_motion, projection, small_systems
 from calibration.vision.planar_motion import PlaneArguments, depart
 from calibration.vision.projection import project_with_slopes
 from calibration.vision.small_systems import solve
+from model.arrays import Array
 from model.kernels.jit import kernel
-
-Floats = NDArray[np.float64]
 
 UNKNOWNS = 6
 _ITERATIONS = 60
@@ -25,7 +24,7 @@ exact_kernel = partial(kernel, sources=_sources, fastmath=False)
 
 
 @exact_kernel
-def _whitener(covariance: Floats, whitener: Floats) -> bool:
+def _whitener(covariance: Array, whitener: Array) -> bool:
     """Fill lower triangles (n, 2, 2) that turn errors of these covariances into two of unit variance."""
     for i in range(len(covariance)):
         xx, xy, yy = covariance[i, 0, 0], covariance[i, 1, 0], covariance[i, 1, 1]
@@ -40,16 +39,16 @@ def _whitener(covariance: Floats, whitener: Floats) -> bool:
 
 @exact_kernel
 def _at(
-    x: Floats,
-    points: Floats,
-    corners: Floats,
-    whitener: Floats,
-    matrix: Floats,
-    distortion: Floats,
+    x: Array,
+    points: Array,
+    corners: Array,
+    whitener: Array,
+    matrix: Array,
+    distortion: Array,
     plane: PlaneArguments,
-    projected: Floats,
-    residual: Floats,
-    jacobian: Floats,
+    projected: Array,
+    residual: Array,
+    jacobian: Array,
 ) -> float:
     """Fill pixels (n, 2), weighted residuals (2 n + m,) and derivatives (2 n + m, 6) at a pose; the cost."""
     n = len(points)
@@ -74,7 +73,7 @@ def _at(
 
 
 @exact_kernel
-def _normal_equations(jacobian: Floats, residual: Floats, normal: Floats, right: Floats) -> None:
+def _normal_equations(jacobian: Array, residual: Array, normal: Array, right: Array) -> None:
     """Fill J^T J (6, 6) and J^T r (6,)."""
     for i in range(UNKNOWNS):
         right[i] = 0.0
@@ -92,15 +91,15 @@ def _normal_equations(jacobian: Floats, residual: Floats, normal: Floats, right:
 
 @exact_kernel
 def fit_pose(
-    x: Floats,
-    points: Floats,
-    corners: Floats,
-    covariance: Floats,
-    matrix: Floats,
-    distortion: Floats,
+    x: Array,
+    points: Array,
+    corners: Array,
+    covariance: Array,
+    matrix: Array,
+    distortion: Array,
     plane: PlaneArguments,
-    projected: Floats,
-    jacobian: Floats,
+    projected: Array,
+    jacobian: Array,
 ) -> float:
     """Move the pose `x` (6,) to the least cost, and return that; NaN without convergence.
 
@@ -142,7 +141,7 @@ def fit_pose(
 
 
 @exact_kernel
-def add_smooth_errors(covariance: Floats, gain: Floats, together: Floats, by_all: float, by_own: float) -> None:
+def add_smooth_errors(covariance: Array, gain: Array, together: Array, by_all: float, by_own: float) -> None:
     """Add to a covariance (k, k) what errors of the pixels u and v of covariance (n, n) give by `gain` (k, 2 n).
 
     That covariance is (by_all + by_own) `together` - by_own I.
@@ -164,12 +163,12 @@ def add_smooth_errors(covariance: Floats, gain: Floats, together: Floats, by_all
 
 @exact_kernel
 def fit_covariance(
-    jacobian: Floats,
+    jacobian: Array,
     scale: float,
     counts: NDArray[np.int64],
-    together: Floats,
-    unexplained: Floats,
-    covariance: Floats,
+    together: Array,
+    unexplained: Array,
+    covariance: Array,
 ) -> bool:
     """Fill the covariance (k, k) of a fit; see `residual_covariance` of the poses. False where it has none.
 

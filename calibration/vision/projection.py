@@ -6,11 +6,9 @@ import math
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.kernels.jit import kernel
-
-Floats = NDArray[np.float64]
 
 # Below this square of an angle the series of the coefficients are exact to rounding.
 _SMALL = 1e-6
@@ -19,7 +17,7 @@ exact_kernel = partial(kernel, sources=(__file__,), fastmath=False)
 
 
 @exact_kernel
-def turned(vector: Floats, rotation: Floats, slope: Floats) -> None:
+def turned(vector: Array, rotation: Array, slope: Array) -> None:
     """Fill the rotation (3, 3) of a rotation vector (3,) (Rodrigues), and its left Jacobian `slope` (3, 3).
 
     A turned point q = R p then changes with the vector by d q = -[q] slope d r, [q] the cross-product matrix.
@@ -45,7 +43,7 @@ def turned(vector: Floats, rotation: Floats, slope: Floats) -> None:
 
 
 @exact_kernel
-def slope_by_turn(by_point: Floats, point: Floats, slope: Floats, out: Floats) -> None:
+def slope_by_turn(by_point: Array, point: Array, slope: Array, out: Array) -> None:
     """Fill `out` (3,): what changes with a turned point by `by_point` (3,) changes so with the rotation vector."""
     lever_x = point[1] * by_point[2] - point[2] * by_point[1]
     lever_y = point[2] * by_point[0] - point[0] * by_point[2]
@@ -55,7 +53,7 @@ def slope_by_turn(by_point: Floats, point: Floats, slope: Floats, out: Floats) -
 
 
 @exact_kernel
-def pixel(x: float, y: float, matrix: Floats, distortion: Floats) -> tuple[float, float]:
+def pixel(x: float, y: float, matrix: Array, distortion: Array) -> tuple[float, float]:
     """The pixel of an undistorted ray (x, y, 1) by `matrix` and `distortion` as those of `Lens`."""
     k1, k2, p1, p2, k3 = distortion
     r2 = x * x + y * y
@@ -66,9 +64,7 @@ def pixel(x: float, y: float, matrix: Floats, distortion: Floats) -> tuple[float
 
 
 @exact_kernel
-def project(
-    points: Floats, vector: Floats, translation: Floats, matrix: Floats, distortion: Floats, pixels: Floats
-) -> None:
+def project(points: Array, vector: Array, translation: Array, matrix: Array, distortion: Array, pixels: Array) -> None:
     """Fill the pixels (n, 2) of points (n, 3) whose frame stands at a pose before the camera."""
     rotation, slope = np.empty((3, 3)), np.empty((3, 3))
     turned(vector, rotation, slope)
@@ -82,13 +78,13 @@ def project(
 
 @exact_kernel
 def project_with_slopes(
-    points: Floats,
-    vector: Floats,
-    translation: Floats,
-    matrix: Floats,
-    distortion: Floats,
-    pixels: Floats,
-    slopes: Floats,
+    points: Array,
+    vector: Array,
+    translation: Array,
+    matrix: Array,
+    distortion: Array,
+    pixels: Array,
+    slopes: Array,
 ) -> None:
     """As `project`; fill also the derivatives (n, 2, 6) of the pixels by rotation vector and translation."""
     k1, k2, p1, p2, k3 = distortion
@@ -118,7 +114,7 @@ def project_with_slopes(
 
 @exact_kernel
 def extent(
-    points: Floats, rotations: Floats, translations: Floats, matrix: Floats, distortion: Floats, bounds: Floats
+    points: Array, rotations: Array, translations: Array, matrix: Array, distortion: Array, bounds: Array
 ) -> float:
     """Fill the least and the greatest pixel (2, 2) of points (n, 3) at poses (k, 3, 3), (k, 3); the least depth [m].
 

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
+from model.arrays import Array
 from model.kernels.jit import kernel
-
-Floats = NDArray[np.float64]
 
 _LEAST_PIVOT = 1e-12
 
@@ -17,7 +13,7 @@ exact_kernel = partial(kernel, sources=(__file__,), fastmath=False)
 
 
 @exact_kernel
-def solve(matrix: Floats, right: Floats) -> bool:
+def solve(matrix: Array, right: Array) -> bool:
     """Solve a small symmetric positive system in place by Gauss-Jordan; `matrix` becomes its inverse."""
     n = matrix.shape[0]
     for k in range(n):

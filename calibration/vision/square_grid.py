@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.vision.board import QUIET_SQUARES, Board, PrintedCells
 from calibration.vision.corners import spacing
-
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,7 @@ class SquareGrid(Board):
         return self.squares_x - 1, self.squares_y - 1
 
     @cached_property
-    def corners_m(self) -> Floats:
+    def corners_m(self) -> Array:
         """Inner corners (n, 3) in the board's frame."""
         columns, rows = self.pattern
         return self.at(np.tile(np.arange(1, columns + 1), rows), np.repeat(np.arange(1, rows + 1), columns))
@@ -51,6 +49,6 @@ class SquareGrid(Board):
         across, down = (np.arange(n + 1, dtype=np.float64) for n in self.extent)
         return PrintedCells(across, down, (rows + columns) % 2 == 0, QUIET_SQUARES)
 
-    def spacing(self, corners_px: Floats) -> float:
+    def spacing(self, corners_px: Array) -> float:
         """Smallest distance [px] between neighbours of the corners (n, 2)."""
         return spacing(corners_px, self.pattern)

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.vision.board import PrintedCells
 from calibration.vision.marker_board import MarkerBoard, Markers, cells_of
 from calibration.vision.partial_corners import CornerKind
-
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 # The corner of a tag has no symmetry that cancels what lens and print make of its edges: every tag looks larger or
 # smaller than it is. Chosen for coverage with two renderers, see docs/validation/vision.md.
@@ -50,7 +48,7 @@ class TagGrid(MarkerBoard):
         return f"grid of {self.tags_x}x{self.tags_y} tags {self.dictionary}"
 
     @cached_property
-    def corners_m(self) -> Floats:
+    def corners_m(self) -> Array:
         """Corners of the tags (n, 3) in the board's frame."""
         return self._marker_corners_m.reshape(-1, 3)
 
@@ -72,7 +70,7 @@ class TagGrid(MarkerBoard):
         """Between neighbours."""
         return self.gap_m / self.tag_m
 
-    def spacing(self, corners_px: Floats) -> float:
+    def spacing(self, corners_px: Array) -> float:
         """Shortest edge [px] of a tag, given all corners (n, 2)."""
         quads = corners_px.reshape(-1, 4, 2)
         return float(np.linalg.norm(quads - np.roll(quads, 1, axis=1), axis=2).min())

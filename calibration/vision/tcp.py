@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.rotation_vectors import cross_matrix, left_jacobian
 from calibration.vision.pose import Pose
 from calibration.vision.transforms import RigidTransform
-
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 _UNIT = np.eye(3)
 
 
 def tip_in_base(
     pose: Pose, board_in_tip: RigidTransform, camera_in_base: RigidTransform
-) -> tuple[RigidTransform, Floats]:
+) -> tuple[RigidTransform, Array]:
     """Tip in the rod-base frame with the covariance (6, 6) of its position [m] and of a small rotation [rad].
 
     The errors of the transforms board in tip, board in camera and camera in base are independent, so their covariances

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.images import Image
 from calibration.vision.board import Board, grey
 from calibration.vision.corners import Corners
 from calibration.vision.lens import Lens
@@ -14,10 +15,8 @@ from calibration.vision.marker_board import LEAST_CORNERS
 from calibration.vision.planar_motion import PlaneOfMotion
 from calibration.vision.pose import Pose, refine, solutions
 from calibration.vision.transforms import RigidTransform
+from model.arrays import Array
 from runs.records import DetectionStatus
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 # Accepted range of the reprojection rms: above, the board or lens is wrong; below, the fit is degenerate.
 _MAX_RMS_PX = 0.6
@@ -87,7 +86,7 @@ class BoardTracker:
         self._before = None
         self._last = min(poses, key=lambda p: _angle(p.rigid, board_in_camera), default=self._last)
 
-    def _find_near(self, image: Image, corners: Floats) -> Floats | None:
+    def _find_near(self, image: Image, corners: Array) -> Array | None:
         """Search around the last position with a margin of two squares."""
         low, high = corners.min(axis=0), corners.max(axis=0)
         margin = 2.5 * self._board.spacing(corners) + 0.15 * float((high - low).max())
@@ -96,14 +95,14 @@ class BoardTracker:
         found = self._board.find(np.ascontiguousarray(image[y0:y1, x0:x1])) if x1 > x0 and y1 > y0 else None
         return None if found is None else found + np.array([x0, y0])
 
-    def _every_corner(self, pose: Pose) -> Floats:
+    def _every_corner(self, pose: Pose) -> Array:
         """All corners (n, 2) [px] of the board at a pose, also those that were not seen."""
         points = self._board.corners_m
         if len(pose.projected_px) == len(points):
             return pose.projected_px
         return self._lens.project(points, pose.rotation_vector, pose.translation_m)
 
-    def _measure(self, image: Image, seeds: Floats | None) -> Detection:
+    def _measure(self, image: Image, seeds: Array | None) -> Detection:
         if seeds is None:
             return Detection(DetectionStatus.NO_BOARD)
         corners = self._board.refine(image, seeds)

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.rotation_vectors import cross_matrix
-
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 _UNIT = np.eye(3)
 
@@ -23,16 +21,16 @@ class RigidTransform:
     orientation [rad] about the frame's own origin.
     """
 
-    rotation: Floats
-    translation_m: Floats
+    rotation: Array
+    translation_m: Array
     translation_std_m: float = 0.0
     rotation_std_rad: float = 0.0
 
     @classmethod
     def from_vectors(
         cls,
-        rotation_vector_rad: Floats | tuple[float, float, float],
-        translation_m: Floats | tuple[float, float, float],
+        rotation_vector_rad: Array | tuple[float, float, float],
+        translation_m: Array | tuple[float, float, float],
         translation_std_m: float = 0.0,
         rotation_std_rad: float = 0.0,
     ) -> RigidTransform:
@@ -45,7 +43,7 @@ class RigidTransform:
             rotation_std_rad,
         )
 
-    def apply(self, points_m: Floats) -> Floats:
+    def apply(self, points_m: Array) -> Array:
         """Points (..., 3) of this frame in the parent frame."""
         return points_m @ self.rotation.T + self.translation_m
 
@@ -57,13 +55,13 @@ class RigidTransform:
         """Return `inner`'s frame in this frame's parent, without uncertainty."""
         return RigidTransform(self.rotation @ inner.rotation, self.apply(inner.translation_m))
 
-    def transport(self, point_m: Floats, covariance_m2: Floats) -> tuple[Floats, Floats]:
+    def transport(self, point_m: Array, covariance_m2: Array) -> tuple[Array, Array]:
         """Carry a point (3,) and its covariance (3, 3) into the parent, adding this transform's own uncertainty."""
         arm = self.rotation @ point_m
         covariance = self.rotation @ covariance_m2 @ self.rotation.T + self._own_covariance(arm)
         return arm + self.translation_m, covariance
 
-    def transport_pose(self, pose: RigidTransform, covariance: Floats) -> tuple[RigidTransform, Floats]:
+    def transport_pose(self, pose: RigidTransform, covariance: Array) -> tuple[RigidTransform, Array]:
         """Carry a pose and its covariance (6, 6) into the parent, adding this transform's own uncertainty.
 
         Covariances are of the translation [m] and of a small rotation [rad] about the axes of the outer frame.
@@ -73,7 +71,7 @@ class RigidTransform:
         own = self.error_covariance(self.rotation @ pose.translation_m)
         return self @ pose, np.asarray(turn @ covariance @ turn.T + own)
 
-    def error_covariance(self, arm_m: Floats) -> Floats:
+    def error_covariance(self, arm_m: Array) -> Array:
         """Covariances (.., 6, 6) that the own uncertainty gives poses at the end of levers (.., 3) from the origin."""
         lever = np.empty((*arm_m.shape[:-1], 6, 3))
         lever[..., :3, :], lever[..., 3:, :] = -cross_matrix(arm_m), _UNIT
@@ -81,7 +79,7 @@ class RigidTransform:
         covariance[..., :3, :3] += self.translation_std_m**2 * _UNIT
         return np.asarray(covariance)
 
-    def _own_covariance(self, arm_m: Floats) -> Floats:
+    def _own_covariance(self, arm_m: Array) -> Array:
         """Cross-product matrix [a] of the lever times its transpose is |a|^2 I - a a^T."""
         lever = np.dot(arm_m, arm_m) * _UNIT - np.outer(arm_m, arm_m)
         return np.asarray(self.translation_std_m**2 * _UNIT + self.rotation_std_rad**2 * lever)

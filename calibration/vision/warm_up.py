@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.images import Image
 from calibration.vision.board import Board
 from calibration.vision.lens import Lens
 from calibration.vision.planar_motion import PlaneOfMotion
 from calibration.vision.tracker import BoardTracker
 from runs.records import DetectionStatus
 
-Image = NDArray[np.uint8]
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 640, 480, 600.0
 LENS = Lens.of(FOCAL_PX, FOCAL_PX, WIDTH_PX / 2, HEIGHT_PX / 2)
 _TILT_RAD = (0.5, 0.35)

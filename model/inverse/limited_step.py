@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import piqp
-from numpy.typing import NDArray
 from scipy import sparse
 
+from model.arrays import Array
 from model.inverse.drive import Drive
 from model.units import MM_PER_M, PA_PER_BAR
-
-Array = NDArray[np.float64]
 
 DAMPING = 1e-4
 """Levenberg-Marquardt damping, relative to the mean square of the gradients."""

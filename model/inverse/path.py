@@ -11,14 +11,13 @@ from scipy.ndimage import gaussian_filter1d
 
 from model import sensitivities
 from model.arm import Arm
+from model.arrays import Array
 from model.dynamics import Dynamics, SavedMotion
 from model.inverse.drive import Drive
 from model.inverse.limited_step import limited_step
 from model.inverse.static_map import StaticMap
 from model.loads import Loads
 from model.variation import GRADIENT_STEP_PA, Variation
-
-Array = NDArray[np.float64]
 
 STATIC_STEPS = 5
 DYNAMIC_STEPS = 8

@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from model import batch, sensitivities
 from model.arm import Arm
+from model.arrays import Array
 from model.inverse.drive import Drive
 from model.units import MM_PER_M, PA_PER_BAR
 from model.variation import GRADIENT_STEP_PA, Variation
-
-Array = NDArray[np.float64]
 
 STARTS = (0.1, 0.5, 0.9)
 """Pressures of each valve among which the search starts, relative to the highest pressure."""

@@ -13,13 +13,11 @@ from itertools import product
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import NDArray
 
 from model import sensitivities
 from model.arm import Arm
+from model.arrays import Array
 from model.errors import NotConverged
-
-Array = NDArray[np.float64]
 
 PRESSURE_TERMS = 8
 PAYLOAD_TERMS = 4

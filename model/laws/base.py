@@ -6,12 +6,11 @@ from abc import ABC, abstractmethod
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.geometry import Geometry
 from model.material import Material
 
-Array = NDArray[np.float64]
 Constants = tuple[float, float, float, float]
 Response = tuple[float, float, float, float]
 

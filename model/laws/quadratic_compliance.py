@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.geometry import Geometry
 from model.laws.base import Constants, ConstitutiveLaw, Response, TubeLaw
 from model.material import Material
-
-Array = NDArray[np.float64]
 
 # Eq 32 continued oddly has a kink in its secant stiffness at zero force, which no rubber has and Newton's method trips
 # over. The wall force keeps the law as it is; shear, own bending and torsion take the secant rounded over this strain.

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import root
 
 from model.arm import Arm
+from model.arrays import Array
 from model.errors import NotConverged
 from model.loads import Loads
 from model.paper.kernels import SAMPLE, STATE, RodArguments, SectionArguments, jacobian, shoot, turn
@@ -22,7 +23,6 @@ from model.schemes import DEFAULT_ALPHA, DEFAULT_SCHEME, scheme_named
 from model.shape import Shape
 from model.units import PA_PER_BAR
 
-Array = NDArray[np.float64]
 Erratum = Literal["K12", "weight moment", "stretch as strain"]
 
 

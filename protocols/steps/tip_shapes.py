@@ -9,17 +9,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
+from protocols.arrays import Array
 from protocols.problems import BadInputError, Problem
 from protocols.steps.base import Positive, Seconds, SecondsOrNone, StepPart, Text, one_of
 from protocols.steps.csv_samples import read_columns
 from protocols.tip_paths import HarmonicPath, PiecewisePath, TipPath, closed_polyline, length_m
 from protocols.validation import ValidationFault, faults
 
-Array = NDArray[np.float64]
 M_PER_MM = 1e-3
 FARTHEST_MM = 10_000.0
 SAME_M = 1e-5

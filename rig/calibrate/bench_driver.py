@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from model.arrays import Array
 from rig.config.schema import RigConfig
 from rig.control import step as control
 from rig.control.control_loop import ValveOutputs
@@ -21,7 +22,6 @@ from rig.control.step import StallExcuse
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import CardError
 
-Floats = NDArray[np.float64]
 _LONGEST_INTERVALS = 1.5
 """Between two scans, of the usual interval; in a longer one the time of a simulated bench stops."""
 
@@ -45,9 +45,9 @@ class BenchClock(Protocol):
 class BenchLog:
     """Logged samples: `time_s` (n,), `pressure_pa` (n, N) and `signals` (n, N), one row per scan."""
 
-    time_s: Floats
-    pressure_pa: Floats
-    signals: Floats
+    time_s: Array
+    pressure_pa: Array
+    signals: Array
 
 
 class BenchDriver:
@@ -81,11 +81,11 @@ class BenchDriver:
         self._stops_closed = (True,) * len(config.emergency_stops)
 
     @property
-    def pressure_pa(self) -> Floats:
+    def pressure_pa(self) -> Array:
         """The newest pressures (N,)."""
         return self._pressure_pa
 
-    def regulate(self, setpoint_pa: Floats, seconds: float, until: Callable[[], bool] | None = None) -> BenchLog:
+    def regulate(self, setpoint_pa: Array, seconds: float, until: Callable[[], bool] | None = None) -> BenchLog:
         """Regulate pressures (N,) for `seconds`, or until `until` returns True."""
         state = control.initial(self._prepared)
         still = np.zeros_like(setpoint_pa)
@@ -149,7 +149,7 @@ class BenchDriver:
             if until is not None and until():
                 return
 
-    def _listen(self) -> tuple[NDArray[np.int64], Floats, Floats]:
+    def _listen(self) -> tuple[NDArray[np.int64], Array, Array]:
         scans = self._bench.read()
         self._stops_closed = scans.stops_closed
         self._passed_s = self._period_s
@@ -199,10 +199,10 @@ class _RowBuffer:
     def __init__(self, interval_s: float | None) -> None:
         self._interval_s = interval_s
         self._t: list[NDArray[np.int64]] = []
-        self._p: list[Floats] = []
-        self._signals: list[Floats] = []
+        self._p: list[Array] = []
+        self._signals: list[Array] = []
 
-    def take(self, t_ns: NDArray[np.int64], pressure_pa: Floats, signals: Floats) -> None:
+    def take(self, t_ns: NDArray[np.int64], pressure_pa: Array, signals: Array) -> None:
         if len(t_ns):
             self._t.append(t_ns.copy())
             self._p.append(pressure_pa.copy())

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from protocols import arguments
 from protocols.problems import bad_input, raise_all
 from rig.config.board_sections import BoardPattern
@@ -17,7 +17,6 @@ from runs.overwriting import replacing
 if TYPE_CHECKING:
     from calibration.vision.board import PrintedCells
 
-Floats = NDArray[np.float64]
 
 FORMATS = (".pdf", ".svg")
 """Formats that keep a length; the size of a bitmap is the printer's choice."""
@@ -98,7 +97,7 @@ def write(section: BoardPattern, name: str, path: Path) -> BoardPage:
     return page
 
 
-def dark_rectangles(printed: PrintedCells) -> Floats:
+def dark_rectangles(printed: PrintedCells) -> Array:
     """Left, top, right and bottom (n, 4) in units of the dark cells, those beside each other in a row as one."""
     found = []
     for i, row in enumerate(printed.dark):

@@ -8,7 +8,6 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration import view_matching
 from calibration.camera import CalibrationError, ExcludedView, calibrate_views
@@ -24,8 +23,6 @@ from rig.calibrate.dlt_fit import DLTCalibrationResult, fitted, known_lens
 from rig.config import calibration_schema
 from rig.config.calibration_files import LoadedCalibration, rounded
 from rig.config.schema import RigConfig
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

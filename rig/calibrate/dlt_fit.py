@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.camera import ExcludedView
 from calibration.cross_validation import CrossValidation, PointObservations
@@ -14,13 +13,12 @@ from calibration.dlt import DLT, DLTError, calibrate, decompose
 from calibration.vision.lens import Lens
 from calibration.vision.pose import refine
 from calibration.vision.transforms import RigidTransform
+from model.arrays import Array
 from rig.calibrate import inputs
 from rig.config import calibration_schema
 from rig.config.calibration_files import LoadedCalibration
 from rig.config.optics import lens_of
 from rig.config.schema import RigConfig
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,7 @@ class DLTCalibrationResult:
 
     observations: dict[str, PointObservations]
     dlts: dict[str, DLT]
-    places: dict[str, tuple[RigidTransform, Floats]]
+    places: dict[str, tuple[RigidTransform, Array]]
     """Camera in the world, and the covariance (6, 6) of that: translation [m], rotation [rad]."""
     cross_validation: CrossValidation
     sizes_px: dict[str, tuple[int, int]]
@@ -62,7 +60,7 @@ def known_lens(
     return lens_of(rig.cameras[name]) if rig is not None and name in rig.cameras else None
 
 
-def camera_in_world(observation: PointObservations, dlt: DLT) -> tuple[RigidTransform, Floats]:
+def camera_in_world(observation: PointObservations, dlt: DLT) -> tuple[RigidTransform, Array]:
     """The pose of a camera: from its lens and the control points, or without a lens from the coefficients alone."""
     _, camera = decompose(dlt)
     if observation.lens is None:
@@ -77,7 +75,7 @@ def camera_in_world(observation: PointObservations, dlt: DLT) -> tuple[RigidTran
     return inverted(pose.rigid, pose.covariance)
 
 
-def inverted(world_in_camera: RigidTransform, covariance: Floats) -> tuple[RigidTransform, Floats]:
+def inverted(world_in_camera: RigidTransform, covariance: Array) -> tuple[RigidTransform, Array]:
     """The camera in the world with covariance (6, 6), from the world before the camera (rotation vector first)."""
     camera = world_in_camera.inverse()
     start = np.concatenate([cv2.Rodrigues(world_in_camera.rotation)[0].ravel(), world_in_camera.translation_m])

@@ -7,19 +7,17 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.cross_validation import PointObservations, leave_out
 from calibration.dlt_bundle_adjustment import adjust
 from calibration.vision.transforms import RigidTransform
+from model.arrays import Array
 from protocols import Problem
 from protocols.problems import bad_input, raise_all
 from rig.calibrate import inputs
 from rig.calibrate.dlt_fit import DLTCalibrationResult, camera_in_world, fitted, known_lens
 from rig.config.calibration_files import LoadedCalibration
 from rig.config.schema import RigConfig
-
-Floats = NDArray[np.float64]
 
 COLUMNS = ("point", "X_mm", "Y_mm", "Z_mm", "camera", "u_px", "v_px")
 _MOST_PROBLEMS = 40
@@ -98,7 +96,7 @@ def _control_points(path: Path) -> dict[str, PointObservations]:
     }
 
 
-def _baseline_m(one: tuple[RigidTransform, Floats], other: tuple[RigidTransform, Floats]) -> tuple[float, float]:
+def _baseline_m(one: tuple[RigidTransform, Array], other: tuple[RigidTransform, Array]) -> tuple[float, float]:
     """Distance of two cameras that were placed independently, and its standard uncertainty."""
     apart = other[0].translation_m - one[0].translation_m
     distance = float(np.linalg.norm(apart))

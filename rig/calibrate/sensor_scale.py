@@ -6,10 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.camera import CalibrationError
 from calibration.pressure import SensorFit, fit_sensor
+from model.arrays import Array
 from model.units import PA_PER_BAR
 from protocols import Problem
 from protocols.problems import raise_all
@@ -23,7 +23,6 @@ from rig.execution.plan import StoppedError
 from rig.simulator.plant import Plant
 from rig.valves.iso6358 import ATMOSPHERE_PA
 
-Floats = NDArray[np.float64]
 Gauge = Callable[[BenchDriver, int], float]
 """Reads the reference gauge [Pa] at the chamber of an actuator (from 0) while the driver regulates."""
 
@@ -51,7 +50,7 @@ def read_gauge(
 
 
 def sensor_section(
-    config: RigConfig, actuator: int, readings: Floats, gauge_std_bar: float
+    config: RigConfig, actuator: int, readings: Array, gauge_std_bar: float
 ) -> calibration_schema.SensorCalibration:
     """The scale of one sensor from readings (n, 2): volts, and the gauge [Pa]."""
     sensor = next(s for s in config.sensors if s.actuator == actuator)

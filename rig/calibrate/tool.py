@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.camera import CalibrationError, ExcludedView
+from calibration.images import Image
 from calibration.mounting import Mounting, mount
 from calibration.views import View, views_in
 from calibration.vision.board import grey
@@ -32,8 +32,6 @@ from rig.hardware.cameras.base import open_camera
 STRAIGHT_VIEWS = 5
 TURNS_DEG = (-25.0, -15.0, -8.0, 8.0, 15.0, 25.0)
 _LARGEST_STD = 100
-
-Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)

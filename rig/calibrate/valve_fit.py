@@ -12,13 +12,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.camera import CalibrationError
+from model.arrays import Array
 from rig.valves.iso6358 import ANR_PA, ATMOSPHERE_PA, flow_function, sonic_conductance
 from rig.valves.metering import FlowMetering
-
-Floats = NDArray[np.float64]
 
 # Openings in these shares of the full flow lie on the straight part next to the dead zone.
 _EDGE_SHARES = (0.004, 0.028)
@@ -59,15 +57,15 @@ class FittedValve:
     hysteresis_v: float
     leakage_l_min: float
     leakage_std_l_min: float
-    curve_v: Floats
-    curve_l_min: Floats
-    curve_std_l_min: Floats
+    curve_v: Array
+    curve_l_min: Array
+    curve_std_l_min: Array
     full_l_min: float
     measured_to_v: float
-    offsets_v: Floats
-    flows_l_min: Floats
-    stds_l_min: Floats
-    residuals_l_min: Floats
+    offsets_v: Array
+    flows_l_min: Array
+    stds_l_min: Array
+    residuals_l_min: Array
 
 
 def fit(valve: FlowMetering, rates: Sequence[RateMeasurement], volumes_m3: Sequence[float]) -> FittedValve:
@@ -155,7 +153,7 @@ def _opening(valve: FlowMetering, seen: _Flow, leakage: float) -> tuple[float, f
     return (seen.flow - leakage * _leak_drive(valve, seen.of.pressure_pa)) / drive, seen.std / drive
 
 
-def _edge(offset: Floats, flow: Floats, std: Floats, full: float) -> tuple[float, float]:
+def _edge(offset: Array, flow: Array, std: Array, full: float) -> tuple[float, float]:
     """Where the straight part next to the dead zone reaches zero, and its standard uncertainty [V]."""
     order = np.argsort(offset)
     offset, flow, std = offset[order], flow[order], std[order]
@@ -177,7 +175,7 @@ def _edge(offset: Floats, flow: Floats, std: Floats, full: float) -> tuple[float
     return float(-a / b), float(np.sqrt(by @ covariance @ by))
 
 
-def _curve(offset: Floats, flow: Floats, std: Floats, middle: float) -> tuple[Floats, Floats, Floats]:
+def _curve(offset: Array, flow: Array, std: Array, middle: float) -> tuple[Array, Array, Array]:
     """Flow against the voltage from the middle, both ways and both sides together; rising."""
     volts, mean, spread = [], [], []
     for size in np.unique(np.round(np.abs(offset), 6)):
@@ -196,8 +194,8 @@ def _curve(offset: Floats, flow: Floats, std: Floats, middle: float) -> tuple[Fl
 
 
 def _joined(
-    valve: FlowMetering, volts: Floats, mean: Floats, std: Floats, dead: float
-) -> tuple[Floats, Floats, Floats, float]:
+    valve: FlowMetering, volts: Array, mean: Array, std: Array, dead: float
+) -> tuple[Array, Array, Array, float]:
     """The measured curve, continued by the rig's: knots, flows, standard uncertainties; and the flow fully open."""
     stated_v = np.array(valve.curve_v) + dead - valve.dead_zone_v
     stated = np.array(valve.curve_percent) / 100 * valve.full_flow_l_min
@@ -216,7 +214,7 @@ def _joined(
     return knots, curve, spread, max(float(scale * valve.full_flow_l_min), float(curve[-1]))
 
 
-def _from_edge(knots: Floats, curve: Floats, dead: float) -> tuple[Floats, Floats]:
+def _from_edge(knots: Array, curve: Array, dead: float) -> tuple[Array, Array]:
     """The curve as a regulator takes it: nothing up to the dead zone's edge."""
     beyond = knots > dead
     return np.concatenate([[0.0, dead], knots[beyond]]), np.concatenate([[0.0, 0.0], curve[beyond]])

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.camera import CalibrationError
 from model import Arm
+from model.arrays import Array
 from model.statics import statics
 from model.units import PA_PER_BAR
 from rig.calibrate import file_sections
@@ -21,8 +21,6 @@ from rig.config.schema import RigConfig
 from rig.control.interlocks.actuator_interlocks import PressureRate
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from rig.valves.metering import FlowMetering
-
-Floats = NDArray[np.float64]
 
 FILL_FROM, VENT_FROM, BAND = 0.25, 0.75, 0.14
 """Pressures at which a sweep opens the valve, and how far it lets them move; of the highest set-point."""
@@ -86,7 +84,7 @@ def _metering(config: RigConfig, index: int) -> FlowMetering:
     return metering
 
 
-def rate_of(time_s: Floats, pressure_pa: Floats, offset_v: float, outward: bool) -> RateMeasurement:
+def rate_of(time_s: Array, pressure_pa: Array, offset_v: float, outward: bool) -> RateMeasurement:
     """Fit a line to a pressure (n,), without the time at its beginning in which the spool still moves.
 
     Raises:

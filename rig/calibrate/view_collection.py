@@ -9,18 +9,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.camera import CalibrationError
 from calibration.corner_search import SeenCorners, seen_corners
+from calibration.images import Image
 from calibration.view_coverage import ViewCoverage, view_geometry
 from calibration.views import View
 from calibration.vision.board import Board, grey
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import open_camera
 from runs.overwriting import replacing
-
-Image = NDArray[np.uint8]
 
 _STILL_SHARE = 0.002
 """Largest corner motion between two pictures of a board at rest, as a share of the width."""

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model
+from model.arrays import Array
 from model.material import MaxwellBranch
 from model.units import GRAVITY_M_S2
 from rig.config.schema import RigConfig
 from rig.config.sections import GeometryConfig, MaterialConfig, Variant
-
-Floats = NDArray[np.float64]
 
 
 def model_arm(config: RigConfig, variant: Variant | None = None) -> model.Arm:
@@ -73,7 +71,7 @@ class TipLoad:
         self._gravity_m_s2 = np.array(gravity_m_s2(config))
         self._loads: dict[float, model.Loads | None] = {0.0: None}
 
-    def carrying(self, weight_kg: float, force_n: Floats | None = None) -> model.Loads | None:
+    def carrying(self, weight_kg: float, force_n: Array | None = None) -> model.Loads | None:
         """Return the load of a weight [kg] and a force (3,) [N] at the tip; None for zero."""
         if force_n is not None and force_n.any():
             return model.Loads(tip_force_n=weight_kg * self._gravity_m_s2 + force_n)

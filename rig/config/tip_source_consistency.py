@@ -42,8 +42,8 @@ def valid(items: Mapping[str, Item | None]) -> dict[str, Item]:
 def different_devices(section: str, items: Mapping[str, CardConfig | CameraConfig | None]) -> Iterator[ValidationFault]:
     """Refuse two items of a section with one device."""
     taken: dict[tuple[str, str | int], str] = {}
-    for name, item in valid(items).items():
-        if (first := taken.setdefault((item.driver, item.device), name)) != name:
+    for name, item in items.items():
+        if item is not None and (first := taken.setdefault((item.driver, item.device), name)) != name:
             yield ValidationFault((section, name, "device"), f"a device of its own: '{first}' has this one")
 
 

@@ -7,14 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.units import PA_PER_BAR
 from protocols import SetPointTrajectory
 from protocols.trajectory import StreamInterval
 from rig.config.schema import RigConfig
 from rig.control.interlocks.base import StreamSilence
 from runs.columns import StreamStatus
-
-Array = NDArray[np.float64]
 
 
 class StreamLimits(NamedTuple):

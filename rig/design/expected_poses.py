@@ -6,20 +6,18 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from calibration.identify.data import SETTLE_S, at_rest, in_motion
 from calibration.identify.errors import NoDataError
 from calibration.identify.poses import Poses
 from calibration.identify.simulated_experiments import MeasurementErrors, plan, scaled_errors
+from model.arrays import Array
 from protocols import BadInputError, Problem, SetPointTrajectory, arguments
 from rig.config.schema import RigConfig
 from rig.observation.online_estimation import section_lengths_m
 from runs.interpolation import interpolated
 from runs.run import Run
-
-Array = NDArray[np.float64]
 
 # Share of frames in plateaus above which the identification uses plateaus; and the error that their frames share.
 _STATIC_SHARE, _COMMON = 0.25, 0.1

@@ -8,8 +8,9 @@ from contextlib import closing, suppress
 
 import numpy as np
 
+from model.arrays import Array
 from rig.config.card_sections import CARD_DRIVERS
-from rig.driver_contract.card_subject import LEAST_IDLE, CardSubject, Floats, needs_outputs, polled, settled_readback
+from rig.driver_contract.card_subject import LEAST_IDLE, CardSubject, needs_outputs, polled, settled_readback
 from rig.driver_contract.check import BrokenContractError, Check, NotApplicableError, NotJudgedError
 from rig.driver_contract.device_time import CallTime, ScanTimes, idle_wait, judge_scans, judged, timed
 from rig.driver_contract.pressure_checks import PRESSURE_CHECKS
@@ -134,7 +135,7 @@ def sampling(subject: CardSubject) -> str:
     return f"{rate:.0f} scans/s, period {np.median(gaps_ms):.2f} ms, longest {gaps_ms.max():.2f} ms, {lost} lost"
 
 
-def _within_range(subject: CardSubject, signals: Floats) -> None:
+def _within_range(subject: CardSubject, signals: Array) -> None:
     """Raise BrokenContractError for readings far beyond the range of their input: they are in another unit."""
     for channel, column in zip(subject.setup.inputs, signals.T, strict=True):
         margin = channel.high - channel.low

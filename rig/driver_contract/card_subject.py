@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from rig.config.schema import RigConfig
 from rig.driver_contract.check import NotApplicableError
 from rig.driver_contract.device_time import idle_wait
@@ -25,8 +25,6 @@ SETTLED_S = 0.1
 """Time for the read-back of a device on a bus."""
 RATE_S = 1.0
 """How long the inputs are sampled."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -58,18 +56,18 @@ class CardSubject:
         setup = self.setup if inputs else replace(self.setup, inputs=())
         return card_type(self.config.cards[self.name])(setup)
 
-    def outputs(self, fraction: float) -> Floats:
+    def outputs(self, fraction: float) -> Array:
         """A value for each output, all different, at about this share of the range."""
         steps = enumerate(self.setup.outputs)
         return np.array([c.low + (c.high - c.low) * min(1.0, fraction + 0.02 * i) for i, c in steps])
 
     @property
-    def output_tolerance(self) -> Floats:
+    def output_tolerance(self) -> Array:
         """Largest deviation of a read-back."""
         return np.array([(c.high - c.low) * READBACK_TOLERANCE for c in self.setup.outputs])
 
-    def stated(self, outputs: Floats) -> str:
-        """Floats of the outputs with their unit, for messages."""
+    def stated(self, outputs: Array) -> str:
+        """Array of the outputs with their unit, for messages."""
         units = {valve.output_unit for valve in self.valves} or {"V"}
         return f"{', '.join(f'{value:.3f}' for value in outputs)} {'/'.join(sorted(units))}"
 
@@ -79,7 +77,7 @@ class CardSubject:
         return [valve for valve in self.config.valves if valve.card == self.name]
 
     @property
-    def safe_output(self) -> Floats:
+    def safe_output(self) -> Array:
         """The safe value of each output."""
         return np.array([valve.safe_output() for valve in self.valves])
 
@@ -95,7 +93,7 @@ def needs_outputs(subject: CardSubject) -> None:
         raise NotApplicableError("the rig uses no output of this card")
 
 
-def settled_readback(card: Card, written: Floats, subject: CardSubject) -> Floats:
+def settled_readback(card: Card, written: Array, subject: CardSubject) -> Array:
     """The read-back, once it is what was written, or after `settled_s`."""
     until = time.monotonic() + subject.settled_s
     while True:

@@ -8,8 +8,9 @@ from contextlib import closing
 import numpy as np
 from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.units import PA_PER_BAR
-from rig.driver_contract.card_subject import CardSubject, Floats, needs_outputs, polled
+from rig.driver_contract.card_subject import CardSubject, needs_outputs, polled
 from rig.driver_contract.check import BrokenContractError, Check, NotApplicableError
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import Card
@@ -68,7 +69,7 @@ def _target_pa(subject: CardSubject) -> float:
     return TARGET * subject.config.limits.pressure_bar * PA_PER_BAR
 
 
-def _pressurised(subject: CardSubject, card: Card, sensors: Bench, output: int, valve: ValveSection) -> Floats:
+def _pressurised(subject: CardSubject, card: Card, sensors: Bench, output: int, valve: ValveSection) -> Array:
     """The pressures (N,) [Pa] after a valve has regulated towards the target, with the others vented."""
     regulator = valve.regulator(subject.config.limits, subject.config.control)
     target_pa = _target_pa(subject)
@@ -89,7 +90,7 @@ def _pressurised(subject: CardSubject, card: Card, sensors: Bench, output: int, 
     return np.asarray(measured_pa[-1])
 
 
-def _judge(subject: CardSubject, valve: ValveSection, reached_pa: Floats, raised: NDArray[np.bool_]) -> None:
+def _judge(subject: CardSubject, valve: ValveSection, reached_pa: Array, raised: NDArray[np.bool_]) -> None:
     """Raise BrokenContractError where the pressures are not those that the valve was given."""
     target_pa = _target_pa(subject)
     own = ", ".join(map(str, valve.actuators))

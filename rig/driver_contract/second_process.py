@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from model.arrays import Array
 from rig.config import loader
-from rig.driver_contract.card_subject import CardSubject, Floats
+from rig.driver_contract.card_subject import CardSubject
 from rig.driver_contract.check import BrokenContractError
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.cards.opening import card_setup, open_card
@@ -29,7 +30,7 @@ SETTLED_S = 0.02
 """Time for the read-back of a device on a bus."""
 
 
-def in_second_process(subject: CardSubject, outputs: Floats) -> dict[str, Any]:
+def in_second_process(subject: CardSubject, outputs: Array) -> dict[str, Any]:
     """What a second process gets that opens the card and writes."""
     command = _command("write", subject, outputs)
     try:
@@ -43,7 +44,7 @@ def in_second_process(subject: CardSubject, outputs: Floats) -> dict[str, Any]:
 
 
 @contextmanager
-def holding(subject: CardSubject, outputs: Floats) -> Iterator[subprocess.Popen[str]]:
+def holding(subject: CardSubject, outputs: Array) -> Iterator[subprocess.Popen[str]]:
     """A process that has started the card and writes it all the time."""
     process = subprocess.Popen(_command("hold", subject, outputs), stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
@@ -59,7 +60,7 @@ def holding(subject: CardSubject, outputs: Floats) -> Iterator[subprocess.Popen[
         process.stdout.close()
 
 
-def _command(mode: str, subject: CardSubject, outputs: Floats) -> list[str]:
+def _command(mode: str, subject: CardSubject, outputs: Array) -> list[str]:
     words = ",".join(f"{v:.6f}" for v in outputs)
     module = "rig.driver_contract.second_process"
     return [sys.executable, "-P", "-m", module, mode, str(subject.rig_file), subject.name, words]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calibration.gravity import GravityDirection
+from model.arrays import Array
 from model.units import PA_PER_BAR
 from protocols import arguments
 from protocols.problems import BadInputError, raise_all
@@ -53,7 +54,6 @@ EVEN = 0.25
 CLOSEST_S, HIGHEST_BAR, TIP_M, TIP_LENGTHS = 2e-4, 50.0, (1e-3, 5.0), (0.1, 3.0)
 """Beyond these values rows, pressures or tips (from the base, or in arm lengths) likely have another unit."""
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
@@ -110,7 +110,7 @@ class _Measurement:
     started_utc_ns: int
     samples: NDArray[np.void]
     observations: NDArray[np.void]
-    ambient_pa: Floats
+    ambient_pa: Array
     delay: AppliedDelay
     gravity: GravityDirection | None
 
@@ -169,7 +169,7 @@ def _header(found: _Measurement, columns: ColumnReader, mapping: Mapping, docume
     )
 
 
-def _samples(t_ns: Ints, frame: Ints, setpoint_pa: Floats, gauge_pa: Floats, valve_v: Floats) -> NDArray[np.void]:
+def _samples(t_ns: Ints, frame: Ints, setpoint_pa: Array, gauge_pa: Array, valve_v: Array) -> NDArray[np.void]:
     """One control cycle per row (n,), never late."""
     samples = blank(len(t_ns), sample_dtype(gauge_pa.shape[1], valve_v.shape[1]))
     samples["t_ns"], samples["cycle"], samples["scans"] = t_ns, frame, 1
@@ -178,7 +178,7 @@ def _samples(t_ns: Ints, frame: Ints, setpoint_pa: Floats, gauge_pa: Floats, val
     return samples
 
 
-def _observations(samples: NDArray[np.void], tips: PlacedTips, weight_kg: Floats) -> NDArray[np.void]:
+def _observations(samples: NDArray[np.void], tips: PlacedTips, weight_kg: Array) -> NDArray[np.void]:
     """One frame per row (n,), without a model."""
     rows = blank(len(samples), observation_dtype(samples["measured_pa"].shape[1]))
     rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["cycle"], samples["protocol_s"]
@@ -200,7 +200,7 @@ def _observations(samples: NDArray[np.void], tips: PlacedTips, weight_kg: Floats
 
 
 def _warn_of_implausible_values(
-    columns: ColumnReader, t_ns: Ints, gauge_pa: Floats, tip_m: Floats, length_m: float | None
+    columns: ColumnReader, t_ns: Ints, gauge_pa: Array, tip_m: Array, length_m: float | None
 ) -> None:
     """Warn of values that are implausible for a soft arm."""
     step_s = float(np.median(np.diff(t_ns))) * 1e-9
@@ -274,14 +274,14 @@ def _frames(columns: ColumnReader, t_ns: Ints) -> Ints:
     return np.concatenate([[0], np.cumsum(whole)])
 
 
-def _valves(columns: ColumnReader, mapping: Mapping) -> Floats:
+def _valves(columns: ColumnReader, mapping: Mapping) -> Array:
     """Voltages (n, V), or one row of none."""
     if mapping.valves is None:
         return np.empty((1, 0))
     return columns.read_columns(mapping.valves.columns, [VOLTS[mapping.valves.unit]] * len(mapping.valves.columns))
 
 
-def _weight(columns: ColumnReader, mapping: Mapping) -> Floats:
+def _weight(columns: ColumnReader, mapping: Mapping) -> Array:
     """Return weights (n,) [kg]; zero where the file has none."""
     if mapping.weight is None:
         return np.zeros(1)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from protocols.problems import BadInputError, Problem, raise_all
 from rig.importing.tables import Key, SourceTable
-
-Floats = NDArray[np.float64]
 
 
 class ColumnReader:
@@ -22,7 +20,7 @@ class ColumnReader:
         self.warnings: list[str] = []
         self._length: tuple[Key, int] | None = None
 
-    def scaled(self, column: Key, scale: float) -> Floats | None:
+    def scaled(self, column: Key, scale: float) -> Array | None:
         """Return a column (n,) times `scale`; None, and a problem, where it cannot be read."""
         try:
             values = self.table.numbers(column)
@@ -49,7 +47,7 @@ class ColumnReader:
         self._length = self._length or (column, len(cells))
         return cells
 
-    def read_columns(self, columns: Sequence[Key], scales: Sequence[float]) -> Floats:
+    def read_columns(self, columns: Sequence[Key], scales: Sequence[float]) -> Array:
         """Columns (n, k), each times its scale; NaN stands for one that cannot be read, beside its problem."""
         length = self._length[1] if self._length else 2
         found = [self.scaled(column, scale) for column, scale in zip(columns, scales, strict=True)]
@@ -65,7 +63,7 @@ class ColumnReader:
         if message not in self.warnings:
             self.warnings.append(message)
 
-    def warn_missing(self, values: Floats, what: str) -> None:
+    def warn_missing(self, values: Array, what: str) -> None:
         """Warn if some of the values (n,) or (n, k) are missing."""
         rows = np.flatnonzero(~np.isfinite(values if values.ndim == 1 else values.sum(axis=1)))
         if len(rows):

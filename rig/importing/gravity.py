@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.gravity import GravityDirection, GravityUndeterminedError, gravity_direction
+from model.arrays import Array
 from model.units import GRAVITY_M_S2
 from protocols import document
 from protocols.source_positions import Document
@@ -28,11 +29,9 @@ _ACCELERATION_SHARE = 0.1
 # Times of rows are whole nanoseconds.
 _CLOCK_S = 1e-9
 
-Floats = NDArray[np.float64]
-
 
 def measured_gravity(
-    columns: ColumnReader, mapping: Mapping, source: Document, time_s: Floats, weight_kg: Floats
+    columns: ColumnReader, mapping: Mapping, source: Document, time_s: Array, weight_kg: Array
 ) -> GravityDirection | None:
     """Direction of gravity in the rod-base frame; None where the mapping does not ask for it, or with a problem.
 
@@ -68,7 +67,7 @@ def measured_gravity(
     return replace(found, std_rad=_with_stated_errors(found, mapping, gravity, cell))
 
 
-def _at_rest(gravity: Gravity, time_s: Floats) -> NDArray[np.bool_]:
+def _at_rest(gravity: Gravity, time_s: Array) -> NDArray[np.bool_]:
     """Which rows (n,) are in a time at rest."""
     if gravity.at_rest_s is None:
         return np.ones(len(time_s), bool)

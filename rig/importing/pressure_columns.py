@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.units import PA_PER_BAR
 from protocols.source_positions import Document
 from rig.importing.columns import ColumnReader
@@ -17,8 +18,6 @@ from rig.importing.mapping import Mapping
 from rig.importing.units import PASCALS, PressureUnit
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from runs.interpolation import interpolated
-
-Floats = NDArray[np.float64]
 
 # Largest delay that is looked for, at most this share of the table, and the smallest step of the rows compared.
 _LONGEST_S, _PART, _STEP_S = 2.0, 0.125, 0.02
@@ -41,7 +40,7 @@ class PressureDelay:
     share: float
 
 
-def measured_delay(time_s: Floats, pressure_pa: Floats, tip_m: Floats) -> PressureDelay | None:
+def measured_delay(time_s: Array, pressure_pa: Array, tip_m: Array) -> PressureDelay | None:
     """The delay (n,) at which changes of the pressures (n, N) explain those of the tip (n, 3) best, linearly.
 
     The standard uncertainty is that of a jackknife over blocks of rows. None if the delay cannot be determined.
@@ -90,7 +89,7 @@ def measured_delay(time_s: Floats, pressure_pa: Floats, tip_m: Floats) -> Pressu
     return PressureDelay((best - lags) * period_s, std_s, float(shares.max()))
 
 
-def _moments(by: Floats, of: Floats, seen: NDArray[np.bool_], lags: int) -> tuple[Floats, Floats, Floats]:
+def _moments(by: Array, of: Array, seen: NDArray[np.bool_], lags: int) -> tuple[Array, Array, Array]:
     """Second moments of the seen rows by lag and block: (L, B, N, N) of `by`, (L, B, N, 3) of both, (B,) of `of`."""
     middle = slice(lags, len(of) - lags)
     edges = np.linspace(0, len(of[middle]), _BLOCKS + 1).round().astype(int)
@@ -107,14 +106,14 @@ def _moments(by: Floats, of: Floats, seen: NDArray[np.bool_], lags: int) -> tupl
     return np.array(own), np.array(cross), np.array([float((followed[block] ** 2).sum()) for block in blocks])
 
 
-def _shares(own: Floats, cross: Floats, total: float) -> Floats:
+def _shares(own: Array, cross: Array, total: float) -> Array:
     """Share (L,) of the tip's changes that a linear response explains at each lag."""
     slope = np.linalg.pinv(own, rcond=1e-9, hermitian=True) @ cross
-    out: Floats = (slope * cross).sum(axis=(1, 2)) / total
+    out: Array = (slope * cross).sum(axis=(1, 2)) / total
     return out
 
 
-def _summit(shares: Floats) -> float | None:
+def _summit(shares: Array) -> float | None:
     """The lag with the largest share, between rows by a parabola; None at an end."""
     top = int(np.argmax(shares))
     if not 0 < top < len(shares) - 1:
@@ -146,7 +145,7 @@ class AppliedDelay:
 
 
 def pressure_delay(
-    columns: ColumnReader, mapping: Mapping, document: Document, time_s: Floats, gauge_pa: Floats, tip_m: Floats
+    columns: ColumnReader, mapping: Mapping, document: Document, time_s: Array, gauge_pa: Array, tip_m: Array
 ) -> AppliedDelay:
     """The delay that the mapping states or asks to measure; a stated one that the table contradicts is a warning."""
     stated = mapping.pressures.delay_s
@@ -168,7 +167,7 @@ def pressure_delay(
     return by_mapping
 
 
-def delayed(t_ns: Ints, gauge_pa: Floats, delay_s: float) -> Floats:
+def delayed(t_ns: Ints, gauge_pa: Array, delay_s: float) -> Array:
     """Pressures (n, N) of `delay_s` earlier, interpolated linearly; before the first row, those of it."""
     if not delay_s:
         return gauge_pa
@@ -176,7 +175,7 @@ def delayed(t_ns: Ints, gauge_pa: Floats, delay_s: float) -> Floats:
     return interpolated(time_s - delay_s, time_s, gauge_pa)
 
 
-def pressures(columns: ColumnReader, mapping: Mapping) -> tuple[Floats, Floats]:
+def pressures(columns: ColumnReader, mapping: Mapping) -> tuple[Array, Array]:
     """Return gauge pressures (n, N) and the subtracted ambient pressures (N,) [Pa]."""
     stated = mapping.pressures
     raw_pa = _scaled(columns, stated.columns, stated.unit)
@@ -209,7 +208,7 @@ def pressures(columns: ColumnReader, mapping: Mapping) -> tuple[Floats, Floats]:
     return raw_pa - off_pa, off_pa
 
 
-def _vented(columns: ColumnReader, mapping: Mapping, raw_pa: Floats, rows: int) -> Floats:
+def _vented(columns: ColumnReader, mapping: Mapping, raw_pa: Array, rows: int) -> Array:
     """Each column's mean (N,) [Pa] over the first rows."""
     first = raw_pa[:rows]
     if len(first) < rows:
@@ -233,15 +232,13 @@ def _vented(columns: ColumnReader, mapping: Mapping, raw_pa: Floats, rows: int) 
     return means
 
 
-def setpoints(columns: ColumnReader, mapping: Mapping) -> Floats:
+def setpoints(columns: ColumnReader, mapping: Mapping) -> Array:
     """Set-points (n, N) [Pa], or NaN where the file has none."""
     if mapping.setpoints is None:
         return np.full((1, mapping.actuators), np.nan)
     return _scaled(columns, mapping.setpoints.columns, mapping.setpoints.unit)
 
 
-def _scaled(
-    columns: ColumnReader, keys: tuple[int | str, ...], unit: PressureUnit | tuple[PressureUnit, ...]
-) -> Floats:
+def _scaled(columns: ColumnReader, keys: tuple[int | str, ...], unit: PressureUnit | tuple[PressureUnit, ...]) -> Array:
     units = unit if isinstance(unit, tuple) else (unit,) * len(keys)
     return columns.read_columns(keys, [PASCALS[word] for word in units])

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from model.arrays import Array
 from protocols.document import read_text
 from protocols.problems import BadInputError, Problem, bad_input, closest, raise_all
 from protocols.source_positions import shortened
@@ -31,7 +32,6 @@ SHEETS = (".xlsx", ".xls", ".ods")
 _END = "\n"
 """Stands for a cell that a short row lacks; no cell is like it."""
 
-Floats = NDArray[np.float64]
 Key = int | str
 
 
@@ -42,7 +42,7 @@ class SourceTable(Protocol):
     def file(self) -> str:
         """The file's name."""
 
-    def numbers(self, column: Key) -> Floats:
+    def numbers(self, column: Key) -> Array:
         """The numbers (n,) of a column, NaN where a cell says that nothing was measured.
 
         Raises:
@@ -77,12 +77,12 @@ class CsvTable:
     file: str
     names: tuple[str, ...]
     first_column: int
-    cells: Floats
+    cells: Array
     odd: Mapping[tuple[int, int], str]
     lines: Sequence[int]
     decimal_comma: bool
 
-    def numbers(self, column: Key) -> Floats:
+    def numbers(self, column: Key) -> Array:
         at = self._position(column)
         rows = [int(row) for row in np.flatnonzero(np.isinf(self.cells[:, at]))]
         if not rows:
@@ -238,7 +238,7 @@ class MatTable:
     matrix: NDArray[Any] | None
     first_column: int
 
-    def numbers(self, column: Key) -> Floats:
+    def numbers(self, column: Key) -> Array:
         values = self._values(column)
         if np.iscomplexobj(values):
             raise bad_input(self.file, f"complex numbers in column {column}", "real numbers")

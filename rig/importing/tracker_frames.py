@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calibration.vision.transforms import RigidTransform
+from model.arrays import Array
 from rig.config.optics import rigid
 from rig.importing.columns import ColumnReader
 from rig.importing.mapping import Mapping
@@ -26,8 +27,6 @@ LARGEST_REST_ROTATION_DEG = 2.0
 LONGEST_LEVER_M = 1.0
 """A wrench at a tip has no longer lever than this."""
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class PlacedTips:
@@ -37,16 +36,16 @@ class PlacedTips:
     position [m] and of a small rotation [rad] about the axes of the rod base.
     """
 
-    tip_m: Floats
-    rotation: Floats
-    covariance: Floats
+    tip_m: Array
+    rotation: Array
+    covariance: Array
 
     @classmethod
     def none(cls, count: int = 1) -> PlacedTips:
         """Nothing measured in some rows."""
         return cls(*(np.full((count, *shape), np.nan) for shape in ((3,), (3, 3), (6, 6))))
 
-    def turned(self, turn: Floats) -> PlacedTips:
+    def turned(self, turn: Array) -> PlacedTips:
         """The tips along other axes, by rotations (3, 3) or (n, 3, 3)."""
         blocks = self.covariance.reshape(-1, 2, 3, 2, 3)
         turns = np.broadcast_to(turn, self.rotation.shape)
@@ -58,7 +57,7 @@ class PlacedTips:
         return replace(self, rotation=np.full_like(self.rotation, np.nan))
 
 
-def wrench(columns: ColumnReader, mapping: Mapping) -> Floats:
+def wrench(columns: ColumnReader, mapping: Mapping) -> Array:
     """Force [N] and moment [N m] on the arm at the tool centre point (n, 6), along the axes of the rod base.
 
     One row of zeros where the mapping names none; a row that lacks part of its wrench is a problem.
@@ -89,7 +88,7 @@ def wrench(columns: ColumnReader, mapping: Mapping) -> Floats:
     return found if wrench.on == "arm" else -found
 
 
-def load_cell_turn(columns: ColumnReader, mapping: Mapping, cell: LoadCell) -> Floats:
+def load_cell_turn(columns: ColumnReader, mapping: Mapping, cell: LoadCell) -> Array:
     """Rotations (n, 3, 3), or one (1, 3, 3), from the axes of a load cell to those of the rod base."""
     turn = np.eye(3)[None]
     if cell.axes == "tip":
@@ -111,7 +110,7 @@ def load_cell_turn(columns: ColumnReader, mapping: Mapping, cell: LoadCell) -> F
     return np.asarray(rigid(mapping.frame).rotation @ turn)
 
 
-def _zeroed(columns: ColumnReader, wrench: Wrench, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
+def _zeroed(columns: ColumnReader, wrench: Wrench, force: Array, moment: Array) -> tuple[Array, Array]:
     """Force and moment (n, 3) without their means over the first rows, in which nothing pulls."""
     rows = wrench.zero_rows
     first = np.concatenate([force, moment], 1)[:rows]
@@ -128,7 +127,7 @@ def _zeroed(columns: ColumnReader, wrench: Wrench, force: Floats, moment: Floats
     return force - means[:3], moment - means[3:]
 
 
-def _at_first(columns: ColumnReader, turn: Floats, rows: int, purpose: str) -> Floats:
+def _at_first(columns: ColumnReader, turn: Array, rows: int, purpose: str) -> Array:
     """Mean rotation (3, 3) of the first of some rotations (n, 3, 3)."""
     known = np.isfinite(turn[:rows]).all(axis=(1, 2))
     if not known.any():
@@ -141,7 +140,7 @@ def _at_first(columns: ColumnReader, turn: Floats, rows: int, purpose: str) -> F
     return np.asarray(mean.as_matrix())
 
 
-def _warn_of_lever(columns: ColumnReader, force: Floats, moment: Floats) -> None:
+def _warn_of_lever(columns: ColumnReader, force: Array, moment: Array) -> None:
     """Warn if moments (n, 3) over forces (n, 3) exceed the longest lever: a unit is probably wrong."""
     pull, turning = (float(np.nanmax(np.abs(v), initial=0.0)) for v in (force, moment))
     if turning > LONGEST_LEVER_M * pull > 0:
@@ -209,7 +208,7 @@ def _mounted(columns: ColumnReader, orientation: TipOrientation, tips: PlacedTip
     return replace(tips, rotation=tips.rotation @ mounted)
 
 
-def _base_turn(columns: ColumnReader, base: BaseSensor) -> Floats | None:
+def _base_turn(columns: ColumnReader, base: BaseSensor) -> Array | None:
     """Rotations (n, 3, 3) from the tracker's axes to the base sensor's; None where they are not to be used."""
     if base.orientation is None:
         return None
@@ -221,21 +220,21 @@ def _base_turn(columns: ColumnReader, base: BaseSensor) -> Floats | None:
     return None
 
 
-def _position(columns: ColumnReader, position: Position, whose: str) -> Floats:
+def _position(columns: ColumnReader, position: Position, whose: str) -> Array:
     units = position.unit if isinstance(position.unit, tuple) else (position.unit,) * 3
     values = columns.read_columns(position.columns, [METRES[unit] for unit in units])
     columns.warn_missing(values, f"the {whose}'s position")
     return values
 
 
-def _variance(uncertainty_mm: float | tuple[float, ...] | None) -> Floats:
+def _variance(uncertainty_mm: float | tuple[float, ...] | None) -> Array:
     """Variances (3,) [m^2]."""
     if uncertainty_mm is None:
         return np.full(3, np.nan)
     return np.broadcast_to(np.square(np.array(uncertainty_mm) * 1e-3), 3)
 
 
-def _turns(columns: ColumnReader, orientation: Orientation, whose: str) -> Floats:
+def _turns(columns: ColumnReader, orientation: Orientation, whose: str) -> Array:
     """What the columns hold (n, 4), (n, 3) or (n, 9), in the order of the mapping; angles in radians."""
     scale = np.pi / 180 if orientation.unit == "deg" else 1.0
     values = columns.read_columns(orientation.columns, (scale,) * len(orientation.columns))
@@ -243,7 +242,7 @@ def _turns(columns: ColumnReader, orientation: Orientation, whose: str) -> Float
     return values
 
 
-def _matrices(columns: ColumnReader, orientation: Orientation, whose: str) -> Floats:
+def _matrices(columns: ColumnReader, orientation: Orientation, whose: str) -> Array:
     """Rotations (n, 3, 3) from the sensor's axes to the tracker's, NaN where one is missing; a fault is a problem."""
     values = _turns(columns, orientation, whose)
     if fault := _fault(columns, orientation, values, whose):
@@ -259,7 +258,7 @@ def _matrices(columns: ColumnReader, orientation: Orientation, whose: str) -> Fl
     return matrices
 
 
-def _rotation(order: str, values: Floats) -> Floats:
+def _rotation(order: str, values: Array) -> Array:
     """Matrices (n, 3, 3) of what a mapping's order says that the values are."""
     if order == "matrix":
         return values.reshape(-1, 3, 3)
@@ -270,7 +269,7 @@ def _rotation(order: str, values: Floats) -> Floats:
     return np.asarray(Rotation.from_quat(values[:, [1, 2, 3, 0]] if order == "wxyz" else values).as_matrix())
 
 
-def _fault(columns: ColumnReader, orientation: Orientation, values: Floats, whose: str) -> str:
+def _fault(columns: ColumnReader, orientation: Orientation, values: Array, whose: str) -> str:
     """What makes the quaternions (n, 4) no rotations, or an empty text. A repeated component alone is a warning:
     rotations about a diagonal have one.
     """
@@ -296,7 +295,7 @@ def _fault(columns: ColumnReader, orientation: Orientation, values: Floats, whos
     return f"the {whose}'s orientation is no rotation: " + "; ".join([warning, *echoes])
 
 
-def _no_rotation(columns: ColumnReader, values: Floats, known: NDArray[np.intp], whose: str) -> str:
+def _no_rotation(columns: ColumnReader, values: Array, known: NDArray[np.intp], whose: str) -> str:
     """What makes the matrices (n, 9) no rotations, or an empty text."""
     matrices = values[known].reshape(-1, 3, 3)
     apart = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
+from model.arrays import Array
 from model.statics import statics
 from model.units import KG_PER_G, MM_PER_M, PA_PER_BAR
 from protocols import BadInputError
@@ -45,7 +46,6 @@ HISTORY_ROWS = 1500
 PACKET_S = 1 / 30
 UNKNOWN_LENGTH_MM = 170.0
 """Length of the arm that the page draws where the archived rig cannot be read."""
-Floats = NDArray[np.float64]
 
 
 class ArchivedRun:
@@ -137,7 +137,7 @@ class ArchivedRun:
         return int(rows[before - 1]) if before else -1
 
     @cached_property
-    def _leading(self) -> tuple[Floats, NDArray[np.int64]]:
+    def _leading(self) -> tuple[Array, NDArray[np.int64]]:
         """Times and rows of the pictures to show: the first of each frame set."""
         rows = np.unique(self.run.frames.index, return_index=True)[1]
         return self.run.frames.time_s[rows], rows
@@ -276,7 +276,7 @@ class ArchivedRunViewer:
         """Release nothing."""
 
 
-def _between(rows: Floats, after_s: float, until_s: float) -> Floats:
+def _between(rows: Array, after_s: float, until_s: float) -> Array:
     """Return rows with after < time <= until, decimated to `HISTORY_ROWS`."""
     first, last = np.searchsorted(rows[:, 0], [after_s, until_s], side="right")
     chosen = rows[first:last]

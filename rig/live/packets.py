@@ -16,9 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from model.arrays import Array
 from runs.records import AuxiliaryChannel, Quantity
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -61,8 +60,8 @@ class TimingView:
 class PressureView:
     """Gauge pressures (N,) [bar] of the newest control cycle."""
 
-    setpoint_bar: Floats
-    measured_bar: Floats
+    setpoint_bar: Array
+    measured_bar: Array
 
 
 @dataclass(frozen=True)
@@ -131,7 +130,7 @@ class ViewState:
     ended: str = ""
 
 
-def estimates(adapted: Sequence[Quantity], value: Floats, std: Floats) -> tuple[EstimateView, ...]:
+def estimates(adapted: Sequence[Quantity], value: Array, std: Array) -> tuple[EstimateView, ...]:
     """The estimates (n,) of the adapted parameters, with their standard deviations (n,)."""
     return tuple(
         EstimateView(q.name, q.unit, f"{x:.5g}", f"{s:.2g}", f"{q.value[0]:.5g}")
@@ -139,12 +138,12 @@ def estimates(adapted: Sequence[Quantity], value: Floats, std: Floats) -> tuple[
     )
 
 
-def inputs(channels: Sequence[AuxiliaryChannel], values: Floats) -> tuple[InputView, ...]:
+def inputs(channels: Sequence[AuxiliaryChannel], values: Array) -> tuple[InputView, ...]:
     """The values (n,) of the auxiliary inputs."""
     return tuple(InputView(one.name, f"{value:.4g}", one.unit) for one, value in zip(channels, values, strict=True))
 
 
-def sections(names: Iterable[str], points_mm: Floats, models_mm: Floats) -> tuple[SectionView, ...]:
+def sections(names: Iterable[str], points_mm: Array, models_mm: Array) -> tuple[SectionView, ...]:
     """The measured sections (n,) by their measured and modelled points (n, 3)."""
     found = []
     for name, point, model in zip(names, points_mm, models_mm, strict=True):
@@ -176,7 +175,7 @@ class History:
         self._stride = 1
         self._seen = 0
 
-    def add(self, row: Floats | list[float]) -> None:
+    def add(self, row: Array | list[float]) -> None:
         """Append a row; its first column is the time and ascends."""
         self._seen += 1
         if (self._seen - 1) % self._stride:
@@ -188,7 +187,7 @@ class History:
         self._rows[self._filled] = row
         self._filled += 1
 
-    def after(self, t_s: float) -> Floats:
+    def after(self, t_s: float) -> Array:
         """Rows (n, columns) later than a time."""
         rows = self._rows[: self._filled]
         return rows[int(np.searchsorted(rows[:, 0], t_s, side="right")) :]
@@ -213,10 +212,10 @@ class RunningMean:
 class ViewOverlay:
     """Overlay of one picture [px] and lines in space [mm]."""
 
-    corners_px: Floats
-    tip_px: Floats
-    model_px: Floats
-    lines_mm: Floats
+    corners_px: Array
+    tip_px: Array
+    model_px: Array
+    lines_mm: Array
 
 
 @dataclass
@@ -224,9 +223,9 @@ class ViewUpdate:
     """New data for a page; see docs/reference/live-stream.md. NaN becomes null."""
 
     now: ViewState
-    pressure: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    pressure: Array = field(default_factory=lambda: np.empty((0, 0)))
     """Rows: time [s], N set-points, N measured [bar]."""
-    track: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    track: Array = field(default_factory=lambda: np.empty((0, 0)))
     """Rows: time [s], measured (3), uncertainty (3), model (3), error, running mean of the error [mm]."""
     events: list[tuple[float, str, str, str]] = field(default_factory=list)
     overlay: ViewOverlay | None = None

@@ -14,13 +14,12 @@ from calibration.vision.corners import Corners
 from calibration.vision.tcp import tip_in_base
 from calibration.vision.tracker import BoardTracker, Detection
 from calibration.vision.transforms import RigidTransform
+from model.arrays import Array
 from rig.config.optics import board_in_tip, board_of, camera_in_base, lens_of, plane_of
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import Frame, FrameSet
 from rig.observation.tip_measurement import TipMeasurement
 from runs.records import DetectionStatus
-
-Floats = NDArray[np.float64]
 
 _SAMPLED_ROWS = 16
 """Row step for the comparison with the previous picture; sensor noise never repeats exactly."""
@@ -43,9 +42,9 @@ class _PreviousEstimate:
     """Previous position: corners [px] or the tip [m]; its speed [1/ns] and the change of the speed."""
 
     t_ns: int
-    place: Floats
-    speed: Floats | None = None
-    change: Floats | None = None
+    place: Array
+    speed: Array | None = None
+    change: Array | None = None
 
 
 class CameraTipEstimator:
@@ -181,7 +180,7 @@ class CameraTipEstimator:
         change, speed = corners.of(np.where(np.isfinite(greatest), greatest, now.change)), corners.of(now.speed)
         return replace(corners, px=corners.px + speed * by_ns, carried_px=_CHANGE_SHARE * change * by_ns)
 
-    def _velocity(self, t_ns: int, tip_m: Floats) -> Floats:
+    def _velocity(self, t_ns: int, tip_m: Array) -> Array:
         """Return the tip's velocity [m/ns]; zero without a recent measurement."""
         before = self._previous_tip
         if before is None or not 0 < t_ns - before.t_ns < self._recent_ns:
@@ -198,7 +197,7 @@ class CameraTipEstimator:
         return float(np.sqrt(np.trace(slope @ camera.covariance @ slope.T) / len(self._points_m)))
 
 
-def _with_speed(before: _PreviousEstimate | None, t_ns: int, px: Floats, recent_ns: float) -> _PreviousEstimate:
+def _with_speed(before: _PreviousEstimate | None, t_ns: int, px: Array, recent_ns: float) -> _PreviousEstimate:
     """Return corners at a time with speed and its change; the change of a first speed is the speed itself."""
     if before is None or not 0 < t_ns - before.t_ns < recent_ns:
         return _PreviousEstimate(t_ns, px)

@@ -7,14 +7,11 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model
 from model.dynamics import Dynamics
 from model.statics import statics
 from rig.observation.sample_interpolator import SampleInterpolator
-
-Floats = NDArray[np.float64]
 
 # After a longer gap, in periods of the camera, the model restarts from the static solution instead of catching up.
 _MOST_STEPS = 10

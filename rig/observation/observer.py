@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
+from model.arrays import Array
 from protocols import TipReference
 from protocols.tip_reference import NO_TIP_REFERENCE
 from rig.config.arm_model import TipLoad, model_arm
@@ -28,7 +29,6 @@ from runs.records import DetectionStatus, blank, observation_dtype
 if TYPE_CHECKING:
     from rig.observation.online_estimation import OnlineEstimation
 
-Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 
@@ -81,12 +81,12 @@ class Observer:
         self,
         frame_set: FrameSet,
         sample_t_ns: Times,
-        sample_pa: Floats,
+        sample_pa: Array,
         protocol_s: float,
         dropped: int = 0,
         weight_kg: float = 0.0,
-        sample_protocol_s: Floats | None = None,
-        sample_aux: Floats | None = None,
+        sample_protocol_s: Array | None = None,
+        sample_aux: Array | None = None,
     ) -> NDArray[np.void]:
         """Process one frame set with the samples (k,), (k, N) since the last one; return a row ().
 
@@ -143,7 +143,7 @@ class Observer:
             return TipMeasurement.of_reading(frame_set.reading)
         return self._cameras.measure(frame_set) if self._cameras else TipMeasurement.none(DetectionStatus.NO_CAMERA, ())
 
-    def _set_reference(self, row: NDArray[np.void], sample_t_ns: Times, sample_protocol_s: Floats) -> None:
+    def _set_reference(self, row: NDArray[np.void], sample_t_ns: Times, sample_protocol_s: Array) -> None:
         """Set the reference at the time of a frame: the cycles around it give its protocol time."""
         self._protocol_times.extend(sample_t_ns, sample_protocol_s[:, None])
         t_s = float(self._protocol_times.at(int(row["t_ns"]))[0])

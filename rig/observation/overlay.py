@@ -5,14 +5,13 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model
+from model.arrays import Array
 from rig.config.optics import camera_in_base, lens_of
 from rig.config.schema import RigConfig
 from runs.records import BACKBONE_POINTS, ImageAnnotations
 
-Floats = NDArray[np.float64]
 _NOWHERE = np.zeros(3)
 
 
@@ -23,7 +22,7 @@ class OverlayProjector:
         self._lens = lens_of(config.cameras[camera])
         self._base_in_camera = camera_in_base(config.cameras[camera]).inverse()
 
-    def annotations(self, corners_px: Floats | None, tip_m: Floats, shape: model.Shape | None) -> ImageAnnotations:
+    def annotations(self, corners_px: Array | None, tip_m: Array, shape: model.Shape | None) -> ImageAnnotations:
         """Return the annotations of a picture: the board's corners, both tips and the backbone."""
         line = backbone(shape)
         points = self.pixels(np.vstack([tip_m, np.full(3, np.nan) if shape is None else shape.tip_m, line]))
@@ -31,7 +30,7 @@ class OverlayProjector:
             np.empty((0, 2)) if corners_px is None else corners_px, points[0], points[1], points[2:]
         )
 
-    def pixels(self, points_m: Floats) -> Floats:
+    def pixels(self, points_m: Array) -> Array:
         """Project points (n, 3) of the rod-base frame to the picture (n, 2); NaN behind the camera."""
         in_camera = self._base_in_camera.apply(points_m)
         visible = in_camera[:, 2] > 0
@@ -41,7 +40,7 @@ class OverlayProjector:
         return pixels
 
 
-def arm_lines(config: RigConfig, shape: model.Shape | None, points: int) -> Floats:
+def arm_lines(config: RigConfig, shape: model.Shape | None, points: int) -> Array:
     """Return the arm's axis and actuators (1 + N, points, 3) [m]; NaN without a shape."""
     if shape is None:
         return np.full((1 + config.actuators, points, 3), np.nan)
@@ -52,7 +51,7 @@ def arm_lines(config: RigConfig, shape: model.Shape | None, points: int) -> Floa
     return np.concatenate([axis[None], actuators])
 
 
-def backbone(shape: model.Shape | None) -> Floats:
+def backbone(shape: model.Shape | None) -> Array:
     """Return the arm's centre line (BACKBONE_POINTS, 3) [m], evenly spaced in rest length; NaN without a shape."""
     if shape is None:
         return np.full((BACKBONE_POINTS, 3), np.nan)
@@ -64,5 +63,5 @@ def backbone(shape: model.Shape | None) -> Floats:
 
 
 @lru_cache(maxsize=8)
-def _evenly(first_m: float, last_m: float) -> Floats:
+def _evenly(first_m: float, last_m: float) -> Array:
     return np.linspace(first_m, last_m, BACKBONE_POINTS)

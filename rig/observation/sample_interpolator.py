@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from model.arrays import Array
+
 Times = NDArray[np.int64]
 
 _HISTORY_NS = 1_000_000_000
@@ -16,9 +17,9 @@ class SampleInterpolator:
 
     def __init__(self, columns: int) -> None:
         self._t_ns: Times = np.empty(0, np.int64)
-        self._values: Floats = np.empty((0, columns))
+        self._values: Array = np.empty((0, columns))
 
-    def extend(self, t_ns: Times, values: Floats) -> None:
+    def extend(self, t_ns: Times, values: Array) -> None:
         """Append samples `t_ns` (k,), `values` (k, n); samples that are not newer than the last are ignored."""
         if self._t_ns.size:
             new = t_ns > self._t_ns[-1]
@@ -33,7 +34,7 @@ class SampleInterpolator:
         """Time of the first sample that is kept; None before any."""
         return int(self._t_ns[0]) if self._t_ns.size else None
 
-    def at(self, t_ns: int) -> Floats:
+    def at(self, t_ns: int) -> Array:
         """Return the values (n,) at a time, the nearest sample beyond the ends; NaN before the first."""
         if not self._t_ns.size:
             return np.full(self._values.shape[1], np.nan)

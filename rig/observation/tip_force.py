@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from model.arrays import Array
 from rig.config.schema import RigConfig
 
-Floats = NDArray[np.float64]
 
-
-def auxiliary_values(samples: NDArray[np.void]) -> Floats | None:
+def auxiliary_values(samples: NDArray[np.void]) -> Array | None:
     """Values (k, I) of the auxiliary inputs in the samples (k,) of a run; None for a rig without such inputs."""
     names = samples.dtype.names or ()
     return np.array(samples["aux"]) if "aux" in names else None
@@ -30,6 +29,6 @@ class MeasuredTipForce:
     def __bool__(self) -> bool:
         return bool(self.inputs)
 
-    def of(self, values: Floats) -> Floats:
+    def of(self, values: Array) -> Array:
         """Force (k, 3) [N] on the arm in the rod-base frame from values of all inputs (k, I); NaN if one is missing."""
         return np.asarray(values[:, self._columns] @ self._axes)

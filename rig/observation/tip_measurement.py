@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from rig.hardware.trackers.base import TrackerReading
 from runs.records import DetectionStatus
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -25,22 +23,22 @@ class TipMeasurement:
     """
 
     seen: DetectionStatus
-    tip_m: Floats
-    rotation: Floats
-    pose_covariance: Floats
+    tip_m: Array
+    rotation: Array
+    pose_covariance: Array
     reprojection_px: float
-    corners_px: Floats | None
+    corners_px: Array | None
     cameras: tuple[DetectionStatus, ...]
-    board_px: tuple[Floats | None, ...] = ()
+    board_px: tuple[Array | None, ...] = ()
     """The corners in each camera's picture."""
 
     @property
-    def covariance_m2(self) -> Floats:
+    def covariance_m2(self) -> Array:
         """Covariance (3, 3) of the position."""
         return self.pose_covariance[:3, :3]
 
     @property
-    def rotation_vector(self) -> Floats:
+    def rotation_vector(self) -> Array:
         """Rotation vector (3,) [rad] of the orientation; NaN without one."""
         if not np.isfinite(self.rotation).all():
             return np.full(3, np.nan)

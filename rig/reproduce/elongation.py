@@ -7,7 +7,6 @@ from functools import lru_cache
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 import model
 from calibration.identify.data import at_rest
@@ -19,6 +18,7 @@ from calibration.identify.paper_identification import (
     identify_paper,
     published_modulus,
 )
+from model.arrays import Array
 from model.tube import BallooningError, Tube
 from model.units import GRAVITY_M_S2, PA_PER_BAR
 from rig.config.arm_model import model_geometry
@@ -28,8 +28,6 @@ from rig.reproduce.experiments import origin
 from runs.report.colours import INK, MEASURED, MODEL, MUTED
 from runs.report.drawing import legend
 from runs.run import Run
-
-Array = NDArray[np.float64]
 
 TUBE = Tube(0.0095, 0.0125, 0.014, 82e3, 1.1e6, 3.0)
 """Constants of section 3 that come near both printed curves; the paper prints none of them."""

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.paper.rod import PaperRod
 from model.units import PA_PER_BAR
 from rig.config.arm_model import model_arm
@@ -21,8 +22,6 @@ from runs.report.colours import MEASURED, MODEL
 from runs.report.drawing import decimated, decimated_indices, legend
 from runs.run import Run
 from runs.summary import Z_95
-
-Array = NDArray[np.float64]
 
 TABLE5_MM = ((0.3269, 1.7349), (0.8019, 1.6247))
 """Printed RMSE in z and in x, cases 1 and 2."""

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from calibration.identify.data import at_rest
+from model.arrays import Array
 from model.statics import statics
 from model.units import PA_PER_BAR
 from rig.config.arm_model import model_arm
@@ -19,8 +19,6 @@ from rig.reproduce.experiments import origin
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED
 from runs.report.drawing import legend
 from runs.run import Run
-
-Array = NDArray[np.float64]
 
 MODELS: tuple[tuple[str, str, str, str], ...] = (
     ("homogeneous", "homogeneous", MUTED, "^"),

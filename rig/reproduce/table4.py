@@ -10,15 +10,14 @@ from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from model import Arm
+from model.arrays import Array
 from model.dynamics import Dynamics
 from model.paper.rod import PaperRod
 from model.units import PA_PER_BAR
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 
-Array = NDArray[np.float64]
 Space = Literal["euler", "rk4"]
 
 FRAME_S = 1 / 30

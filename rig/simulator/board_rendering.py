@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 import rig.simulator.checkerboard_rendering
 from calibration.vision.board import Board
 from calibration.vision.checkerboard import Checkerboard
+from model.arrays import Array
 from model.kernels.jit import kernel
 from rig.simulator.checkerboard_rendering import (
     BEHIND,
@@ -30,7 +31,6 @@ from rig.simulator.checkerboard_rendering import (
     share_beyond,
 )
 
-Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 _BACKDROP = -1.0
@@ -60,7 +60,7 @@ def _(board: Checkerboard) -> BoardRenderer:
     return render
 
 
-def print_table(board: Board) -> tuple[Floats, Floats, Floats]:
+def print_table(board: Board) -> tuple[Array, Array, Array]:
     """Lines across (p,) and down (q,) in units of the board, also of its margin, and what is between them.
 
     That is a table (q + 1, p + 1) of reflectances, with the backdrop at its rim.
@@ -75,7 +75,7 @@ def print_table(board: Board) -> tuple[Floats, Floats, Floats]:
     return across, down, table
 
 
-def table_renderer(across: Floats, down: Floats, table: Floats) -> BoardRenderer:
+def table_renderer(across: Array, down: Array, table: Array) -> BoardRenderer:
     """The kernel for any print, from a `print_table`."""
 
     def render(fine: Singles, view: ExposedView) -> None:
@@ -85,7 +85,7 @@ def table_renderer(across: Floats, down: Floats, table: Floats) -> BoardRenderer
 
 
 @fast_kernel
-def _cell(lines: Floats, at: float, near: int) -> int:
+def _cell(lines: Array, at: float, near: int) -> int:
     """How many lines (n,) lie at or before a place, found by steps from a guess."""
     while near < len(lines) and at >= lines[near]:
         near += 1
@@ -95,7 +95,7 @@ def _cell(lines: Floats, at: float, near: int) -> int:
 
 
 @fast_kernel
-def _nearest(lines: Floats, at: float, cell: int) -> int:
+def _nearest(lines: Array, at: float, cell: int) -> int:
     """The line nearest to a place, of those at either side of its cell."""
     if cell == 0:
         return 0
@@ -105,14 +105,14 @@ def _nearest(lines: Floats, at: float, cell: int) -> int:
 
 
 @fast_kernel
-def _surface(table: Floats, row: int, column: int, backdrop: float) -> float:
+def _surface(table: Array, row: int, column: int, backdrop: float) -> float:
     """Reflectance of a cell."""
     value = table[row, column]
     return value if value >= 0.0 else backdrop
 
 
 @fast_kernel
-def _uniform(table: Floats, first_row: int, last_row: int, first_column: int, last_column: int) -> bool:
+def _uniform(table: Array, first_row: int, last_row: int, first_column: int, last_column: int) -> bool:
     """Whether all cells from one to another have the same reflectance."""
     value = table[first_row, first_column]
     for row in range(first_row, last_row + 1):
@@ -123,7 +123,7 @@ def _uniform(table: Floats, first_row: int, last_row: int, first_column: int, la
 
 
 @fast_kernel
-def draw_print(fine: Singles, view: ExposedView, across: Floats, down: Floats, table: Floats) -> None:
+def draw_print(fine: Singles, view: ExposedView, across: Array, down: Array, table: Array) -> None:
     """Fill `fine` (FINE h, FINE w) with grey values of cells between lines.
 
     The lines and the table are those of `print_table`. Cells are taken to be larger than those of the fine grid.
@@ -170,7 +170,7 @@ def draw_print(fine: Singles, view: ExposedView, across: Floats, down: Floats, t
 
 
 @fast_kernel
-def _shade(edges: Floats, n: int, value: Floats) -> None:
+def _shade(edges: Array, n: int, value: Array) -> None:
     """Grey values (n,) of cells at one edge each; without a branch, for the vector registers."""
     distance, a, b, c = edges[_DISTANCE], edges[_SLOPE_X], edges[_SLOPE_Y], edges[_SLOPE_T]
     before, beyond, bright = edges[_BEFORE], edges[_BEYOND], edges[_BRIGHT]
@@ -183,15 +183,15 @@ def _shade(edges: Floats, n: int, value: Floats) -> None:
 def _put_edge(
     u: float,
     v: float,
-    one: Floats,
+    one: Array,
     samples: Singles,
-    across: Floats,
-    down: Floats,
-    table: Floats,
+    across: Array,
+    down: Array,
+    table: Array,
     column: int,
     row: int,
     behind: float,
-    edges: Floats,
+    edges: Array,
     k: int,
 ) -> bool:
     """Put the edge at a cell of the fine grid about (u, v), of the extent `one` (9, 1), into column `k` of `edges`.

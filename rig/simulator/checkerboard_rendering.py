@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 import calibration.vision.board
 from calibration.vision.board import QUIET_SQUARES
+from model.arrays import Array
 from model.kernels.jit import kernel
 
-Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 FINE = 2
@@ -42,9 +42,9 @@ class ExposedView(NamedTuple):
     corner: tuple[int, int]
     light: Singles
     backdrop: Singles
-    rays: Floats
-    H: Floats
-    dH: Floats  # noqa: N815 - the change of H
+    rays: Array
+    H: Array
+    dH: Array  # noqa: N815 - the change of H
     samples: Singles
 
 
@@ -76,7 +76,7 @@ def _albedo(u: float, v: float, nx: int, ny: int, backdrop: float) -> float:
 
 @fast_kernel
 def quarters(
-    u: float, v: float, cells: Floats, k: int, samples: Singles, surface: tuple[float, float, float, float]
+    u: float, v: float, cells: Array, k: int, samples: Singles, surface: tuple[float, float, float, float]
 ) -> float:
     """Mean of a cell about (u, v) off the crossing of two lines.
 
@@ -99,7 +99,7 @@ def quarters(
 
 
 @fast_kernel
-def _crossing(cells: Floats, k: int, samples: Singles, nx: int, ny: int) -> float:
+def _crossing(cells: Array, k: int, samples: Singles, nx: int, ny: int) -> float:
     """Mean reflectance of a cell that touches lines of both kinds."""
     u, ux, uy, ut = cells[U, k], cells[UX, k], cells[UY, k], cells[UT, k]
     v, vx, vy, vt = cells[V, k], cells[VX, k], cells[VY, k], cells[VT, k]
@@ -121,7 +121,7 @@ def _crossing(cells: Floats, k: int, samples: Singles, nx: int, ny: int) -> floa
 
 
 @fast_kernel
-def _shade(cells: Floats, n: int, samples: Singles, nx: int, ny: int, value: Floats, crossed: Any) -> None:
+def _shade(cells: Array, n: int, samples: Singles, nx: int, ny: int, value: Array, crossed: Any) -> None:
     """Mean reflectances `value` (n,) of cells: rows `U` and so on of `cells`; `crossed` (n,) is room for notes."""
     u, ux, uy, ut = cells[U, :n], cells[UX, :n], cells[UY, :n], cells[UT, :n]
     v, vx, vy, vt = cells[V, :n], cells[VX, :n], cells[VY, :n], cells[VT, :n]
@@ -148,19 +148,19 @@ def _shade(cells: Floats, n: int, samples: Singles, nx: int, ny: int, value: Flo
 
 @fast_kernel
 def board_coordinates(
-    rays: Floats,
+    rays: Array,
     row: int,
     x0: int,
-    H: Floats,
-    dH: Floats,
-    u: Floats,
-    ux: Floats,
-    uy: Floats,
-    ut: Floats,
-    v: Floats,
-    vx: Floats,
-    vy: Floats,
-    vt: Floats,
+    H: Array,
+    dH: Array,
+    u: Array,
+    ux: Array,
+    uy: Array,
+    ut: Array,
+    v: Array,
+    vx: Array,
+    vy: Array,
+    vt: Array,
 ) -> None:
     """Where the pixels of a row from `x0` look on the board, and by how much that changes with pixel and time."""
     w = len(u)

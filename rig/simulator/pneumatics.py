@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.kernels.jit import kernel
 from model.units import PA_PER_BAR
 from rig.config.schema import RigConfig
@@ -28,7 +29,6 @@ STEP_NS = 100_000
 REGULATOR_S = 0.03
 """Lag of a simulated electro-pneumatic regulator."""
 
-Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
@@ -39,20 +39,20 @@ class ValveTable(NamedTuple):
     """Truth of the valves; arrays over valves. `spool` (V, 2, 2) carries (position - target, rate) over a step."""
 
     regulates: NDArray[np.bool_]
-    closed_v: Floats
-    fill_sign: Floats
-    half_hysteresis_v: Floats
-    spool: Floats
-    curve_v: Floats
-    curve_fraction: Floats
-    conductance: Floats
-    leak: Floats
-    supply_pa: Floats
-    critical_ratio: Floats
-    pa_at_zero: Floats
-    pa_per_unit: Floats
-    lowest_pa: Floats
-    highest_pa: Floats
+    closed_v: Array
+    fill_sign: Array
+    half_hysteresis_v: Array
+    spool: Array
+    curve_v: Array
+    curve_fraction: Array
+    conductance: Array
+    leak: Array
+    supply_pa: Array
+    critical_ratio: Array
+    pa_at_zero: Array
+    pa_per_unit: Array
+    lowest_pa: Array
+    highest_pa: Array
 
 
 class ChamberTable(NamedTuple):
@@ -75,27 +75,27 @@ class SensorTable(NamedTuple):
     seed: int
     every: Integers
     lag_gain: float
-    noise_pa: Floats
-    offset_pa: Floats
-    zero_pa: Floats
-    v_per_pa: Floats
-    span_low_v: Floats
-    span_high_v: Floats
-    range_low_v: Floats
-    range_high_v: Floats
+    noise_pa: Array
+    offset_pa: Array
+    zero_pa: Array
+    v_per_pa: Array
+    span_low_v: Array
+    span_high_v: Array
+    range_low_v: Array
+    range_high_v: Array
 
 
 class PneumaticState(NamedTuple):
     """State of the plant's air; changed in place by `advance`."""
 
-    command_v: Floats
-    target_v: Floats
-    spool_v: Floats
-    spool_rate: Floats
-    pressure_pa: Floats
-    volume_m3: Floats
-    volume_rate: Floats
-    lagged_pa: Floats
+    command_v: Array
+    target_v: Array
+    spool_v: Array
+    spool_rate: Array
+    pressure_pa: Array
+    volume_m3: Array
+    volume_rate: Array
+    lagged_pa: Array
 
 
 _OF_TRUTH = tuple(field.name for field in fields(ValveTruth))
@@ -105,11 +105,11 @@ def valves(config: RigConfig, truth: SimulatedValve) -> ValveTable:
     """The true valves of a rig, each as its type describes it."""
     true = [valve.simulated(truth) for valve in config.valves]
     n, points = len(true), max(len(valve.curve_v) for valve in true) + 1
-    curves: dict[str, Floats] = {
+    curves: dict[str, Array] = {
         "curve_v": np.full((n, points), 1e9) + np.arange(points),
         "curve_fraction": np.zeros((n, points)),
     }
-    scalars: dict[str, Floats] = {
+    scalars: dict[str, Array] = {
         name: np.array([getattr(valve, name) for valve in true]) for name in _OF_TRUTH if name not in curves
     }
     regulates = np.array([valve.pa_per_unit != 0.0 for valve in true])
@@ -122,7 +122,7 @@ def valves(config: RigConfig, truth: SimulatedValve) -> ValveTable:
     return arrays
 
 
-def _spool(truth: SimulatedValve) -> Floats:
+def _spool(truth: SimulatedValve) -> Array:
     """Transition over one grid step of a second-order system at rest at zero."""
     omega = 2 * math.pi * truth.spool_hz
     system = np.array([[0.0, 1.0], [-(omega**2), -2 * truth.spool_damping * omega]])
@@ -176,7 +176,7 @@ def scan_steps(sampling_hz: float) -> int:
     return max(1, round(1e9 / sampling_hz / STEP_NS))
 
 
-def vented(n_valves: int, volume_m3: Floats) -> PneumaticState:
+def vented(n_valves: int, volume_m3: Array) -> PneumaticState:
     """Air at rest: every chamber (N,) [m3] at the atmosphere, every output at 0 V as a driver's attach leaves it."""
     n = len(volume_m3)
     zeros = np.zeros
@@ -204,7 +204,7 @@ def _flow(conductance: float, a_pa: float, b_pa: float, critical_ratio: float) -
 
 
 @compiled
-def _opening(offset_v: float, volts: Floats, fractions: Floats) -> float:
+def _opening(offset_v: float, volts: Array, fractions: Array) -> float:
     if offset_v <= volts[0]:
         return 0.0
     for i in range(1, len(volts)):
@@ -216,7 +216,7 @@ def _opening(offset_v: float, volts: Floats, fractions: Floats) -> float:
 
 @compiled
 def _rates(
-    v: ValveTable, c: ChamberTable, path: Floats, volume: Floats, volume_rate: Floats, p: Floats, out: Floats
+    v: ValveTable, c: ChamberTable, path: Array, volume: Array, volume_rate: Array, p: Array, out: Array
 ) -> None:
     """dp/dt (N,) of every chamber on a flow-metering valve; `path` (V,) is the opening, negative towards exhaust."""
     n = len(p)
@@ -272,7 +272,7 @@ def _read(s: SensorTable, a: int, step: int, pressure_pa: float) -> float:
 
 @compiled
 def advance(
-    v: ValveTable, c: ChamberTable, s: SensorTable, air: PneumaticState, first_step: int, steps: int, scans: Floats
+    v: ValveTable, c: ChamberTable, s: SensorTable, air: PneumaticState, first_step: int, steps: int, scans: Array
 ) -> None:
     """Take `steps` grid steps from grid point `first_step`, changing `air`.
 
@@ -319,10 +319,10 @@ def advance(
 
 @compiled
 def follow(
-    s_m: Floats,
-    v: Floats,
-    u: Floats,
-    at_m: Floats,
+    s_m: Array,
+    v: Array,
+    u: Array,
+    at_m: Array,
     bore_m2: float,
     dead_m3: float,
     within_s: float,

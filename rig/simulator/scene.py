@@ -10,16 +10,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.images import Image
 from calibration.vision.board import Board
 from calibration.vision.lens import Lens
 from calibration.vision.projection import extent
 from calibration.vision.transforms import RigidTransform
+from model.arrays import Array
 from rig.simulator.board_rendering import renderer
 from rig.simulator.checkerboard_rendering import FINE, ExposedView, shrink
 
-Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
-Image = NDArray[np.uint8]
 
 _SAMPLES = 64
 _NOISE_SPARE = (61, 83)
@@ -168,7 +168,7 @@ class Scene:
         return None if x1 - x0 < 2 or y1 - y0 < 2 else (x0, y0, x1, y1)
 
 
-def _to_squares(board: RenderedBoard, poses: tuple[RigidTransform, ...]) -> Floats:
+def _to_squares(board: RenderedBoard, poses: tuple[RigidTransform, ...]) -> Array:
     """Homographies (n, 3, 3) from rays to units across and down from the print's top left, last entries 1."""
     planes = np.empty((len(poses), 3, 3))
     for plane, pose in zip(planes, poses, strict=True):
@@ -185,7 +185,7 @@ class _PixelRays:
         self._rays = np.zeros((2, size[1] + 2, size[0] + 2))
         self._known = (*size, 0, 0)
 
-    def covering(self, box: tuple[int, int, int, int]) -> Floats:
+    def covering(self, box: tuple[int, int, int, int]) -> Array:
         """Rays (2, height + 2, width + 2) of the picture with a rim of one pixel, valid in `box` and one pixel around.
 
         `box` is x0, y0, x1, y1 in pixels, the last two exclusive.
@@ -201,7 +201,7 @@ class _PixelRays:
         return self._rays
 
 
-def _outline(board: Board) -> Floats:
+def _outline(board: Board) -> Array:
     """Points (n, 3) along the rim of the white margin."""
     q, (nx, ny) = board.printed.margin, board.extent
     rim = np.linspace(0, 1, 5)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.images import Image
 from calibration.vision.board import Board
 from calibration.vision.transforms import RigidTransform
 from model.statics import statics
@@ -16,9 +16,6 @@ from rig.config.schema import RigConfig
 from rig.simulator.mock_camera import MockCamera
 from rig.simulator.scene import ImageDegradation, Scene
 from rig.simulator.tip_pose import TipPose
-
-Image = NDArray[np.uint8]
-Floats = NDArray[np.float64]
 
 _FACING = np.diag([1.0, -1.0, -1.0])
 _MOST_LEAN_DEG = 32.0

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.inverse.static_map import StaticMap
 from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory, SetPointPlan, TipControlSettings
 from runs.interpolation import interpolated
-
-Array = NDArray[np.float64]
 
 
 class StaticInverse:

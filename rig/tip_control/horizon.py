@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import daqp
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.inverse.static_map import StaticMap
 from model.units import PA_PER_BAR
 from rig.tip_control.estimation.estimator import TipEstimator
@@ -36,8 +36,6 @@ from rig.tip_control.kernels.condensed_qp import gauss_newton_program, plan_of
 from rig.tip_control.kernels.prediction import advanced
 from rig.tip_control.move_blocking import HORIZON, MoveBlocking
 from rig.tip_control.tip_dynamics import TipDynamics
-
-Array = NDArray[np.float64]
 
 STEPS_PER_FRAME = 2
 RATE_WEIGHT = 0.04

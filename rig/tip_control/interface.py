@@ -10,13 +10,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model
+from model.arrays import Array
 from runs.columns import SolveStatus as SolveStatus
-
-Array = NDArray[np.float64]
-
 
 AHEAD = 40
 """Points of the reference that a controller sees, half a camera period apart."""

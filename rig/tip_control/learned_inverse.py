@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.units import PA_PER_BAR
 from protocols.tip_inverse import HISTORY_STEP_S, TipInverse, TipRequest, TipSolution
 from protocols.tip_paths import fade
@@ -16,8 +17,6 @@ from rig.tip_control.learning import STEP_S, DisturbanceLearner, PathPeriod, Rep
 from runs.interpolation import interpolated
 from runs.records import Status
 from runs.run import Run
-
-Array = NDArray[np.float64]
 
 LONGEST_GAP_S = 0.25
 """Longest time without a measured tip in a motion from which something is learned."""

@@ -12,18 +12,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, make_smoothing_spline
 from scipy.ndimage import gaussian_filter1d
 
+from model.arrays import Array
 from model.inverse.static_map import StaticMap
 from protocols.tip_paths import smooth_weight
 from rig.tip_control.estimation.state import HARMONICS
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.tip_dynamics import TipDynamics
 from runs.interpolation import interpolated
-
-Array = NDArray[np.float64]
 
 STEP_S = 0.005
 FADE_S = 0.5

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from runs.interpolation import interpolated
-
-Array = NDArray[np.float64]
 
 HORIZON = 12
 """Frames of the horizon."""

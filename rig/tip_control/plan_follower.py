@@ -6,11 +6,9 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from runs.records import SolveStatus
-
-Array = NDArray[np.float64]
 
 LONGEST_S = 0.3
 """For how long after its start a plan is followed; then the set-points are held."""

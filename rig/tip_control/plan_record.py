@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from model.arrays import Array
 from runs.records import tip_control_dtype
-
-Array = NDArray[np.float64]
 
 MOST_POINTS = 64
 """Largest number of points of a plan."""

@@ -20,8 +20,6 @@ from runs.columns import PLAN_AHEAD_S
 from runs.interpolation import interpolated
 from runs.records import DetectionStatus, SolveStatus, blank, tip_control_dtype
 
-Array = NDArray[np.float64]
-
 HISTORY_S = 1.0
 """Time before a frame of whose control cycles a controller sees the set-points and pressures."""
 

@@ -8,15 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 import model
+from model.arrays import Array
 from model.dynamics import Dynamics
 from rig.tip_control.kernels.arguments import ModalStep
 from rig.tip_control.kernels.modal_dynamics import modal_states, step_matrices
-
-Array = NDArray[np.float64]
 
 _STEP_S = 0.005
 _SPAN_S = 0.6

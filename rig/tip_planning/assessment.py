@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.identify.memory_parameters import ALL_NAMES
 from calibration.identify.parameter import Parameter
 from calibration.identify.parameters import groups, known
 from calibration.identify.setup import Setup
 from model import batch, sensitivities
+from model.arrays import Array
 from model.units import PA_PER_BAR
 from model.variation import GRADIENT_STEP_PA, Variation
 from protocols import SetPointTrajectory, TipMotion
@@ -19,8 +19,6 @@ from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from rig.tip_planning.path_follower import drive_of
-
-Array = NDArray[np.float64]
 
 POSTURES = 12
 """Points of the path at which uncertainties are propagated."""

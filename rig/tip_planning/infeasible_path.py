@@ -8,15 +8,13 @@ from dataclasses import replace
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.inverse.reachable import ReachablePoint, nearest_reachable
 from model.units import MM_PER_M, PA_PER_BAR
 from protocols.tip_inverse import TipRefusedError, TipRequest
 from protocols.tip_paths import TipPath, length_m
 from rig.tip_planning.path_follower import PathFollower, PathSolution
-
-Array = NDArray[np.float64]
 
 SMALLEST = 0.1
 """Smallest share of speed and size that is tried."""

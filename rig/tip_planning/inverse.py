@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from protocols.tip_inverse import TipRefusedError, TipRequest, TipSolution
 from protocols.tip_paths import TipPath
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from rig.tip_planning.infeasible_path import infeasible_path_error
 from rig.tip_planning.path_follower import NO_SOLUTION, PathFollower, shortened
-
-Array = NDArray[np.float64]
 
 
 class RigTipInverse:

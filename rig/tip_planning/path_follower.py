@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model
 from model import sensitivities
+from model.arrays import Array
 from model.inverse.drive import Drive
 from model.inverse.path import PathFollowing, PathInverse
 from model.inverse.static_map import MOST_VALVES, StaticMap
@@ -21,8 +21,6 @@ from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from runs.interpolation import interpolated
-
-Array = NDArray[np.float64]
 
 STEP_S = 0.01
 """Longest time between two pressures of a solution."""

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from model.arrays import Array
 from model.inverse.reachable import reachable_tips
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig, checked_config
@@ -17,8 +18,6 @@ from rig.config.sections import Variant
 from rig.tip_planning.path_follower import drive_of
 from runs.report import drawing
 from runs.report.colours import INK, MEASURED, RUNS
-
-Array = NDArray[np.float64]
 
 LEVELS = {1: 400, 2: 60, 3: 16}
 """Pressures of each valve, by the number of valves."""

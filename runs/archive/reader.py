@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from runs.archive.checked import content_sha256, opened
 from runs.archive.fields import QUANTITY_GROUPS
 from runs.archive.provenance import metadata, study_run
+from runs.arrays import Array
 from runs.columns import (
     Adaptation,
     Auxiliary,
@@ -45,7 +46,6 @@ from runs.records import (
     Status,
 )
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 T = TypeVar("T", bound=Table)
 
@@ -54,7 +54,7 @@ T = TypeVar("T", bound=Table)
 class Frames:
     """The stored pictures (k,); `ArchiveReader.picture` returns their bytes."""
 
-    time_s: Floats
+    time_s: Array
     index: Ints
     camera: tuple[str, ...]
     encoding: tuple[str, ...]

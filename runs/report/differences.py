@@ -7,8 +7,8 @@ from html import escape
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from runs.arrays import Array
 from runs.records import DetectionStatus
 from runs.report import overlay
 from runs.report.drawing import decimated
@@ -16,7 +16,6 @@ from runs.report.numbers import DASH
 from runs.report.settings import differing
 from runs.run import Run
 
-Floats = NDArray[np.float64]
 STEP_S = 1 / 30
 """Spacing of the protocol times at which tips are compared."""
 LONGEST_GAP_S = 0.2
@@ -36,7 +35,7 @@ def table(runs: Sequence[Run]) -> str:
     return f'<h2>Differing settings</h2>\n<div class="scroll"><table><tr><th></th>{head}</tr>{body}</table></div>\n'
 
 
-def tips_at_equal_times(runs: Sequence[Run]) -> tuple[Floats, Floats]:
+def tips_at_equal_times(runs: Sequence[Run]) -> tuple[Array, Array]:
     """Return protocol times (n,) [s] and the measured tips (runs, n, 3) [mm] at them, interpolated; NaN in gaps."""
     known = [run.tip.seen == DetectionStatus.MEASURED for run in runs]
     if not all(seen.sum() > 1 for seen in known):

@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from numpy.typing import NDArray
 
+from runs.arrays import Array
 from runs.overwriting import replacing
 from runs.report import figure_data
 from runs.report.colours import INK, MUTED, RULE
@@ -85,8 +86,6 @@ _FONTS = "Inter, 'Helvetica Neue', Helvetica, Arial, 'DejaVu Sans', sans-serif"
 
 _PATHS, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(?<=\.\d)\d+")
 """A tenth of a point is as fine as a page shows."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -203,20 +202,20 @@ def _stacked(figure: Figure, rows: int, columns: int, **options: Any) -> NDArray
     return axes
 
 
-def decimated(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+def decimated(x: Array, y: Array) -> tuple[Array, Array]:
     """Return a line with fewer points that looks the same: the extremes of each stretch."""
     index = decimated_indices(y)
     return x[index], y[index]
 
 
-def path_indices(points: Floats) -> NDArray[np.intp]:
+def path_indices(points: Array) -> NDArray[np.intp]:
     """Return which points (n, d) of a path are drawn: evenly chosen ones, and every gap."""
     chosen: NDArray[np.bool_] = np.asarray(~np.isfinite(points).all(axis=1))
     chosen[:: max(len(points) // (4 * POINTS), 1)] = True
     return np.flatnonzero(chosen)
 
 
-def decimated_indices(y: Floats) -> NDArray[np.intp]:
+def decimated_indices(y: Array) -> NDArray[np.intp]:
     """Return which points of a line are drawn: all of a short one, else the extremes and a gap of each stretch."""
     stretch = len(y) // POINTS * 2
     if stretch < 4:

@@ -10,8 +10,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter, MaxNLocator
-from numpy.typing import NDArray
 
+from runs.arrays import Array
 from runs.columns import Pressure, Tip
 from runs.periods import last_period
 from runs.records import DetectionStatus
@@ -24,7 +24,6 @@ from runs.summary import BAND_BAR, MOVED_MM, Z_95, StepSummary, Summary, in_plan
 SHAPES = 12
 LABEL_SPACING, LABEL_SPACING_NARROW = 0.06, 0.15
 """Distance between labels of a path, as a part of the motion."""
-Floats = NDArray[np.float64]
 
 
 def pressures(figure: Figure, run: Run, summary: Summary) -> None:
@@ -102,7 +101,7 @@ def around(figure: Figure, run: Run, summary: Summary) -> None:
     legend(above)
 
 
-def _paths(axes: Axes, run: Run, summary: Summary, project: Callable[[Floats], Floats]) -> None:
+def _paths(axes: Axes, run: Run, summary: Summary, project: Callable[[Array], Array]) -> None:
     tip, gaps = tip_with_gaps(run.tip)
     measured, model = (project(points[path_indices(points)]) for points in (tip.measured_mm, tip.model_mm))
     if run.simulated is not None:
@@ -246,12 +245,12 @@ def steps(figure: Figure, run: Run, summary: Summary) -> None:
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
-def from_rest_mm(run: Run, summary: Summary) -> Floats:
+def from_rest_mm(run: Run, summary: Summary) -> Array:
     """Return the distances of the settled tips from the tip at rest, in the plane of motion; NaN without such a tip."""
     project, _ = across(run, summary)
     measured = project(np.array([step.measured_mm for step in settled_steps(summary.steps)]))
     rest = project(rest_mm(run.tip, run.tip.seen == DetectionStatus.MEASURED)[None])
-    distances: Floats = np.linalg.norm(measured - rest, axis=1)
+    distances: Array = np.linalg.norm(measured - rest, axis=1)
     return distances
 
 
@@ -349,7 +348,7 @@ def timing(figure: Figure, run: Run, summary: Summary) -> None:
         axis.set_minor_formatter(LogFormatter())
 
 
-def across(run: Run, summary: Summary) -> tuple[Callable[[Floats], Floats], str]:
+def across(run: Run, summary: Summary) -> tuple[Callable[[Array], Array], str]:
     """Return what projects points (n, 3) on the plane of motion (n, 2), and the name of the first coordinate."""
     plane = _plane(summary)
     name = "x"
@@ -358,12 +357,12 @@ def across(run: Run, summary: Summary) -> tuple[Callable[[Floats], Floats], str]
     return (lambda points: np.column_stack((points[:, :2] @ plane, points[:, 2]))), name
 
 
-def _plane(summary: Summary) -> Floats:
+def _plane(summary: Summary) -> Array:
     angle = np.radians(summary.plane_deg if np.isfinite(summary.plane_deg) else 0.0)
     return np.array([np.cos(angle), np.sin(angle)])
 
 
-def _abscissa(dwells: Sequence[StepSummary]) -> tuple[Floats, str]:
+def _abscissa(dwells: Sequence[StepSummary]) -> tuple[Array, str]:
     """Return the abscissae of steps: their pressures or weights where each has its own, else their numbers."""
     choices = (("pressure [bar]", [s.extreme_bar for s in dwells]), ("weight [g]", [s.weight_g for s in dwells]))
     for label, values in choices:
@@ -372,9 +371,9 @@ def _abscissa(dwells: Sequence[StepSummary]) -> tuple[Floats, str]:
     return np.arange(1.0, len(dwells) + 1), "step"
 
 
-def _labelled(dwells: Sequence[StepSummary], settled: Floats, spacing: float) -> list[tuple[StepSummary, Floats]]:
+def _labelled(dwells: Sequence[StepSummary], settled: Array, spacing: float) -> list[tuple[StepSummary, Array]]:
     """Return the steps whose labels fit: those that are farther from all before than this part of the motion."""
-    chosen: list[tuple[StepSummary, Floats]] = []
+    chosen: list[tuple[StepSummary, Array]] = []
     reach = max(float(np.ptp(settled, axis=0).max()), 1e-9)
     for step, at in zip(dwells, settled, strict=True):
         if all(np.linalg.norm(at - other) > spacing * reach for _, other in chosen):

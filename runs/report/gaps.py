@@ -7,16 +7,16 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from runs.arrays import Array
 from runs.columns import DetectionStatus, Pressure, Tip
 
 LONGER = 5.0
 """A time between two rows that is so many times the usual one is a gap."""
-Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 T = TypeVar("T", Tip, Pressure)
 
 
-def after_gaps(time_s: Floats, dropped: NDArray[np.integer[Any]] | None = None) -> Rows:
+def after_gaps(time_s: Array, dropped: NDArray[np.integer[Any]] | None = None) -> Rows:
     """Return the rows that come after a gap: after `dropped` frames, or after an unusually long time."""
     steps = np.diff(time_s)
     if len(steps) == 0:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from runs.arrays import Array
 from runs.report import drawing
 from runs.report.colours import INK, MEASURED, MODEL, TRUTH
-from runs.report.drawing import Floats
 from runs.report.gaps import tip_with_gaps, with_gaps
 from runs.run import Run
 from runs.summary import Summary
@@ -52,7 +52,7 @@ def draw(figure: Figure, run: Run, summary: Summary) -> None:
     drawing.legend(right)
 
 
-def distance_mm(run: Run) -> tuple[Floats, Floats]:
+def distance_mm(run: Run) -> tuple[Array, Array]:
     """Protocol times and distance of the tip from its reference, with gaps; the true tip where a run was simulated."""
     assert run.reference is not None
     tip, gaps = tip_with_gaps(run.tip)
@@ -60,8 +60,8 @@ def distance_mm(run: Run) -> tuple[Floats, Floats]:
     return tip.protocol_s, _distance(points, with_gaps(run.reference.reference_mm, gaps))
 
 
-def _distance(points: Floats, target: Floats) -> Floats:
+def _distance(points: Array, target: Array) -> Array:
     """Distances (n,) in the coordinates that are controlled; NaN where none is."""
-    distance: Floats = np.asarray(np.linalg.norm(np.where(np.isnan(target), 0.0, points - target), axis=1))
+    distance: Array = np.asarray(np.linalg.norm(np.where(np.isnan(target), 0.0, points - target), axis=1))
     distance[np.isnan(target).all(axis=1)] = np.nan
     return distance

@@ -9,8 +9,9 @@ from html import escape
 
 import numpy as np
 
+from runs.arrays import Array
 from runs.records import DetectionStatus, Status
-from runs.report.differences import Floats, played_steps, tips_at_equal_times
+from runs.report.differences import played_steps, tips_at_equal_times
 from runs.report.html_table import html_table
 from runs.report.numbers import DASH, plain
 from runs.report.settings import conditions, unequal
@@ -131,7 +132,7 @@ def _apart(run: _Candidate, other: _Candidate) -> str:
     return "; ".join(named[:_MOST_NAMED]) + (f"; {more} more in the table of settings" if more > 0 else "")
 
 
-def repeatability_mm(tips_mm: Floats) -> float:
+def repeatability_mm(tips_mm: Array) -> float:
     """Return the standard deviation of repeated tips (runs, n, 3) about their mean, pooled over time; 3-D."""
     variance = tips_mm.var(axis=0, ddof=1).sum(axis=1) if len(tips_mm) > 1 else np.empty(0)
     known = variance[np.isfinite(variance)]

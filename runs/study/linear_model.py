@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-Floats = NDArray[np.float64]
+from runs.arrays import Array
+
 ORDER, BLOCK, CROSSED = "order of the runs", "block", " x "
 TIME = f"{BLOCK} and {ORDER} together"
 
@@ -66,10 +66,10 @@ class LinearModel:
 class _Term:
     name: str
     parts: frozenset[str]
-    columns: Floats
+    columns: Array
 
 
-def fit(factors: Mapping[str, Sequence[float]], blocks: Sequence[int], order: Sequence[int], y: Floats) -> LinearModel:
+def fit(factors: Mapping[str, Sequence[float]], blocks: Sequence[int], order: Sequence[int], y: Array) -> LinearModel:
     """Fit the model to the responses `y` (n,); factors, blocks and order have one value for each run.
 
     Factors of one level are left out. Where the model leaves no degree of freedom for the error, widths are NaN.
@@ -113,7 +113,7 @@ def fit(factors: Mapping[str, Sequence[float]], blocks: Sequence[int], order: Se
     inverse = np.linalg.pinv(design.T @ design)
     beta = inverse @ design.T @ y
 
-    def estimate(contrast: Floats) -> tuple[float, float]:
+    def estimate(contrast: Array) -> tuple[float, float]:
         estimable = np.allclose(contrast @ inverse @ design.T @ design, contrast, atol=1e-8)
         if not estimable:
             return math.nan, math.nan
@@ -131,21 +131,21 @@ def fit(factors: Mapping[str, Sequence[float]], blocks: Sequence[int], order: Se
     return LinearModel(tuple(tests), tuple(means), *drift, shared, math.sqrt(variance), dof)
 
 
-def _codes(count: int) -> Floats:
+def _codes(count: int) -> Array:
     """Codes (count, count - 1) of levels, with a sum of zero."""
     return np.vstack([np.eye(count - 1), -np.ones(count - 1)])
 
 
-def _coded(values: Sequence[float]) -> Floats:
+def _coded(values: Sequence[float]) -> Array:
     levels = sorted(set(values))
     return _codes(len(levels))[[levels.index(value) for value in values]]
 
 
-def _design(terms: Sequence[_Term], n: int) -> Floats:
+def _design(terms: Sequence[_Term], n: int) -> Array:
     return np.hstack([np.ones((n, 1)), *(term.columns for term in terms)])
 
 
-def _residual(design: Floats, y: Floats) -> tuple[float, int]:
+def _residual(design: Array, y: Array) -> tuple[float, int]:
     """Residual sum of squares and rank of a design."""
     beta, _, rank, _ = np.linalg.lstsq(design, y, rcond=1e-10)
     return float(np.sum((y - design @ beta) ** 2)), int(rank)

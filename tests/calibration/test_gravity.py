@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calibration.gravity import GravityUndeterminedError, gravity_direction
+from model.arrays import Array
 from tests.support.budget import examples
-
-Array = NDArray[np.float64]
 
 G, COUNT, CARRIED_KG = 9.81, 200, 0.05
 KINDS = ("weights", "orientations", "zero")

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from model import Arm, sensitivities
 from model.actuation import PressureSum, Proportional, StopElement
+from model.arrays import Array
 from model.dynamics import Dynamics
 from model.hysteresis import Hysteresis, effective_pa
 from model.statics import statics
 from model.variation import Variation
-
-Array = NDArray[np.float64]
 
 BAR = 1e5
 ELEMENTS = (StopElement(0.1, 0.02 * BAR), StopElement(0.05, 0.1 * BAR))

@@ -6,18 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from model import Arm, Loads, batch, statics
+from model.arrays import Array
 from model.dynamics import Dynamics
 from model.inverse import path as path_module
 from model.inverse.drive import Drive
 from model.inverse.limited_step import limited_step
 from model.inverse.path import PathFollowing, PathInverse
 from model.inverse.reachable import nearest_reachable, reachable_tips
-
-Array = NDArray[np.float64]
 
 PAPER = Arm.paper()
 ARM = replace(PAPER, material=replace(PAPER.material, damping_s=0.01))

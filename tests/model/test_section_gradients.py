@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from model import Arm, sensitivities
@@ -15,7 +14,6 @@ from model.sensitivities import Gradients
 from model.statics import statics
 from model.variation import Variation
 
-Array = NDArray[np.float64]
 BAR = 1e5
 ARM = replace(Arm.paper(), rod_weight=True, material=replace(Arm.paper().material, damping_s=0.01))
 LENGTH = ARM.geometry.length_m

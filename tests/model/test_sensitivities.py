@@ -9,20 +9,19 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from calibration.identify import Poses, Setup
 from calibration.identify.parameters import known
 from calibration.identify.simulated_experiments import plan
 from calibration.identify.tip_predictor import Predictor
 from model import Arm, Geometry, Loads, sensitivities
+from model.arrays import Array
 from model.dynamics import Dynamics
 from model.sensitivities import tip_gradient
 from model.statics import statics
 from model.variation import TipWrench, Variation
 from tests.support.budget import examples
 
-Array = NDArray[np.float64]
 BAR = 1e5
 DT = 1 / 30
 RULES = ("linear", "pointwise", "secant", "tangent", "paper-secant", "paper-tangent")

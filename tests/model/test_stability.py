@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from model import Arm, Geometry, Loads, Material, NotConverged, Unstable, batch, sensitivities
+from model.arrays import Array
 from model.dynamics import Dynamics
 from model.kernel_arguments import KernelArguments
 from model.kernels.layout import LANES, OFFSET
@@ -17,7 +17,6 @@ from model.kernels.stability import negative_directions
 from model.statics import statics
 from tests.support.rod_energy import smallest_variation
 
-Array = NDArray[np.float64]
 BAR = 1e5
 NOTHING = np.zeros(3)
 TWO_TUBES = Geometry(0.2, 0.0095, 0.014, ((-0.03, 0.0), (0.03, 0.0)))

@@ -7,16 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from model import Arm, Loads, sensitivities
+from model.arrays import Array
 from model.dynamics import Dynamics
 from model.material import MaxwellBranch
 from model.paper.rod import PaperRod
 from model.statics import statics
 from model.variation import Variation
-
-Array = NDArray[np.float64]
 
 BAR = 1e5
 BRANCHES = (MaxwellBranch(0.2, 0.7), MaxwellBranch(0.1, 9.0))

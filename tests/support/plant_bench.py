@@ -9,17 +9,16 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 import rig
+from model.arrays import Array
 from rig.config.schema import RigConfig
 from rig.control import step as control
 from rig.hardware.bench import Bench
 from rig.simulator.plant import Plant
 
-Floats = NDArray[np.float64]
-Setpoint = Callable[[float], tuple[Floats, Floats]]
-Disturb = Callable[[float, Plant, Floats], Floats]
+Setpoint = Callable[[float], tuple[Array, Array]]
+Disturb = Callable[[float, Plant, Array], Array]
 
 CYCLE_NS = 5_000_000
 BEGIN_NS = 100_000_000
@@ -43,30 +42,30 @@ class Played:
 
     def __init__(self) -> None:
         self.t_s: list[float] = []
-        self.rows: list[tuple[Floats, Floats, Floats, Floats]] = []
+        self.rows: list[tuple[Array, Array, Array, Array]] = []
         self.trip: control.Trip | None = None
 
     @property
-    def time(self) -> Floats:
+    def time(self) -> Array:
         return np.array(self.t_s)
 
-    def column(self, which: int) -> Floats:
+    def column(self, which: int) -> Array:
         return np.array([row[which] for row in self.rows])
 
     @property
-    def setpoint_pa(self) -> Floats:
+    def setpoint_pa(self) -> Array:
         return self.column(0)
 
     @property
-    def true_pa(self) -> Floats:
+    def true_pa(self) -> Array:
         return self.column(1)
 
     @property
-    def measured_pa(self) -> Floats:
+    def measured_pa(self) -> Array:
         return self.column(2)
 
     @property
-    def outputs(self) -> Floats:
+    def outputs(self) -> Array:
         return self.column(3)
 
 
@@ -111,7 +110,7 @@ def play(
 def staircase(levels_bar: list[float], dwell_s: float, actuators: list[int]) -> Setpoint:
     """Consecutive levels on some actuators (counted from 0), zero on the others."""
 
-    def setpoint(t_s: float) -> tuple[Floats, Floats]:
+    def setpoint(t_s: float) -> tuple[Array, Array]:
         target = np.zeros(3)
         target[actuators] = levels_bar[min(int(t_s / dwell_s + 1e-9), len(levels_bar) - 1)] * 1e5
         return target, np.zeros(3)
@@ -122,7 +121,7 @@ def staircase(levels_bar: list[float], dwell_s: float, actuators: list[int]) -> 
 def sinusoid(actuators: list[int]) -> Setpoint:
     """The paper's 0.35 + 0.25 sin(t + 4 pi/3) bar."""
 
-    def setpoint(t_s: float) -> tuple[Floats, Floats]:
+    def setpoint(t_s: float) -> tuple[Array, Array]:
         target, rate = np.zeros(3), np.zeros(3)
         target[actuators] = (0.35 + 0.25 * np.sin(t_s + 4 * np.pi / 3)) * 1e5
         rate[actuators] = 0.25 * np.cos(t_s + 4 * np.pi / 3) * 1e5
@@ -131,7 +130,7 @@ def sinusoid(actuators: list[int]) -> Setpoint:
     return setpoint
 
 
-def steps_of(played: Played, pressure_pa: Floats, levels_bar: list[float], dwell_s: float) -> list[tuple[float, float]]:
+def steps_of(played: Played, pressure_pa: Array, levels_bar: list[float], dwell_s: float) -> list[tuple[float, float]]:
     """For every level after the first: seconds until it stays within 0.01 bar, and the overshoot [bar]."""
     out = []
     for i in range(1, len(levels_bar)):

@@ -9,14 +9,13 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eig_banded
 from scipy.spatial.transform import Rotation
 
 from model import Arm, Loads, Shape
+from model.arrays import Array
 from model.laws.quadratic_compliance import QuadraticCompliance
 
-Array = NDArray[np.float64]
 UNKNOWNS = 12  # of an element: displacement and rotation of both its ends
 SHIFT = np.tile([1e-5] * 3 + [1e-3] * 3, 2)  # [m], [rad]
 

@@ -14,8 +14,6 @@ from calibration.vision.transforms import RigidTransform
 from rig.simulator.scene import ImageDegradation, Scene
 from rig.simulator.tip_pose import TipPose
 
-Floats = NDArray[np.float64]
-
 BOARD = Checkerboard(7, 6, 0.008)
 LENS = Lens.of(900, 900, 320, 240, (-0.12, 0.08, 0.0004, -0.0003, 0.0))
 SIZE = (640, 480)

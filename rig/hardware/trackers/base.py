@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from model.arrays import Array
 from rig.config.schema import RigConfig
 from rig.config.tracker_sections import TRACKER_DRIVERS
 from rig.hardware.tip_source import TipSourceError
 from runs.records import DATAGRAM_COUNTS
-
-Floats = NDArray[np.float64]
 
 
 class TrackerError(TipSourceError):
@@ -46,13 +42,13 @@ class TrackerReading:
     index: int
     t_ns: int
     seen: bool
-    position_m: Floats
-    rotation: Floats
-    covariance: Floats
+    position_m: Array
+    rotation: Array
+    covariance: Array
     clock: ClockEstimate
     time_std_s: float
     counts: tuple[int, ...] = (0,) * len(DATAGRAM_COUNTS)
-    truth_m: Floats | None = None
+    truth_m: Array | None = None
 
 
 class Tracker(Protocol):

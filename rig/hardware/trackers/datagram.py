@@ -7,9 +7,8 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from model.arrays import Array
 
 MAGIC, VERSION = b"SRTP", 1
 SEES = 1
@@ -37,9 +36,9 @@ class Datagram:
     sequence: int
     sent_ns: int
     sees: bool
-    position_m: Floats
-    quaternion: Floats
-    covariance: Floats
+    position_m: Array
+    quaternion: Array
+    covariance: Array
     quality: float = 1.0
 
     @property

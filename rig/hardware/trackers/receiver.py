@@ -8,18 +8,16 @@ from __future__ import annotations
 from collections import OrderedDict
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.rotation_vectors import cross_matrix
 from calibration.vision.transforms import RigidTransform
+from model.arrays import Array
 from rig.config.optics import rigid
 from rig.config.schema import RigConfig
 from rig.hardware.trackers.base import TrackerReading
 from rig.hardware.trackers.datagram import Datagram, DatagramError, decode
 from rig.hardware.trackers.sender_clock import SenderClock
 from runs.records import DATAGRAM_COUNTS
-
-Floats = NDArray[np.float64]
 
 REMEMBERED = 1024
 """Sequence numbers in which a doubled or reordered message is recognised."""
@@ -32,7 +30,7 @@ _SPEED_SPAN_S = 0.5
 """The tip's speed comes from poses at most this far apart."""
 
 
-def rotation_of(quaternion: Floats) -> Floats:
+def rotation_of(quaternion: Array) -> Array:
     """Rotation matrix (3, 3) of a quaternion (w, x, y, z), which is normalised here."""
     w, x, y, z = quaternion / np.linalg.norm(quaternion)
     return np.array(
@@ -44,7 +42,7 @@ def rotation_of(quaternion: Floats) -> Floats:
     )
 
 
-def quaternion_of(rotation: Floats) -> Floats:
+def quaternion_of(rotation: Array) -> Array:
     """Quaternion (w, x, y, z), w >= 0, of a rotation matrix (Shepperd's method by the largest eigenvector)."""
     r = rotation
     k = np.array(
@@ -79,7 +77,7 @@ class TrackerReceiver:
         self._restarted: list[tuple[int, int, int]] = []
         self._given_ns: int | None = None
         self._index = -1
-        self._before: tuple[int, Floats] | None = None
+        self._before: tuple[int, Array] | None = None
 
     @property
     def ready(self) -> bool:
@@ -181,7 +179,7 @@ class TrackerReceiver:
         self._index += 1
         self._restarted = []
 
-    def _tip(self, message: Datagram) -> tuple[RigidTransform, Floats]:
+    def _tip(self, message: Datagram) -> tuple[RigidTransform, Array]:
         """The tip in the rod-base frame with its covariance (6, 6); NaN where the tracker sees nothing."""
         if not message.sees:
             return RigidTransform(np.full((3, 3), np.nan), np.full(3, np.nan)), np.full((6, 6), np.nan)
@@ -192,7 +190,7 @@ class TrackerReceiver:
         covariance = by_pose @ message.covariance @ by_pose.T + self._body.error_covariance(lever_m)
         return self._placement.transport_pose(tip, covariance)
 
-    def _reading(self, message: Datagram, t_ns: int, tip: RigidTransform, covariance: Floats) -> TrackerReading:
+    def _reading(self, message: Datagram, t_ns: int, tip: RigidTransform, covariance: Array) -> TrackerReading:
         clock = self._clock.estimate(message.sent_ns)
         std_s = float(np.hypot(clock.std_s, self._delay_std_s))
         if message.sees:

@@ -6,12 +6,10 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from rig.tip_control.estimation.state import EstimatorState
 from rig.tip_control.estimation.tuning import ChangeDetection, EstimatorTuning, PayloadChange
-
-Array = NDArray[np.float64]
 
 
 class Change(Enum):

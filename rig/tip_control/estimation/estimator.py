@@ -12,8 +12,8 @@ The harmonics are the observer of a periodic reference: they have no phase lag, 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.inverse.static_map import StaticMap
 from rig.tip_control.estimation.change_detection import (
     Change,
@@ -34,8 +34,6 @@ from rig.tip_control.estimation.tuning import EstimatorTuning
 from rig.tip_control.interface import PayloadEstimate
 from rig.tip_control.kernels.kalman import innovation, joseph_update
 from rig.tip_control.kernels.measurement import predicted_measurement
-
-Array = NDArray[np.float64]
 
 
 class TipEstimator:

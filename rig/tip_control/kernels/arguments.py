@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from rig.tip_control.kernels.compilation import Array
+from model.arrays import Array
 
 
 class TipMap(NamedTuple):

@@ -5,12 +5,7 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from model.kernels.jit import kernel
-
-Array = NDArray[np.float64]
 
 _SOURCES = tuple(str(file) for file in sorted(Path(__file__).parent.glob("*.py")))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from model.arrays import Array
 from model.units import MM_PER_M, PA_PER_BAR
 from rig.tip_control.kernels.arguments import (
     FilteredState,
@@ -18,7 +19,7 @@ from rig.tip_control.kernels.arguments import (
     TipMap,
     TipPrediction,
 )
-from rig.tip_control.kernels.compilation import Array, compiled
+from rig.tip_control.kernels.compilation import compiled
 from rig.tip_control.kernels.interpolation import interpolate, interval_at
 from rig.tip_control.kernels.prediction import shoot
 from rig.tip_control.move_blocking import MoveBlocking

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from rig.tip_control.kernels.compilation import Array, internal
+from model.arrays import Array
+from rig.tip_control.kernels.compilation import internal
 
 
 @internal

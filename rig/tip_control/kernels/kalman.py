@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rig.tip_control.kernels.compilation import Array, compiled, internal
+from model.arrays import Array
+from rig.tip_control.kernels.compilation import compiled, internal
 
 
 @internal

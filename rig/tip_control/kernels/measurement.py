@@ -10,8 +10,9 @@ import math
 
 import numpy as np
 
+from model.arrays import Array
 from rig.tip_control.kernels.arguments import TipMap
-from rig.tip_control.kernels.compilation import Array, compiled, internal
+from rig.tip_control.kernels.compilation import compiled, internal
 from rig.tip_control.kernels.tip_map import evaluate, payload_terms, weighted
 
 

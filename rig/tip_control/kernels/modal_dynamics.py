@@ -9,8 +9,9 @@ import cmath
 
 import numpy as np
 
+from model.arrays import Array
 from rig.tip_control.kernels.arguments import ModalStep
-from rig.tip_control.kernels.compilation import Array, compiled, internal
+from rig.tip_control.kernels.compilation import compiled, internal
 
 
 @compiled

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from model.arrays import Array
 from rig.tip_control.kernels.arguments import (
     FilteredState,
     ModalStep,
@@ -12,7 +13,7 @@ from rig.tip_control.kernels.arguments import (
     TipMap,
     TipPrediction,
 )
-from rig.tip_control.kernels.compilation import Array, compiled, internal
+from rig.tip_control.kernels.compilation import compiled, internal
 from rig.tip_control.kernels.interpolation import interpolate, interval_at
 from rig.tip_control.kernels.measurement import disturbance, loaded_map
 from rig.tip_control.kernels.modal_dynamics import modal_step, motion_step, step_matrices

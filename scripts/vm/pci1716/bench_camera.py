@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.images import Image
 from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.transforms import RigidTransform
 from rig.config.optics import camera_in_base, lens_of
@@ -28,8 +29,6 @@ HELD_PICTURES = 2
 """Pictures of each position of a board in the hand, for each of those of `shown_boards`."""
 _VIDEO_RANGE = (16 + np.arange(256) * (219 / 255)).round().astype(np.uint8)
 _NO_COLOUR = 128
-
-Image = NDArray[np.uint8]
 
 
 class BenchCamera:

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import model
 from calibration.identify.drawn_effects import DrawnEffects, drawn_effects
@@ -16,7 +15,6 @@ from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 from model.material import MaxwellBranch
 
-Array = NDArray[np.float64]
 START = Setup(model.Arm.paper())
 NO_ERRORS = MeasurementErrors((0.0, 0.0, 0.0), 0.0, 0.0)
 RAMP = plan("ramp", np.linspace(0.15e5, 0.65e5, 5)[:, None] * [1.0, 0.6, 0.0], np.linspace(0.0, 0.1, 5))

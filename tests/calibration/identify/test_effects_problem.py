@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import model
 from calibration.identify import Setup
@@ -15,8 +14,8 @@ from calibration.identify.nuisance import stated_values
 from calibration.identify.parameters import named
 from calibration.identify.poses import Poses
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
+from model.arrays import Array
 
-Array = NDArray[np.float64]
 START = Setup(model.Arm.paper())
 ERRORS = MeasurementErrors((3e-5, 3e-5, 3e-5), 20.0, 100.0)
 BAR = np.linspace(0.15, 0.65, 11)[:, None] * np.array([1.0, 0, 0])

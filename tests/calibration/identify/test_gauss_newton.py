@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from calibration.identify.gauss_newton import gauss_newton
+from model.arrays import Array
 
-Array = NDArray[np.float64]
 # Error bars along and across the valley y = BEND x^2, in spans.
 ALONG, ACROSS, BEND = 0.05, 1e-4, 4.0
 BOUNDS = (np.full(2, -5.0), np.full(2, 5.0))

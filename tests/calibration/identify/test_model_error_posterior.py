@@ -9,7 +9,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import halfnorm, multivariate_normal
 
 import model
@@ -31,8 +30,8 @@ from calibration.identify.nuisance import stated_values
 from calibration.identify.poses import Poses
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, perform, plan
 from calibration.identify.tip_predictor import Predictor
+from model.arrays import Array
 
-Array = NDArray[np.float64]
 ERRORS = MeasurementErrors((1e-4, 1e-4, 1e-4), 0.0, 0.0)
 START = Setup(model.Arm.paper())
 RAMP = np.linspace(0.15e5, 0.65e5, 5)[:, None]

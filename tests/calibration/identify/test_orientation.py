@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import model
@@ -23,8 +22,6 @@ from calibration.identify.tip_predictor import Predictor
 from model.dynamics import Dynamics
 from model.material import MaxwellBranch
 from tests.support.finite_differences import check_slopes
-
-Array = NDArray[np.float64]
 
 BAR = 1e5
 START = Setup(model.Arm.paper())

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import model
 from calibration.identify import Setup, named
@@ -18,7 +17,6 @@ from calibration.identify.simulated_experiments import MeasurementErrors, perfor
 
 pytestmark = pytest.mark.slow
 
-Array = NDArray[np.float64]
 
 BAR = 1e5
 START = Setup(model.Arm.paper())

@@ -6,14 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from calibration.identify.poses import Poses
 from calibration.identify.residual_dependence import SIGNIFICANT, Dependence, dependence
 from calibration.identify.simulated_experiments import plan
-
-Array = NDArray[np.float64]
+from model.arrays import Array
 
 
 def correlated(rng: np.random.Generator, count: int, memory: float) -> Array:

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import model
 from calibration.identify import Poses, Setup, identify, named
@@ -21,8 +20,6 @@ from calibration.identify.section_mounts import mount_parameter, mount_priors
 from calibration.identify.setup import SectionMount
 from calibration.identify.simulated_experiments import MeasurementErrors, coverage, exact, perform, plan
 from tests.support.finite_differences import check_slopes
-
-Array = NDArray[np.float64]
 
 BAR = 1e5
 START = Setup(model.Arm.paper())

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import model
 from calibration.identify.fit import identify
@@ -16,9 +15,8 @@ from calibration.identify.poses import Poses
 from calibration.identify.pressure_history import pressure_history
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
+from model.arrays import Array
 from rig.arm_effects.softening import SofteningSection
-
-Array = NDArray[np.float64]
 
 PA = 1e5
 START = Setup(model.Arm.paper())

@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 
 from calibration.vision.corners import refine_corners
 from calibration.vision.transforms import RigidTransform
+from model.arrays import Array
 from rig.simulator.scene import ImageDegradation
 from tests.support.vision_bench import BOARD, LENS, facing, scene, still
-
-Floats = NDArray[np.float64]
 
 PATTERN = (BOARD.squares_x - 1, BOARD.squares_y - 1)
 NOISE_GREY = 2.0
 VIEW = scene(ImageDegradation(0.6, 0.0))
 
 
-def lit(pose: RigidTransform, corners_px: Floats, ratio: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+def lit(pose: RigidTransform, corners_px: Array, ratio: float, rng: np.random.Generator) -> NDArray[np.uint8]:
     """A picture in light that grows linearly across the board, in any direction, from 1 / ratio to 1."""
     angle = rng.uniform(0, 2 * math.pi)
     along = np.array([math.cos(angle), math.sin(angle)])

@@ -11,8 +11,8 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.statics import statics
 from protocols import BadInputError
 from rig.arm_effects.base import ArmEffect
@@ -25,8 +25,6 @@ from rig.config.arm_model import true_arm
 from rig.config.simulator_sections import Simulator
 from rig.simulator.plant import ARM_STEP_S, Plant
 from tests.support.plant_bench import mock_rig
-
-Floats = NDArray[np.float64]
 
 CREEP = {"type": "creep", "branches": [{"amount": 0.03, "time_s": 1.0}, {"amount": 0.02, "time_s": 20.0}]}
 HYSTERESIS = {
@@ -44,7 +42,7 @@ EVERY = [COUPLING, CREEP, GAINS, HYSTERESIS, PUSH, PUSH_SUM, SOFTENING]
 paths = st.lists(st.floats(0.0, 0.7), min_size=2, max_size=6)
 
 
-def played(effect: ArmEffect, pressure_bar: Floats) -> Floats:
+def played(effect: ArmEffect, pressure_bar: Array) -> Array:
     return np.array([effect.advance(row.tolist()) for row in np.atleast_2d(pressure_bar)])
 
 
@@ -52,7 +50,7 @@ def hysteresis(actuators: int = 1) -> ArmEffect:
     return HysteresisSection.model_validate(HYSTERESIS).effect(actuators, ARM_STEP_S)
 
 
-def along(corners: list[float], points: int) -> Floats:
+def along(corners: list[float], points: int) -> Array:
     """Straight stretches between the corners, so many points on each, from and back to zero."""
     ends = [0.0, *corners, 0.0]
     stretches = [np.linspace(a, b, points + 1)[1:] for a, b in itertools.pairwise(ends)]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from model.arrays import Array
 from rig.simulator.plant import Plant
-from tests.support.plant_bench import Floats, Played, mock_rig, play, sinusoid, staircase, steps_of
+from tests.support.plant_bench import Played, mock_rig, play, sinusoid, staircase, steps_of
 
 RAMP = [0.0, *(round(0.15 + 0.05 * i, 2) for i in range(11)), *(round(0.6 - 0.05 * i, 2) for i in range(10))]
 SHORT = [0.0, 0.15, 0.2, 0.25, 0.6, 0.65, 0.6, 0.2, 0.15]
@@ -16,7 +17,7 @@ def small_steps(levels: list[float]) -> list[int]:
     return [i for i in range(len(levels) - 1) if abs(abs(levels[i + 1] - levels[i]) - 0.05) < 1e-9]
 
 
-def rms_bar(played: Played, pressure_pa: Floats, actuator: int) -> float:
+def rms_bar(played: Played, pressure_pa: Array, actuator: int) -> float:
     after = played.time >= 1.0
     error = (pressure_pa - played.setpoint_pa)[after, actuator] / 1e5
     return float(np.sqrt(np.mean(error**2)))
@@ -106,9 +107,9 @@ class TestFaults:
     def test_a_sensor_that_freezes_at_a_level_is_detected(self) -> None:
         times = []
         for seed in range(8):
-            frozen: dict[str, Floats] = {}
+            frozen: dict[str, Array] = {}
 
-            def freeze(t_s: float, plant: Plant, volts: Floats, held: dict[str, Floats] = frozen) -> Floats:
+            def freeze(t_s: float, plant: Plant, volts: Array, held: dict[str, Array] = frozen) -> Array:
                 if t_s < 2.0:
                     held["volts"] = volts[-1, 0]
                     return volts
@@ -127,7 +128,7 @@ class TestFaults:
     def test_a_shorted_sensor_cannot_make_the_chamber_burst_even_behind_a_noisy_card(self) -> None:
         rng = np.random.default_rng(3)
 
-        def short(t_s: float, plant: Plant, volts: Floats) -> Floats:
+        def short(t_s: float, plant: Plant, volts: Array) -> Array:
             out = volts.copy()
             out[:, 0] = rng.integers(0, 4, len(out)) * 10 / 65535
             return out
@@ -138,7 +139,7 @@ class TestFaults:
         assert played.true_pa[:, 0].max() < 0.3e5
 
     def test_an_open_sensor_is_detected_at_once(self) -> None:
-        def cut(t_s: float, plant: Plant, volts: Floats) -> Floats:
+        def cut(t_s: float, plant: Plant, volts: Array) -> Array:
             out = volts.copy()
             if t_s >= 1.5:
                 out[:, 0] = 10.0
@@ -150,7 +151,7 @@ class TestFaults:
         assert played.time[-1] == pytest.approx(1.5, abs=0.006)
 
     def test_a_valve_stuck_open_trips_before_the_limit_is_passed_by_much(self) -> None:
-        def stick(t_s: float, plant: Plant, volts: Floats) -> Floats:
+        def stick(t_s: float, plant: Plant, volts: Array) -> Array:
             if t_s >= 1.5:
                 plant._air.target_v[0] = 8.0
                 plant._valves.half_hysteresis_v[0] = 100.0
@@ -162,7 +163,7 @@ class TestFaults:
         assert played.true_pa[:, 0].max() < 0.8e5
 
     def test_a_supply_that_fails_is_detected_during_a_sinusoid(self) -> None:
-        def fail(t_s: float, plant: Plant, volts: Floats) -> Floats:
+        def fail(t_s: float, plant: Plant, volts: Array) -> Array:
             if t_s >= 1.0:
                 plant._valves.supply_pa[:] = plant._air.pressure_pa.min()
             return volts

@@ -6,17 +6,16 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from rig.hardware.trackers.sender_clock import SenderClock
 
 MINIMUM_S = 3e-3
-Floats = NDArray[np.float64]
 
 
 def estimates(
     jitter_s: float, seed: int, drift: float = 100e-6, seconds: float = 15.0, rate_hz: float = 100.0
-) -> tuple[SenderClock, Floats, Floats]:
+) -> tuple[SenderClock, Array, Array]:
     """Errors of the estimated times (k,) and their stated standard uncertainties, every second."""
     random = np.random.default_rng(seed)
     clock, errors, stds = SenderClock(), [], []
@@ -69,7 +68,7 @@ def test_a_small_step_is_followed_although_jitter_brings_messages_back_to_the_ol
 
 def drifting(
     offset_s: Callable[[float], float], seconds: float, largest: float = 200e-6
-) -> tuple[list[SenderClock], Floats, Floats]:
+) -> tuple[list[SenderClock], Array, Array]:
     """Errors of the estimated times after 2 s and their stated uncertainties in some trials.
 
     The sender's clock is ahead by a function of the time.

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from numpy.typing import NDArray
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 import model
 from calibration.identify import Setup
+from model.arrays import Array
 from model.statics import statics
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
@@ -25,7 +25,6 @@ from tests.support.shared_data import shared_data
 
 pytestmark = pytest.mark.slow
 
-Array = NDArray[np.float64]
 
 EXAMPLES = Path(__file__).parents[3] / "docs" / "examples"
 FREE = "youngs_modulus_pa,base_x_m,base_y_m,base_z_m,base_rx_rad,base_ry_rad,tool"

@@ -7,19 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import model
 from calibration.identify import Setup, identify, quasi_static_poses
 from calibration.identify.tip_predictor import Predictor
 from model import sensitivities
+from model.arrays import Array
 from model.statics import statics
 from model.variation import TipWrench
 from protocols import BadInputError
 from tests.support.import_bench import run_imported, warnings_of
-
-Array = NDArray[np.float64]
 
 TRUTH = Setup(
     model.Arm.paper(),

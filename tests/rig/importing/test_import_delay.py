@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from model.arrays import Array
 from rig.importing.pressure_columns import measured_delay
 from tests.support.import_bench import SMALL, Bring, complaint, warnings_of
-
-Array = NDArray[np.float64]
 
 # An arm that bends to three sides, and gets longer, per bar [m].
 BENDS = 1e-3 * np.array([[20.0, 0.0, 2.0], [-10.0, 17.0, 2.0], [-10.0, -17.0, 2.0]])

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import model
@@ -28,8 +27,6 @@ from runs.run import Run
 from tests.support.command_line import invoke
 from tests.support.import_bench import run_imported, warnings_of
 from tests.support.shared_data import shared_data
-
-Array = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[3]
 ARM = Setup(model_arm(read("mock-3").config)).arm

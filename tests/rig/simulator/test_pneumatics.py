@@ -10,12 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from model.arrays import Array
 from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import CardError
 from rig.simulator.plant import FIFO_SCANS, Plant
 from tests.support.budget import examples
-from tests.support.plant_bench import Floats, mock_rig
+from tests.support.plant_bench import mock_rig
 
 ATM = 101_325.0
 BORE_M2 = math.pi * 9.5e-3**2
@@ -36,7 +37,7 @@ def plant_of(config: RigConfig, volts: tuple[float, float], seed: int = 1) -> Pl
     return plant
 
 
-def pressures(plant: Plant, until_s: float, every_s: float = 1e-3) -> tuple[Floats, Floats]:
+def pressures(plant: Plant, until_s: float, every_s: float = 1e-3) -> tuple[Array, Array]:
     """True gauge pressures [bar] of all chambers while time passes."""
     t, out = [], []
     begin = plant.t_ns
@@ -73,7 +74,7 @@ def test_filling_and_emptying_agree_with_an_independent_integrator(polytropic: f
         start = plant.pressure_pa[0] + ATM
         plant.card("daq").write(np.array([volts, 0.0]))
 
-        def rate(_: float, p: Floats, c: float = opening * FULL_C, sign: int = sign) -> list[float]:
+        def rate(_: float, p: Array, c: float = opening * FULL_C, sign: int = sign) -> list[float]:
             flow = iso_6358(c, 2.5e5 + ATM - 1e5, p[0]) if sign > 0 else -iso_6358(c, p[0], ATM)
             return [polytropic * 1e5 * flow / VOLUME_M3]
 
@@ -217,7 +218,7 @@ def test_another_seed_is_another_noise_and_another_offset() -> None:
 @examples(15)
 @given(st.lists(st.integers(1, 30_000_000), min_size=1, max_size=30), st.booleans())
 def test_how_time_is_cut_into_calls_does_not_change_a_bit(cuts: list[int], moving_arm: bool) -> None:
-    def run(stops: list[int]) -> tuple[Floats, Floats, Floats]:
+    def run(stops: list[int]) -> tuple[Array, Array, Array]:
         plant = Plant(mock_rig(), 5, 0, moving_arm=moving_arm)
         card = plant.card("daq")
         card.start()

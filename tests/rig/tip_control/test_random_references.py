@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 import protocols
 from benchmarks import tip_references
 from benchmarks.random_tip_paths import stated_rig
 from benchmarks.tip_closed_loop import CYCLE_S, Task, Truth, simulate
+from model.arrays import Array
 from protocols import BadInputError, SetPointTrajectory
 from rig.config.loader import load
 from rig.config.schema import RigConfig
@@ -27,8 +27,6 @@ from rig.tip_control.horizon import HorizonControl
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_planning.inverse import RigTipInverse
 from tests.support.budget import examples
-
-Array = NDArray[np.float64]
 
 NEAR_MM = 3.0
 """Largest distance from the reference, also at corners and in the lead-in, on arms that differ by up to 6 %."""
