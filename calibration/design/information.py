@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from calibration.design.expected_model_error import added_variances, columns_and_amplitude
+from calibration.design.expected_model_error import Effects, added_variances, columns_and_amplitude
 from calibration.identify.information import covariance
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.parameter import Parameter, Prior
@@ -112,7 +112,8 @@ def error_bars_of_repeats(
     def of_arm(arm: Setup, seed: int) -> list[tuple[Array, Array]]:
         rng = np.random.default_rng(seed)
         problem = replace(unknowns, start=arm).problem(planned)
-        return [_bars(problem, count, draws, rng) for count in repeats]
+        effects = Effects.of(problem)
+        return [_bars(problem, effects, count, draws, rng) for count in repeats]
 
     # The kernels of the rod model release the interpreter.
     with ThreadPoolExecutor(max_workers=min(len(arms), usable_processors())) as pool:
@@ -132,7 +133,9 @@ def error_bars_of_repeats(
     return tuple(out)
 
 
-def _bars(problem: LeastSquaresProblem, repeats: float, draws: int, rng: np.random.Generator) -> tuple[Array, Array]:
+def _bars(
+    problem: LeastSquaresProblem, effects: Effects, repeats: float, draws: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
     """Standard errors of all unknowns: alone (n,), and with the model error for each draw (draws, n)."""
     z = np.zeros(len(problem.unknowns))
     problem = problem.measured_as([_repeated(own, repeats) for own in problem.data])
@@ -140,7 +143,7 @@ def _bars(problem: LeastSquaresProblem, repeats: float, draws: int, rng: np.rand
     data = np.sum([np.einsum("kin,kim->nm", own, own, optimize=True) for own in rows], axis=0)
     variances = np.diagonal(covariance(prior.T @ prior + data))
     rates = np.abs(problem.rates(z))
-    return rates * np.sqrt(variances), rates * np.sqrt(variances + added_variances(problem, draws, rng))
+    return rates * np.sqrt(variances), rates * np.sqrt(variances + added_variances(problem, effects, draws, rng))
 
 
 def _repeated(planned: Poses, count: float) -> Poses:

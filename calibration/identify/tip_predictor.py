@@ -267,7 +267,8 @@ class Predictor:
             pressed = [poses.pressed(shift_pa) for shift_pa in changed.reshape(-1, *poses.pressure_pa.shape)]
             # A delay of the sensors moves the response in time and leaves its power.
             slopes = self.slopes_by_pressure(replace(setup, sensor_lag_s=0.0), pressed, step)
-            self._by_comb = {key: np.nan_to_num(slopes).reshape(*slopes.shape[:2], len(sets), poses.actuators)}
+            self._by_comb.clear()
+            self._by_comb[key] = np.nan_to_num(slopes).reshape(*slopes.shape[:2], len(sets), poses.actuators)
         slopes = self._by_comb[key]
         mixed = slopes if poses.pressure_mixing is None else slopes @ poses.pressure_mixing
         return MotionResponse.of_combs(mixed, sets, frames, poses.pressure_std_pa)
