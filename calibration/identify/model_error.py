@@ -53,8 +53,11 @@ class ModelErrorTerm:
 
     def groups(self, coefficients: Array, actuators: int) -> Array:
         """Coefficients (.., m) by groups (.., G, C): in each, one for every actuator or pair, then a common one."""
-        count = actuators * (actuators - 1) if self.by_pair else actuators
-        return coefficients.reshape(*coefficients.shape[:-1], -1, count + 1)
+        return coefficients.reshape(*coefficients.shape[:-1], -1, self.group_size(actuators))
+
+    def group_size(self, actuators: int) -> int:
+        """Coefficients of a group; the load's only coefficient is in none."""
+        return 1 + (actuators * (actuators - 1) if self.by_pair else actuators)
 
     def unit_prior(self, count: int, actuators: int) -> tuple[Array, Array]:
         """Mean and standard deviation of the m = `count` coefficients for an amplitude of one.
@@ -174,26 +177,31 @@ class ErrorInputs:
     """What the coefficients of the terms change at K poses, per unit of each of the m coefficients.
 
     push_pa (K, N, m): the pressures that push the arm [Pa], as its sensors read them. load (m,): the load, relative to
-    its amount.
+    its amount. groups: coefficients of which the last one does what the others do together.
     """
 
     push_pa: Array
     load: Array
+    groups: tuple[slice, ...]
     prior: CoefficientPrior
 
     def slopes(self, predictor: Predictor, setup: Setup, coefficients: Array) -> Array:
         """Derivatives (K, D, m) of predictions for a setup by the coefficients, at coefficients (m,).
 
         predictor: of the poses with the errors by the coefficients. In a motion the tip lags behind the pressures, and
-        each coefficient is differentiated on its own. At rest, the derivatives by the pressures serve all coefficients.
+        each coefficient but the last of a group is differentiated on its own. At rest, the derivatives by the pressures
+        serve all coefficients.
         """
         poses = predictor.poses
         if poses.moving:
             out = np.empty((len(poses), poses.numbers, len(self.load)))
-            pressing = np.flatnonzero(self.push_pa.any(axis=(0, 1)))
+            common = [group.stop - 1 for group in self.groups]
+            pressing = np.setdiff1d(np.flatnonzero(self.push_pa.any(axis=(0, 1))), common)
             pressed = [self.added_to(poses, row) for row in _STEP * np.eye(len(self.load))[pressing]]
             out[:, :, :] = predictor.slopes_by_load(setup)[:, :, None] * self.load
             out[:, :, pressing] = np.nan_to_num(predictor.slopes_by_pressure(setup, pressed, _STEP))
+            for group in self.groups:
+                out[:, :, group.stop - 1] = out[:, :, group.start : group.stop - 1].sum(axis=2)
         else:
             response = predictor.push_response(setup)
             by_push = np.einsum("kin,knm->kim", response.by_pressure, self.push_pa)
@@ -220,18 +228,23 @@ class ErrorInputs:
 
 def error_inputs(poses: Poses, reference_pa: float, terms: Sequence[ModelErrorTerm]) -> ErrorInputs:
     """What the coefficients of some terms change at some poses."""
-    push, load, numbers, means, stds = [], [], [], [], []
+    groups: list[slice] = []
+    load: list[float] = []
+    push, numbers, means, stds = [], [], [], []
     for k, term in enumerate(terms):
         own = np.zeros((*poses.pressure_pa.shape, 1)) if term.push is None else term.push(poses, reference_pa)
         count = own.shape[2]
         mean, std = term.unit_prior(count, poses.actuators)
         push.append(own)
+        if term.push is not None:
+            size = term.group_size(poses.actuators)
+            groups += [slice(first, first + size) for first in range(len(load), len(load) + count, size)]
         load += [float(term.push is None)] * count
         numbers += [k] * count
         means.append(mean)
         stds.append(std)
     prior = CoefficientPrior(np.array(numbers), np.concatenate(means), np.concatenate(stds))
-    return ErrorInputs(np.concatenate(push, axis=2), np.array(load), prior)
+    return ErrorInputs(np.concatenate(push, axis=2), np.array(load), tuple(groups), prior)
 
 
 def reference_pressure_pa(data: Sequence[Poses]) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -95,10 +96,16 @@ def design(
         raise BadInputError([Problem("design", 0, 0, "limits", f"{config.limits.rate_bar_per_s:g} bar/s", fault)])
     every = protocols.from_steps("every block", framed(config, candidates)).expand(config.actuators)
     motion = expected_poses("blocks", every, config, errors)
+    known = [expected_poses(name, protocols.load(name).expand(config.actuators), config, errors) for name in LIBRARY]
+    few = unknowns_of(config, chosen, known)
     unknowns = unknowns_of(config, chosen, [motion])
-    problem = unknowns.problem([motion])
     first = [round((ENDS_S + k * BLOCK_S) / motion.period_s) for k in range(len(candidates) + 1)]
-    information, prior = block_information(problem, [slice(a, b) for a, b in itertools.pairwise(first)])
+    # The information of the blocks is computed in one thread.
+    with ThreadPoolExecutor(1) as beside:
+        beside_blocks = beside.submit(error_bars, known, replace(few, arms=few.arms[:_LIBRARY_ARMS]))
+        problem = unknowns.problem([motion])
+        information, prior = block_information(problem, [slice(a, b) for a, b in itertools.pairwise(first)])
+        library = beside_blocks.result()
     count = int((duration_s - 2 * ENDS_S + 1e-9) // BLOCK_S)
     indices = choose(information, prior + _ridge(len(prior)), count, of_interest(problem, unknowns),
                      CRITERIA[criterion], seed)  # fmt: skip
@@ -110,9 +117,6 @@ def design(
         raise BadInputError(list(problems))
     planned = expected_poses("design", trajectory, config, errors)
     bars, repeated = error_bars_of_repeats([planned], unknowns, (1.0, REPEATS))
-    known = [expected_poses(name, protocols.load(name).expand(config.actuators), config, errors) for name in LIBRARY]
-    few = unknowns_of(config, chosen, known)
-    library = error_bars(known, replace(few, arms=few.arms[:_LIBRARY_ARMS]))
     text = _text(protocol, config, (bars, errors), criterion, seed)
     return Design(protocol, text, bars, library, repeated, errors, tuple(config.sections))
 

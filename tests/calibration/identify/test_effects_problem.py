@@ -14,6 +14,7 @@ from calibration.identify.nuisance import stated_values
 from calibration.identify.parameters import named
 from calibration.identify.poses import Poses
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
+from calibration.identify.tip_predictor import Predictor
 from model.arrays import Array
 
 START = Setup(model.Arm.paper())
@@ -102,3 +103,16 @@ def test_no_point_near_the_minimum_has_a_smaller_sum_of_squares() -> None:
         near = found.z + 0.02 * rng.standard_normal(len(found.z))
         ridge = RIDGE * float(near @ near - found.z @ found.z)
         assert problem.loss(near, found.weights, found.correlation) + ridge > at_minimum - 1e-3
+
+
+def test_slopes_of_a_motion_do_not_depend_on_the_order_of_the_terms() -> None:
+    problem = moving_effects_problem(1)
+    (poses,) = problem.data
+    predictor = Predictor(poses)
+    columns = []
+    for terms in (TERMS, TERMS[::-1]):
+        inputs = error_inputs(poses, 1e5, terms)
+        slopes = inputs.slopes(predictor, START, np.zeros(len(inputs.load)))
+        columns.append([slopes[:, :, inputs.prior.term == k] for k in range(len(terms))])
+    for own, again in zip(columns[0], columns[1][::-1], strict=True):
+        assert again == pytest.approx(own, rel=1e-6, abs=1e-12)
