@@ -106,7 +106,7 @@ class PerturbedArms:
         lanes = LaneArguments(
             works.reshape(len(works), -1), stiffness, rest, per_pressure, _lanes(order, [p.free_per_pa for p in each]),
             ends, loaded or bool(np.any(heavier)), any(one.cap_inertia and one.inertia for one in arms),
-            _lanes(order, [branch_factors(one.material, c0, dt_s) for one in arms]),
+            _lanes(order, [branch_factors(one.material, c0, dt_s) for one in arms]), first.scale,
         )  # fmt: skip
         steps = np.array([change.step for change in changes], dtype=np.float64)
         return cls(first, lanes, load, loaded, first.work(), steps)

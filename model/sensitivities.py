@@ -158,18 +158,15 @@ def motion(
         tips.unstable[0] = isinstance(fault, Unstable)
         return _gradients(*_without_failures(tips, sections))
     moving = PerturbedArms.of(arm, changes, n, rows, dynamics.c0, dt_s)
-    first, lanes = moving.first, moving.lanes
+    first = moving.first
     arm_in_motion = dynamics.arm_with_cap._replace(
         stiffness=first.stiffness, rest=first.rest, per_pressure=first.per_pressure
     )
-    works, branches = len(lanes.works), len(arm.material.branches)
     dynamic_sensitivities(
-        first.walls, tuple(arm_in_motion), tuple(dynamics.state), tuple(at_rest.lanes), at_rest.first.scale,
-        tuple(lanes), lane_rows(rows, [change.pressure_pa for change in changes]), tip_loads, moving.steps, every,
-        layout.aligned(works, n + 1, (36 if branches else 24) * layout.LANES),
-        layout.aligned(works, branches, n + 1, 12 * layout.LANES), dynamics.pool,
-        tuple(SensitivityWorkspace.of(len(changes), n, dynamics.segments)), TOLERANCE_IN_MOTION, tuple(tips),
-        tuple(sections),
+        first.walls, tuple(arm_in_motion), tuple(dynamics.state), tuple(at_rest.lanes), tuple(moving.lanes),
+        lane_rows(rows, [change.pressure_pa for change in changes]), tip_loads, moving.steps, every, dynamics.pool,
+        tuple(SensitivityWorkspace.of(len(changes), n, dynamics.segments, len(arm.material.branches))),
+        TOLERANCE_IN_MOTION, tuple(tips), tuple(sections),
     )  # fmt: skip
     return _gradients(*_without_failures(tips, sections))
 

@@ -1,4 +1,4 @@
-"""Arguments of the kernels that Python calls.
+"""Arguments of the kernels.
 
 At each call numba looks up every field of a NamedTuple by its name, but not the items of a plain tuple. So Python
 passes plain tuples of these fields, and the kernel builds the NamedTuple from them. `Walls` is an argument of its own,
@@ -8,6 +8,8 @@ because numba reads its type from the object instead of from its fields.
 from __future__ import annotations
 
 from typing import Any, NamedTuple
+
+from model.kernels.law import Walls
 
 Array = Any
 Fields = tuple[Any, ...]
@@ -41,6 +43,7 @@ class LaneArguments(NamedTuple):
     loaded: bool  # whether any lane has a distributed load
     cap_inertia: bool  # whether the cap has inertia
     branch_factors: Array  # (W, 1 + B, 3, 8), as of `MotionState`
+    scale: Array  # (32,), as of `ArmArguments`
 
 
 class MotionState(NamedTuple):
@@ -53,6 +56,26 @@ class MotionState(NamedTuple):
     x: Array  # (2 N + 2, 16), solution of the last time step: states at the nodes, then their derivatives
     branch_factors: Array  # (1 + B, 3), of the Maxwell branches of the walls, as of `relaxation.relax_branches`
     branch_strains: Array  # (B, 2 N + 2, 6)
+
+
+class Rod(NamedTuple):
+    """One rod and its loads: a boundary value problem, as kernels hand it to kernels."""
+
+    work: Array  # (size,), as of `ArmArguments`; written to
+    walls: Walls
+    load: Array  # as of `ArmArguments`
+    loaded: bool
+    tip: Array  # (19,), load at the tip
+    length: float  # [m]
+    scale: Array  # (32,)
+
+
+class Section(NamedTuple):
+    """What the pressures do in the sections of a rod, whose stiffness stands in its work array."""
+
+    rest: Array  # (6,), wrench at zero strain
+    per_pressure: Array  # (6, N), wrench per pascal
+    free_per_pa: float  # free strain of the radial pressure effect [1/Pa]
 
 
 class TipPoses(NamedTuple):

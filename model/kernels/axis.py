@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from model.kernels.arguments import ArmArguments, Fields, MotionState, TipPoses
+from model.kernels.arguments import ArmArguments, Fields, MotionState, Rod, Section, TipPoses
 from model.kernels.between_nodes import displacement_between, orientation_between
 from model.kernels.equilibrium import UNSTABLE, equilibrium
 from model.kernels.jit import kernel
@@ -161,15 +161,13 @@ def motion(
         arm.stiffness.shape[0],
         workspace_within(pool, state.x.shape[0] // 2 - 1, state.branch_strains.shape[0]),
     )
+    rod = Rod(arm.work, walls, arm.load, arm.loaded, arm.tip, arm.length, arm.scale)
     for t in range(pressure.shape[0]):
         r, q = t % sections, t % arm.rest.shape[0]
         if sections > 1:
             set_stiffness(arm.work, arm.stiffness[r])
-        passes = advance(
-            arm.work, walls, arm.rest[q], arm.per_pressure[r], arm.free_per_pa, state.last_pressures, pressure[t],
-            arm.load, arm.loaded, arm.tip, arm.length, state.segments, arm.scale, state.coefficients,
-            state.past_states, state.x, state.branch_factors, state.branch_strains, workspace, tolerance,
-        )  # fmt: skip
+        section = Section(arm.rest[q], arm.per_pressure[r], arm.free_per_pa)
+        passes = advance(rod, section, state, pressure[t], workspace, tolerance)
         tips.good[t] = passes > 0
         if passes > 0:
             total += passes
@@ -196,10 +194,9 @@ def equilibria(
     for b in range(pressure.shape[0]):
         k, r, q = b % arms.work.shape[0], b % arms.stiffness.shape[0], b % arms.rest.shape[0]
         set_stiffness(arms.work[k], arms.stiffness[r])
-        passes = equilibrium(
-            arms.work[k], walls, arms.rest[q], arms.per_pressure[r], arms.free_per_pa[k], pressure[b], arms.load[k],
-            arms.loaded, arms.tip[k], arms.length[k], arms.scale[k], workspace, tolerance,
-        )  # fmt: skip
+        rod = Rod(arms.work[k], walls, arms.load[k], arms.loaded, arms.tip[k], arms.length[k], arms.scale[k])
+        section = Section(arms.rest[q], arms.per_pressure[r], arms.free_per_pa[k])
+        passes = equilibrium(rod, section, pressure[b], workspace, tolerance)
         tips.good[b], unstable[b] = passes > 0, passes == UNSTABLE
         if passes > 0:
             write_tip_pose(workspace.x, arms.length[k], arms.centre[k], tips.place, tips.turned, b)

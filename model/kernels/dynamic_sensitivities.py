@@ -11,6 +11,8 @@ from model.kernels.arguments import (
     Fields,
     LaneArguments,
     MotionState,
+    Rod,
+    Section,
     SectionSensitivities,
     TipSensitivities,
 )
@@ -120,14 +122,11 @@ def dynamic_sensitivities(
     arm_fields: Fields,
     state_fields: Fields,
     static_lane_fields: Fields,
-    static_scale: Array,
     dynamic_lane_fields: Fields,
     pressure: Array,
     tip_loads: Array,
     steps: Array,
     every: int,
-    past: Array,
-    branch_strains: Array,
     pool: Array,
     workspace_fields: Fields,
     tolerance: float,
@@ -137,10 +136,8 @@ def dynamic_sensitivities(
     """Integrate a motion from rest by BDF-alpha, and differentiate its tip and sections.
 
     state: at rest in its x. static_lanes, dynamic_lanes: of the arm at rest and in motion. pressure (1 + T, W, N, 8)
-    [Pa]: at rest, then for each time step; sections and tip_loads: one for each of these rows, or one for all. past
-    (W, N + 1, 192): work array for the history of the lanes; (W, N + 1, 288) for walls with Maxwell branches, whose
-    strains are branch_strains (W, B, N + 1, 96). steps (P,): sizes of the changes. Fills poses and derivatives
-    (1 + T / every,) of tip and sections.
+    [Pa]: at rest, then for each time step; sections and tip_loads: one for each of these rows, or one for all. steps
+    (P,): sizes of the changes. Fills poses and derivatives (1 + T / every,) of tip and sections.
     """
     arm, state = ArmArguments(*arm_fields), MotionState(*state_fields)
     solver = workspace_within(pool, state.x.shape[0] // 2 - 1, state.branch_strains.shape[0])
@@ -151,50 +148,37 @@ def dynamic_sensitivities(
     scheme, segments = state.coefficients, state.segments
     c0, c1, c2, d1 = scheme[0], scheme[1], scheme[2], scheme[4]
     differentiable, now, rows = steps.shape[0] > 0, 0, arm.stiffness.shape[0]
+    past, strains = workspace.past, workspace.branch_strains
+    rod = Rod(arm.work, walls, arm.load, arm.loaded, tip_load, arm.length, arm.scale)
     for t in range(pressure.shape[0]):
         r, q, row_loads = t % rows, t % arm.rest.shape[0], tip_loads[t % tip_loads.shape[0]]
         apply_tip_load(arm.tip, row_loads, tip_load)
         solved = 1
         if t == 0 and differentiable:
-            apply_pressure(
-                at_rest.works, walls.actuators, at_rest.stiffness[0], at_rest.rest[0], at_rest.per_pressure[0],
-                at_rest.free_per_pa, at_rest.cap_loads, pressure[t], row_loads,
-            )  # fmt: skip
-            differentiable = tangents(
-                at_rest.works, walls, past, arm.load, at_rest.loaded, 0.0, at_rest.cap_inertia, segments, static_scale,
-                x, workspace, workspace.states[0], workspace.derivatives[0],
-            )  # fmt: skip
+            apply_pressure(at_rest, walls.actuators, 0, pressure[t], row_loads)
+            differentiable = tangents(rod, at_rest, 0.0, segments, x, workspace, 0)
             _perturbed_solutions(x, segments, workspace, workspace.states[0], workspace.derivatives[0])
             workspace.states[1] = workspace.states[0]
             workspace.derivatives[1] = workspace.derivatives[0]
             # An arm at rest has no rates: y^h = -c0 y.
             _update_history(past, workspace, now, -c0, 0.0, 0.0)
             if branched(walls.law):
-                _relax_branches(moving.branch_factors, branch_strains, past, workspace, now)
+                _relax_branches(moving.branch_factors, strains, past, workspace, now)
         if t > 0:
             for k in range(walls.actuators):
                 row[k] = pressure[t, 0, k, 0]
             if rows > 1:
                 set_stiffness(arm.work, arm.stiffness[r])
-            solved = advance(
-                arm.work, walls, arm.rest[q], arm.per_pressure[r], arm.free_per_pa, state.last_pressures, row, arm.load,
-                arm.loaded, tip_load, arm.length, segments, arm.scale, scheme, state.past_states, x,
-                state.branch_factors, state.branch_strains, solver, tolerance,
-            )  # fmt: skip
+            section = Section(arm.rest[q], arm.per_pressure[r], arm.free_per_pa)
+            solved = advance(rod, section, state, row, solver, tolerance)
             if solved > 0 and differentiable:
                 # y_t of the last step is c0 times its solution plus its history.
                 _update_history(past, workspace, now, c1 + d1 * c0, c2, d1)
                 if branched(walls.law):
-                    _relax_branches(moving.branch_factors, branch_strains, past, workspace, now)
+                    _relax_branches(moving.branch_factors, strains, past, workspace, now)
                 now = 1 - now
-                apply_pressure(
-                    moving.works, walls.actuators, moving.stiffness[r], moving.rest[q], moving.per_pressure[r],
-                    moving.free_per_pa, moving.cap_loads, pressure[t], row_loads,
-                )  # fmt: skip
-                differentiable = tangents(
-                    moving.works, walls, past, arm.load, moving.loaded, c0, moving.cap_inertia, segments, arm.scale, x,
-                    workspace, workspace.states[now], workspace.derivatives[now],
-                )  # fmt: skip
+                apply_pressure(moving, walls.actuators, t, pressure[t], row_loads)
+                differentiable = tangents(rod, moving, c0, segments, x, workspace, now)
                 _perturbed_solutions(x, segments, workspace, workspace.states[now], workspace.derivatives[now])
         if t % every == 0:
             at = t // every

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from model.kernels.arguments import ArmArguments, Fields
+from model.kernels.arguments import ArmArguments, Fields, Rod, Section
 from model.kernels.jit import kernel
 from model.kernels.law import Walls
 from model.kernels.layout import C0, LAG, LANES, LINE_DENSITY, RATE, SHEAR_INVERSE, SLOPE, STAGE, STATE, WRENCH
@@ -32,9 +32,9 @@ PERTURBATION = 1e-4  # force that drives an arm out of an unstable equilibrium, 
 
 
 @leaf
-def uniform_guess(w: Array, walls: Walls, tip: Array, scale: Array, workspace: Workspace) -> None:
+def uniform_guess(rod: Rod, workspace: Workspace) -> None:
     """Fill x with the uniform strains that balance a load at the tip whose direction does not turn with the arm."""
-    x = workspace.x
+    w, walls, tip, scale, x = rod.work, rod.walls, rod.tip, rod.scale, workspace.x
     n = workspace.states.shape[0] - 1
     for i in range(LANES):
         for c in range(STATE):
@@ -60,21 +60,7 @@ def uniform_guess(w: Array, walls: Walls, tip: Array, scale: Array, workspace: W
 
 
 @leaf
-def equilibrium(
-    w: Array,
-    walls: Walls,
-    rest: Array,
-    per_pressure: Array,
-    free: float,
-    pressure: Array,
-    load: Array,
-    loaded: bool,
-    tip: Array,
-    length: float,
-    scale: Array,
-    workspace: Workspace,
-    tolerance: float,
-) -> int:
+def equilibrium(rod: Rod, section: Section, pressure: Array, workspace: Workspace, tolerance: float) -> int:
     """Solve the static rod into workspace.x without a guess. Returns the number of passes, NONE or UNSTABLE.
 
     First by simple shooting from a uniform guess. If that fails or finds an unstable equilibrium, by load continuation;
@@ -83,60 +69,34 @@ def equilibrium(
     """
     for m in range(workspace.history.shape[0]):
         workspace.history[m] = 0.0
-    set_pressures(w, walls.actuators, rest, per_pressure, free, pressure)
-    uniform_guess(w, walls, tip, scale, workspace)
+    set_pressures(rod, section, pressure)
+    uniform_guess(rod, workspace)
     # One segment; numba would compile Newton's method again for the constant 1. A shortened update would depend on the
     # direction of the arm in the base frame, and so would the equilibrium: a longer update is refused.
-    passes = newton(
-        w, walls, load, loaded, tip, 0.0, length, np.int64(1), scale, workspace, tolerance, 20.0, LONGEST_UPDATE
-    )
-    if passes > 0 and is_stable(w, walls, workspace.x, length, tip):
+    passes = newton(rod, 0.0, np.int64(1), workspace, tolerance, 20.0, LONGEST_UPDATE)
+    if passes > 0 and is_stable(rod, workspace.x):
         return int(passes)
-    return int(
-        _search(
-            w, walls, rest, per_pressure, free, pressure, load, loaded, tip, length, scale, workspace, tolerance,
-            passes > 0,
-        )
-    )  # fmt: skip
+    return int(_search(rod, section, pressure, workspace, tolerance, passes > 0))
 
 
 @kernel
-def _search(
-    w: Array,
-    walls: Walls,
-    rest: Array,
-    per_pressure: Array,
-    free: float,
-    pressure: Array,
-    load: Array,
-    loaded: bool,
-    tip: Array,
-    length: float,
-    scale: Array,
-    workspace: Workspace,
-    tolerance: float,
-    found: bool,
-) -> int:
+def _search(rod: Rod, section: Section, pressure: Array, workspace: Workspace, tolerance: float, found: bool) -> int:
     """The methods of `equilibrium` after the first guess; found: workspace.x holds an unstable equilibrium."""
     x = workspace.x
     unstable = x.copy()
-    passes = _load_continuation(
-        w, walls, rest, per_pressure, free, pressure, load, loaded, tip, length, scale, workspace, tolerance
-    )
+    passes = _load_continuation(rod, section, pressure, workspace, tolerance)
     if passes > 0:
         return int(passes)
-    set_pressures(w, walls.actuators, rest, per_pressure, free, pressure)
-    passes = _relax_dynamically(w, walls, load, loaded, tip, length, scale, workspace, tolerance)
+    set_pressures(rod, section, pressure)
+    passes = _relax_dynamically(rod, workspace, tolerance)
     if passes > 0:
         return int(passes)
     if not found:
-        uniform_guess(w, walls, tip, scale, workspace)
-        passes = newton(
-            w, walls, load, loaded, tip, 0.0, length, np.int64(1), scale, workspace, tolerance, 20.0, np.inf
-        )
+        uniform_guess(rod, workspace)
+        passes = newton(rod, 0.0, np.int64(1), workspace, tolerance, 20.0, np.inf)
         if passes < 0:
             return NONE
-        if is_stable(w, walls, x, length, tip):
+        if is_stable(rod, x):
             return int(passes)
         return UNSTABLE
     copy_rows(unstable, x)
@@ -144,21 +104,7 @@ def _search(
 
 
 @kernel
-def _load_continuation(
-    w: Array,
-    walls: Walls,
-    rest: Array,
-    per_pressure: Array,
-    free: float,
-    pressure: Array,
-    load: Array,
-    loaded: bool,
-    tip: Array,
-    length: float,
-    scale: Array,
-    workspace: Workspace,
-    tolerance: float,
-) -> int:
+def _load_continuation(rod: Rod, section: Section, pressure: Array, workspace: Workspace, tolerance: float) -> int:
     """Increase pressures and loads from zero, in increments that adapt, as long as each equilibrium is stable.
 
     Returns the number of passes, or NONE where stability is lost, with the last stable equilibrium in workspace.x.
@@ -168,24 +114,27 @@ def _load_continuation(
     for j in range(x.shape[0]):
         for c in range(STATE):
             x[j, c] = 1.0 if c in (2, 12) and j <= n else 0.0
-    good, partial_pressure, partial_load, partial_tip_load = x.copy(), np.empty_like(pressure), load.copy(), tip.copy()
+    good, partial_pressure, partial_load, partial_tip_load = (
+        x.copy(),
+        np.empty_like(pressure),
+        rod.load.copy(),
+        rod.tip.copy(),
+    )
+    partial = Rod(rod.work, rod.walls, partial_load, rod.loaded, partial_tip_load, rod.length, rod.scale)
     fraction, increment, total, segments = 0.0, 0.125, 0, divisor(n, 4)
     while fraction < 1.0:
         share = min(1.0, fraction + increment)
-        for k in range(walls.actuators):
+        for k in range(rod.walls.actuators):
             partial_pressure[k] = share * pressure[k]
-        for k in range(load.shape[0]):
-            partial_load[k] = share * load[k]
+        for k in range(partial_load.shape[0]):
+            partial_load[k] = share * rod.load[k]
         for k in range(6):
-            partial_tip_load[k] = share * tip[k]
+            partial_tip_load[k] = share * rod.tip[k]
         for k in range(13, 16):
-            partial_tip_load[k] = share * tip[k]
-        set_pressures(w, walls.actuators, rest, per_pressure, free, partial_pressure)
-        passes = newton(
-            w, walls, partial_load, loaded, partial_tip_load, 0.0, length, segments, scale, workspace, tolerance, 20.0,
-            0.5 * LONGEST_UPDATE,
-        )  # fmt: skip
-        if passes > 0 and is_stable(w, walls, x, length, partial_tip_load):
+            partial_tip_load[k] = share * rod.tip[k]
+        set_pressures(partial, section, partial_pressure)
+        passes = newton(partial, 0.0, segments, workspace, tolerance, 20.0, 0.5 * LONGEST_UPDATE)
+        if passes > 0 and is_stable(partial, x):
             total += passes
             fraction, increment = share, 2.0 * increment
             copy_rows(x, good)
@@ -198,18 +147,17 @@ def _load_continuation(
 
 
 @kernel
-def _relax_dynamically(
-    w: Array, walls: Walls, load: Array, loaded: bool, tip: Array, length: float, scale: Array,
-    workspace: Workspace, tolerance: float,
-) -> int:  # fmt: skip
+def _relax_dynamically(rod: Rod, workspace: Workspace, tolerance: float) -> int:
     """Integrate the arm in workspace.x by backward Euler under its full load until it rests in a stable equilibrium.
 
     Time steps of about the time that a shear wave takes along the arm damp the oscillation and let the arm leave an
     unstable equilibrium. Returns the number of passes of the final solution, or NONE.
     """
+    w, tip, length, scale = rod.work, rod.tip, rod.length, rod.scale
     n, x, history = workspace.states.shape[0] - 1, workspace.x, workspace.history
     size = STATE * (n + 1)
-    before, partial_tip_load, own_scale = x.copy(), tip.copy(), scale.copy()
+    before, moving_tip_load, moving_scale = x.copy(), tip.copy(), scale.copy()
+    moving = Rod(w, rod.walls, rod.load, rod.loaded, moving_tip_load, length, moving_scale)
     stiffness = 1.0 / w[SHEAR_INVERSE * LANES]
     wave_s = length * (w[LINE_DENSITY * LANES] / stiffness) ** 0.5
     lag, passes = w[LAG * LANES], NONE
@@ -221,22 +169,20 @@ def _relax_dynamically(
         while steps < MAX_STEPS:
             steps += 1
             perturbed = release > 0 and steps <= 5
-            partial_tip_load[0] = tip[0] + (PERTURBATION * stiffness if perturbed else 0.0)
-            partial_tip_load[1] = tip[1] + (0.5 * PERTURBATION * stiffness if perturbed else 0.0)
+            moving_tip_load[0] = tip[0] + (PERTURBATION * stiffness if perturbed else 0.0)
+            moving_tip_load[1] = tip[1] + (0.5 * PERTURBATION * stiffness if perturbed else 0.0)
             c0 = 1.0 / dt
             broadcast(w, C0, c0)
             carried = max(1.0, 0.25 * c0 * length)
             for c in range(3):
-                own_scale[6 + c], own_scale[9 + c] = carried * scale[c], carried * scale[3 + c]
-                own_scale[22 + c], own_scale[25 + c] = 1.0 / own_scale[6 + c], 1.0 / own_scale[9 + c]
+                moving_scale[6 + c], moving_scale[9 + c] = carried * scale[c], carried * scale[3 + c]
+                moving_scale[22 + c], moving_scale[25 + c] = 1.0 / moving_scale[6 + c], 1.0 / moving_scale[9 + c]
             for j in range(x.shape[0]):
                 for c in range(STATE):
                     history[STATE * j + c] = -c0 * before[j, c]
             interpolate_midpoints(history, size, length / n)
-            moved = newton(
-                w, walls, load, loaded, partial_tip_load, c0, length, divisor(n, max(1, int(0.5 * c0 * wave_s))),
-                own_scale, workspace, TOLERANCE_IN_MOTION, 20.0, np.inf,
-            )  # fmt: skip
+            segments = divisor(n, max(1, int(0.5 * c0 * wave_s)))
+            moved = newton(moving, c0, segments, workspace, TOLERANCE_IN_MOTION, 20.0, np.inf)
             if moved < 0:
                 copy_rows(before, x)
                 dt *= 0.25
@@ -258,10 +204,8 @@ def _relax_dynamically(
             history[m] = 0.0
         _zero_velocities(x)
         copy_rows(x, before)
-        passes = newton(
-            w, walls, load, loaded, tip, 0.0, length, divisor(n, 4), scale, workspace, tolerance, 20.0, LONGEST_UPDATE
-        )
-        if passes > 0 and is_stable(w, walls, x, length, tip):
+        passes = newton(rod, 0.0, divisor(n, 4), workspace, tolerance, 20.0, LONGEST_UPDATE)
+        if passes > 0 and is_stable(rod, x):
             return int(passes)
         if passes < 0:
             copy_rows(before, x)
@@ -299,9 +243,6 @@ def solve_equilibrium(walls: Walls, arm_fields: Fields, pressure: Array, pool: A
     """Solve as `equilibrium` for one arm under pressures (N,) [Pa], into the workspace of a pool."""
     arm = ArmArguments(*arm_fields)
     workspace = workspace_within(pool, arm.load.shape[0] // 12, 0)
-    return int(
-        equilibrium(
-            arm.work, walls, arm.rest[0], arm.per_pressure[0], arm.free_per_pa, pressure, arm.load, arm.loaded,
-            arm.tip, arm.length, arm.scale, workspace, tolerance,
-        )
-    )  # fmt: skip
+    rod = Rod(arm.work, walls, arm.load, arm.loaded, arm.tip, arm.length, arm.scale)
+    section = Section(arm.rest[0], arm.per_pressure[0], arm.free_per_pa)
+    return int(equilibrium(rod, section, pressure, workspace, tolerance))

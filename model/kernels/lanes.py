@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from model.kernels.arguments import LaneArguments, Rod
 from model.kernels.between_nodes import Quaternion, displacement_between, orientation_between
 from model.kernels.law import Walls, branched
 from model.kernels.layout import (
@@ -54,16 +55,19 @@ class SensitivityWorkspace(NamedTuple):
     matrix: Array  # (6, 6)
     right: Array  # (P, 6)
     place: Array  # (W, 6, 8), position and rotation vector of the tip in every lane
+    past: Array  # (W, N + 1, 192), history of the lanes in motion; (W, N + 1, 288) with B > 0 Maxwell branches
+    branch_strains: Array  # (W, B, N + 1, 96)
 
     @classmethod
-    def of(cls, copies: int, n: int, segments: int) -> SensitivityWorkspace:
-        """Allocate the arrays for P perturbed copies and N steps along the arm."""
+    def of(cls, copies: int, n: int, segments: int, branches: int = 0) -> SensitivityWorkspace:
+        """Allocate the arrays for P perturbed copies and N steps along the arm, whose walls have B Maxwell branches."""
         works = work_arrays(copies)
         size = 2, works, n + 1, STATE * LANES
         return cls(
             aligned(*size), aligned(*size), aligned(segments, 6, STATE), aligned(segments, 6, 6),
             aligned(segments, copies, 6), aligned(copies, STATE),
             aligned(segments, works, 6, LANES), aligned(6, 6), aligned(copies, 6), aligned(works, 6, LANES),
+            aligned(works, n + 1, (36 if branches else 24) * LANES), aligned(works, branches, n + 1, 12 * LANES),
         )  # fmt: skip
 
 
@@ -108,15 +112,15 @@ def _interpolate_history(w: Array, walls: Walls, a: Array, b: Array) -> None:
 
 @leaf
 def integrate_lanes(
-    w: Array, walls: Walls, past: Array, moving: bool, load: Array, loaded: bool, first: int, last: int,
-    states: Array, derivatives: Array,
-) -> None:  # fmt: skip
+    rod: Rod, past: Array, moving: bool, first: int, last: int, states: Array, derivatives: Array
+) -> None:
     """Integrate the state at NODE in all lanes from node `first` to node `last`, as `rod.integrate` does.
 
-    past (N + 1, 192): history of strains, velocities and their derivatives at the nodes, of every lane; read only if
-    `moving`. For walls with Maxwell branches it is (N + 1, 288), with the past strains and their derivatives.
+    rod: the arm with one work array of the lanes. past (N + 1, 192 or 288): as of `SensitivityWorkspace`, history of
+    strains, velocities and their derivatives at the nodes, and past strains of walls with Maxwell branches; read only
+    if `moving`.
     """
-    size, n = STATE * LANES, states.shape[0] - 1
+    w, walls, size, n = rod.work, rod.walls, STATE * LANES, states.shape[0] - 1
     for j in range(first, last + 1):
         if j == last and last < n:
             break
@@ -124,33 +128,31 @@ def integrate_lanes(
             states[j, i] = w[NODE * LANES + i]
         if moving:
             _load_history(w, walls, past[j])
-        stage(w, walls, UNUSED_HISTORY, True, load, loaded, 2 * j, NODE, STAGE, 0.5)
+        stage(rod, UNUSED_HISTORY, True, 2 * j, NODE, STAGE, 0.5)
         for i in range(12 * LANES):
             derivatives[j, i] = w[SLOPE * LANES + i]
         if j == n:
             break
         if moving:
             _interpolate_history(w, walls, past[j], past[j + 1])
-        stage(w, walls, UNUSED_HISTORY, True, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5)
-        stage(w, walls, UNUSED_HISTORY, True, load, loaded, 2 * j + 1, THIRD, FOURTH, 1.0)
+        stage(rod, UNUSED_HISTORY, True, 2 * j + 1, STAGE, THIRD, 0.5)
+        stage(rod, UNUSED_HISTORY, True, 2 * j + 1, THIRD, FOURTH, 1.0)
         if moving:
             _load_history(w, walls, past[j + 1])
-        stage(w, walls, UNUSED_HISTORY, True, load, loaded, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)
+        stage(rod, UNUSED_HISTORY, True, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)
 
 
 @leaf
-def apply_pressure(
-    works: Array, actuators: int, stiffness: Array, rest: Array, per_pressure: Array, free: Array, cap_loads: Array,
-    pressure: Array, tip_loads: Array,
-) -> None:  # fmt: skip
-    """Write sections, pressures (W, N, 8) and loads at the tip into the work arrays (W, size), lane by lane.
+def apply_pressure(lanes: LaneArguments, actuators: int, t: int, pressure: Array, tip_loads: Array) -> None:
+    """Write sections, pressures (W, N, 8) and loads at the tip into the work arrays, lane by lane, for row t.
 
-    stiffness (W, 24, 8), rest (W, 6, 8), per_pressure (W, 6, N, 8), free (W, 8) and cap_loads (W, 19, 8): as of
-    `KernelArguments`. tip_loads (W, 12, 8): further force and moment, and the eccentric force with its point.
+    tip_loads (W, 12, 8): force and moment beside those of the cap, and the eccentric force with its point.
     """
     first = TRIO if actuators <= 3 else ALL_TRIOS
-    for p in range(works.shape[0]):
-        w = works[p]
+    r, q = t % lanes.stiffness.shape[0], t % lanes.rest.shape[0]
+    stiffness, rest, per_pressure = lanes.stiffness[r], lanes.rest[q], lanes.per_pressure[r]
+    for p in range(lanes.works.shape[0]):
+        w = lanes.works[p]
         for c in range(24):
             for i in range(LANES):
                 w[(AXIAL + c) * LANES + i] = stiffness[p, c, i]
@@ -162,14 +164,14 @@ def apply_pressure(
                 w[(OFFSET + c) * LANES + i] = total
         for c in range(TIP_LOAD_SIZE):
             for i in range(LANES):
-                w[(TIP_LOAD + c) * LANES + i] = cap_loads[p, c, i]
+                w[(TIP_LOAD + c) * LANES + i] = lanes.cap_loads[p, c, i]
         for c in range(6):
             for i in range(LANES):
                 w[(TIP_LOAD + c) * LANES + i] += tip_loads[p, c, i]
                 w[(ECCENTRIC_FORCE + c) * LANES + i] += tip_loads[p, 6 + c, i]
         for k in range(actuators):
             for i in range(LANES):
-                w[(first + PER_TUBE * k + 2) * LANES + i] = free[p, i] * pressure[p, k, i]
+                w[(first + PER_TUBE * k + 2) * LANES + i] = lanes.free_per_pa[p, i] * pressure[p, k, i]
 
 
 @called

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from model.kernels.arguments import Rod
 from model.kernels.law import Walls, branched
 from model.kernels.layout import (
     AXIAL,
@@ -277,44 +278,32 @@ def strain_changes(w: Array, walls: Walls) -> None:
 
 
 @inlined
-def stage(
-    w: Array, walls: Walls, past: Past, own: bool, load: Array, loaded: bool, row: int, at: int, to: int,
-    step_share: float,
-) -> None:  # fmt: skip
+def stage(rod: Rod, past: Past, own: bool, row: int, at: int, to: int, step_share: float) -> None:
     """Stage of RK4, all lanes: from the state at `at` to the state at `to`, `step_share` of a step further.
 
     past: the history that all lanes share; with `own`, each lane has its own at PAST, and a load of its own. Shared
     numbers are read before the loops over the lanes, otherwise the compiler does not vectorise these.
     """
-    if loaded:
-        _rotate_load(w, load, own, row, at)
-    if not walls.pointwise:
-        _linear_stage(w, walls, past, own, at, to, step_share)
+    if rod.loaded:
+        _rotate_load(rod.work, rod.load, own, row, at)
+    if not rod.walls.pointwise:
+        _linear_stage(rod.work, rod.walls, past, own, at, to, step_share)
     else:
-        _pointwise_stage(w, walls, past, own, at, to, step_share)
+        _pointwise_stage(rod.work, rod.walls, past, own, at, to, step_share)
 
 
 @leaf
 def integrate(
-    w: Array,
-    walls: Walls,
-    history: Array,
-    walls_past: Array,
-    load: Array,
-    loaded: bool,
-    first: int,
-    last: int,
-    states: Array,
-    derivatives: Array,
+    rod: Rod, history: Array, walls_past: Array, first: int, last: int, states: Array, derivatives: Array
 ) -> None:
     """Integrate the state at NODE in all lanes from node `first` to node `last` by RK4, one step from node to node.
 
-    history, walls_past: as of `time_stepping.advance`. load: one row of 6 for each node and mid-point, (2 N + 1) flat.
+    history, walls_past: as of `time_stepping.advance`.
     states, derivatives: (N + 1, 128), filled at each node but `last`; at the tip also at that. Of the derivatives, the
     first twelve quantities are filled.
     """
-    n, size = states.shape[0] - 1, STATE * states.shape[0]
-    if not branched(walls.law):
+    w, n, size = rod.work, states.shape[0] - 1, STATE * states.shape[0]
+    if not branched(rod.walls.law):
         walls_past = history
     for j in range(first, last + 1):
         if j == last and last < n:
@@ -322,13 +311,13 @@ def integrate(
         for i in range(STATE * LANES):
             states[j, i] = w[NODE * LANES + i]
         at = STATE * j
-        stage(w, walls, past_of(history, walls_past, size, at), False, load, loaded, 2 * j, NODE, STAGE, 0.5)
+        stage(rod, past_of(history, walls_past, size, at), False, 2 * j, NODE, STAGE, 0.5)
         for i in range(12 * LANES):
             derivatives[j, i] = w[SLOPE * LANES + i]
         if j == n:
             break
         past = past_of(history, walls_past, size, 2 * size + at)
-        stage(w, walls, past, False, load, loaded, 2 * j + 1, STAGE, THIRD, 0.5)
-        stage(w, walls, past, False, load, loaded, 2 * j + 1, THIRD, FOURTH, 1.0)
+        stage(rod, past, False, 2 * j + 1, STAGE, THIRD, 0.5)
+        stage(rod, past, False, 2 * j + 1, THIRD, FOURTH, 1.0)
         past = past_of(history, walls_past, size, at + STATE)
-        stage(w, walls, past, False, load, loaded, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)
+        stage(rod, past, False, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)

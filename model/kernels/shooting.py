@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from model.kernels.arguments import Rod
 from model.kernels.jit import kernel
 from model.kernels.law import Walls, branched
 from model.kernels.layout import (
@@ -245,39 +246,28 @@ def _measure_update(update: Array, scale: Array) -> tuple[float, float, float]:
 
 @leaf
 def newton(
-    w: Array,
-    walls: Walls,
-    load: Array,
-    loaded: bool,
-    tip: Array,
-    c0: float,
-    length: float,
-    segments: int,
-    scale: Array,
-    workspace: Workspace,
-    tolerance: float,
-    max_passes: float,
-    max_update: float,
+    rod: Rod, c0: float, segments: int, workspace: Workspace, tolerance: float, max_passes: float, max_update: float
 ) -> int:
     """Solve for the states at the nodes, and their derivatives, from a guess in workspace.x; N divides by `segments`.
 
-    The history stands in `workspace`. tip (19,): load at the tip, in the order of TIP_LOAD. The error after an update
+    The history stands in `workspace`. The error after an update
     is of the order of its size, in units of `scale`, times the size of its part in strains and orientations: the
     iteration ends when this product is below the square of `tolerance`. An update of strains and orientations longer
     than LONGEST_UPDATE is shortened to it; one longer than `max_update` ends the iteration. Returns the number of
     iterations, or -1 without a solution after `max_passes` (a float: numba would compile the kernel again for each
     constant integer).
     """
+    w, walls, tip, scale = rod.work, rod.walls, rod.tip, rod.scale
     history, walls_past = workspace.history, workspace.walls_past
     states, derivatives, x = workspace.states, workspace.derivatives, workspace.x
     cap_inertia = tip[6] > 0.0 or tip[7] > 0.0 or tip[8] > 0.0 or tip[9] > 0.0
     weights, update = workspace.weights, workspace.update
     n = states.shape[0] - 1
     per, last = n // segments, segments - 1
-    broadcast(w, STEP_LENGTH, length / n)
+    broadcast(w, STEP_LENGTH, rod.length / n)
     for c in range(TIP_LOAD_SIZE):
         broadcast(w, TIP_LOAD + c, tip[c])
-    if not loaded:
+    if not rod.loaded:
         for c in range(6):
             broadcast(w, LOAD + c, 0.0)
     workspace.particular_step[0] = 0.0
@@ -285,7 +275,7 @@ def newton(
     for passes in range(1, int(max_passes) + 1):
         for s in range(segments):
             _start_segment(w, workspace, scale, s, s * per)
-            integrate(w, walls, history, walls_past, load, loaded, s * per, (s + 1) * per, states, derivatives)
+            integrate(rod, history, walls_past, s * per, (s + 1) * per, states, derivatives)
             if s < last and not _carry_directions(w, workspace, scale, s, (s + 1) * per):
                 return -1
         past = past_of(history, walls_past if branched(walls.law) else history, STATE * (n + 1), STATE * n)

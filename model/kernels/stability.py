@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from model.kernels.arguments import Rod
 from model.kernels.jit import kernel
 from model.kernels.law import Walls
 from model.kernels.layout import AXIAL, LANES, SECANTS, SHEAR, STAGE, STIFFNESS_SLOPES, TANGENTS, TUBE, WRENCH
@@ -313,8 +314,8 @@ def negative_directions(w: Array, walls: Walls, x: Array, length: float, tip: Ar
 
 
 @kernel
-def is_stable(w: Array, walls: Walls, x: Array, length: float, tip: Array) -> bool:
+def is_stable(rod: Rod, x: Array) -> bool:
     """Whether the solved arm x is stable: by the inequality, else by counting the negative directions."""
-    if satisfies_stability_bound(w, walls, x, length, tip):
+    if satisfies_stability_bound(rod.work, rod.walls, x, rod.length, rod.tip):
         return True
-    return bool(negative_directions(w, walls, x, length, tip) == 0)
+    return bool(negative_directions(rod.work, rod.walls, x, rod.length, rod.tip) == 0)

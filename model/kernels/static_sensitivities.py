@@ -6,7 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from model.kernels.arguments import ArmArguments, Fields, LaneArguments, SectionSensitivities, TipSensitivities
+from model.kernels.arguments import (
+    ArmArguments,
+    Fields,
+    LaneArguments,
+    Rod,
+    Section,
+    SectionSensitivities,
+    TipSensitivities,
+)
 from model.kernels.axis import write_section_pose, write_tip_pose
 from model.kernels.equilibrium import UNSTABLE, equilibrium
 from model.kernels.jit import kernel
@@ -79,8 +87,8 @@ def static_sensitivities(
     workspace, tips = SensitivityWorkspace(*workspace_fields), TipSensitivities(*tip_fields)
     sections = SectionSensitivities(*section_fields)
     row, tip_load = np.empty(walls.actuators), arm.tip.copy()
-    nothing = np.zeros((lanes.works.shape[0], 1, 1))
     segments = workspace.shares.shape[0]
+    rod = Rod(arm.work, walls, arm.load, arm.loaded, tip_load, arm.length, arm.scale)
     for t in range(pressure.shape[0]):
         r, q = t % arm.stiffness.shape[0], t % arm.rest.shape[0]
         row_loads = tip_loads[t % tip_loads.shape[0]]
@@ -88,10 +96,8 @@ def static_sensitivities(
         for k in range(walls.actuators):
             row[k] = pressure[t, 0, k, 0]
         set_stiffness(arm.work, arm.stiffness[r])
-        solved = equilibrium(
-            arm.work, walls, arm.rest[q], arm.per_pressure[r], arm.free_per_pa, row, arm.load, arm.loaded, tip_load,
-            arm.length, arm.scale, solver, tolerance,
-        )  # fmt: skip
+        section = Section(arm.rest[q], arm.per_pressure[r], arm.free_per_pa)
+        solved = equilibrium(rod, section, row, solver, tolerance)
         tips.good[t], tips.unstable[t] = solved > 0, solved == UNSTABLE
         if solved > 0:
             write_tip_pose(solver.x, arm.length, arm.centre, tips.place, tips.turned, t)
@@ -100,15 +106,8 @@ def static_sensitivities(
                     solver.x, arm.length, arm.centre, sections.at[k], sections.place[t], sections.turned[t], k
                 )
             if steps.shape[0] > 0:
-                apply_pressure(
-                    lanes.works, walls.actuators, lanes.stiffness[r], lanes.rest[q], lanes.per_pressure[r],
-                    lanes.free_per_pa, lanes.cap_loads, pressure[t], row_loads,
-                )  # fmt: skip
-                found = tangents(
-                    lanes.works, walls, nothing, arm.load, lanes.loaded, 0.0, lanes.cap_inertia, segments, arm.scale,
-                    solver.x, workspace, workspace.states[0], workspace.derivatives[0],
-                )  # fmt: skip
-                if found:
+                apply_pressure(lanes, walls.actuators, t, pressure[t], row_loads)
+                if tangents(rod, lanes, 0.0, segments, solver.x, workspace, 0):
                     _tip_derivatives(solver.x, lanes.works, workspace, steps, tips.by[t])
                     _section_derivatives(
                         solver.x, arm.length, lanes.works, workspace, steps, sections.at, sections.by[t]

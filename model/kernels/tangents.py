@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from model.kernels.arguments import LaneArguments, Rod
 from model.kernels.lanes import FIRST, UNUSED_HISTORY, SensitivityWorkspace, integrate_lanes
-from model.kernels.law import Walls
 from model.kernels.layout import LANES, NODE, STATE, WRENCH
 from model.kernels.linear_algebra import orthonormalise, solve_six_rows
 from model.kernels.shooting import tip_residual
@@ -23,15 +23,16 @@ STEP = 1e-7  # of the perturbed base strains, in scaled states
 
 @leaf
 def tangents(
-    works: Array, walls: Walls, past: Array, load: Array, loaded: bool, c0: float, cap_inertia: bool,
-    segments: int, scale: Array, x: Array, workspace: SensitivityWorkspace, states: Array, derivatives: Array,
-) -> bool:  # fmt: skip
-    """Integrate all lanes along the solved arm x (2 N + 2, 16): fills states, derivatives (W, N + 1, 128) and shares.
+    rod: Rod, lanes: LaneArguments, c0: float, segments: int, x: Array, workspace: SensitivityWorkspace, now: int
+) -> bool:
+    """Integrate all lanes along the solved rod x (2 N + 2, 16): fills states and derivatives at `now`, and shares.
 
     The solution of a copy in segment s is its lane plus its shares of lanes 1 to 6, all relative to lane 0. Segments
-    are joined as in `shooting.newton`. past (W, N + 1, 192 or 288) is not read for an arm at rest. Returns False if the
-    Jacobian is singular.
+    are joined as in `shooting.newton`. The past of the lanes is not read for an arm at rest, whose c0 is zero. Returns
+    False if the Jacobian is singular.
     """
+    walls, works, scale = rod.walls, lanes.works, lanes.scale
+    states, derivatives = workspace.states[now], workspace.derivatives[now]
     directions, triangle, projections, parts = (
         workspace.directions,
         workspace.triangle,
@@ -61,9 +62,9 @@ def tangents(
                 if p == 0:
                     for k in range(6):
                         w[at + 1 + k] += STEP * scale[c] * directions[s, k, c]
-            integrate_lanes(
-                w, walls, past[p], c0 > 0.0, load, loaded, s * per, (s + 1) * per, states[p], derivatives[p]
-            )  # fmt: skip
+            copies = Rod(w, walls, rod.load, lanes.loaded, rod.tip, rod.length, scale)
+            past = workspace.past[p]
+            integrate_lanes(copies, past, c0 > 0.0, s * per, (s + 1) * per, states[p], derivatives[p])
         if s == segments - 1:
             break
         for c in range(STATE):
@@ -88,7 +89,7 @@ def tangents(
             for c in range(STATE):
                 parts[f, c] *= scale[c]
     for p in range(works.shape[0]):
-        tip_residual(works[p], walls, UNUSED_HISTORY, True, c0, cap_inertia)
+        tip_residual(works[p], walls, UNUSED_HISTORY, True, c0, lanes.cap_inertia)
     for i in range(6):
         at = (WRENCH + i) * LANES
         for k in range(6):

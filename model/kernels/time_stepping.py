@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from model.kernels.arguments import MotionState, Rod, Section
 from model.kernels.jit import kernel
-from model.kernels.law import Walls, branched
+from model.kernels.law import branched
 from model.kernels.layout import ALL_TRIOS, AXIAL, LANES, OFFSET, PER_TUBE, STATE, TRIO
 from model.kernels.relaxation import compute_past_strains, relax_branches
 from model.kernels.shooting import Workspace, newton
@@ -17,18 +18,19 @@ Array = Any
 
 
 @leaf
-def set_pressures(w: Array, actuators: int, rest: Array, per_pressure: Array, free: float, pressure: Array) -> None:
-    """Write the wrench and free strains of the pressures (N,) [Pa] into all lanes; free: free strain per pascal."""
+def set_pressures(rod: Rod, section: Section, pressure: Array) -> None:
+    """Write the wrench and free strains of the pressures (N,) [Pa] into all lanes."""
+    w, actuators = rod.work, rod.walls.actuators
     for c in range(6):
-        total = rest[c]
+        total = section.rest[c]
         for k in range(actuators):
-            total += per_pressure[c, k] * pressure[k]
+            total += section.per_pressure[c, k] * pressure[k]
         for i in range(LANES):
             w[(OFFSET + c) * LANES + i] = total
     first = TRIO if actuators <= 3 else ALL_TRIOS
     for k in range(actuators):
         for i in range(LANES):
-            w[(first + PER_TUBE * k + 2) * LANES + i] = free * pressure[k]
+            w[(first + PER_TUBE * k + 2) * LANES + i] = section.free_per_pa * pressure[k]
 
 
 @leaf
@@ -49,33 +51,19 @@ def copy_rows(a: Array, b: Array) -> None:
 
 @kernel
 def _continuation(
-    w: Array,
-    walls: Walls,
-    rest: Array,
-    per_pressure: Array,
-    free: float,
-    last: Array,
-    pressure: Array,
-    load: Array,
-    loaded: bool,
-    tip: Array,
-    c0: float,
-    length: float,
-    segments: int,
-    scale: Array,
-    workspace: Workspace,
+    rod: Rod, section: Section, last: Array, pressure: Array, c0: float, segments: int, workspace: Workspace,
     tolerance: float,
-) -> int:
+) -> int:  # fmt: skip
     """Change the pressures from the last ones to the new ones in increments that adapt (continuation)."""
     x = workspace.x
     good, partial_pressure = x.copy(), np.empty_like(pressure)
     fraction, increment, total = 0.0, 0.125, 0
     while fraction < 1.0:
         share = min(1.0, fraction + increment)
-        for k in range(walls.actuators):
+        for k in range(rod.walls.actuators):
             partial_pressure[k] = last[k] + (pressure[k] - last[k]) * share
-        set_pressures(w, walls.actuators, rest, per_pressure, free, partial_pressure)
-        passes = newton(w, walls, load, loaded, tip, c0, length, segments, scale, workspace, tolerance, 40.0, np.inf)
+        set_pressures(rod, section, partial_pressure)
+        passes = newton(rod, c0, segments, workspace, tolerance, 40.0, np.inf)
         if passes > 0:
             total += passes
             fraction, increment = share, 2.0 * increment
@@ -138,72 +126,50 @@ def _update_history(scheme: Array, y: Array, x: Array, past_states: Array, histo
 
 @inlined
 def advance(
-    w: Array,
-    walls: Walls,
-    rest: Array,
-    per_pressure: Array,
-    free: float,
-    last_pressures: Array,
-    pressure: Array,
-    load: Array,
-    loaded: bool,
-    tip: Array,
-    length: float,
-    segments: int,
-    scale: Array,
-    scheme: Array,
-    past_states: Array,
-    x: Array,
-    branch_factors: Array,
-    branch_strains: Array,
-    workspace: Workspace,
-    tolerance: float,
+    rod: Rod, section: Section, state: MotionState, pressure: Array, workspace: Workspace, tolerance: float
 ) -> int:
     """Solve one time step. Returns the number of passes, or -1: then only work array and workspace are changed.
 
-    scheme: c0, c1, c2, c3, d1. x (2 N + 2, 16): the last solution and its derivatives; past_states (2, 2 N + 2, 16):
-    the two before. last_pressures (3, N): of the last three steps. The guess is extrapolated if extrapolation also
+    pressure (N,) [Pa]: at the end of the step. The guess is extrapolated if extrapolation also
     predicts the new pressures better than the last ones do. workspace.history: y^h at the nodes, its derivatives, and
     the same at the mid-points, (N + 1) x 16 each; workspace.walls_past: likewise of the past strains of the walls,
     which differ with Maxwell branches (`relaxation`). If Newton's method fails, it is repeated with more segments,
     then with continuation in the pressures.
     """
     n = workspace.states.shape[0] - 1
-    c0, y = scheme[0], workspace.x
-    set_pressures(w, walls.actuators, rest, per_pressure, free, pressure)
+    x, past_states, last_pressures, segments = state.x, state.past_states, state.last_pressures, state.segments
+    c0, y, actuators = state.coefficients[0], workspace.x, rod.walls.actuators
+    set_pressures(rod, section, pressure)
     extrapolate, off = 0.0, 0.0
-    for k in range(walls.actuators):
+    for k in range(actuators):
         off += abs(pressure[k] - last_pressures[0, k])
         extrapolate += abs(pressure[k] - 3.0 * (last_pressures[0, k] - last_pressures[1, k]) - last_pressures[2, k])
     _predict(x, past_states, extrapolate <= off, n, segments, y)
-    passes = newton(w, walls, load, loaded, tip, c0, length, segments, scale, workspace, tolerance, 8.0, np.inf)
+    passes = newton(rod, c0, segments, workspace, tolerance, 8.0, np.inf)
     if passes < 0:
         finer = divisor(n, max(4, 2 * segments))
         _predict(x, past_states, False, n, finer, y)
-        passes = newton(w, walls, load, loaded, tip, c0, length, finer, scale, workspace, tolerance, 25.0, np.inf)
+        passes = newton(rod, c0, finer, workspace, tolerance, 25.0, np.inf)
         if passes < 0:
             _predict(x, past_states, False, n, finer, y)
-            passes = _continuation(
-                w, walls, rest, per_pressure, free, last_pressures[0], pressure, load, loaded, tip, c0, length,
-                finer, scale, workspace, tolerance,
-            )  # fmt: skip
+            passes = _continuation(rod, section, last_pressures[0], pressure, c0, finer, workspace, tolerance)
             if passes < 0:
                 return -1
     for j in range(n + 1):
         over = 1.0 / (y[j, 12] ** 2 + y[j, 13] ** 2 + y[j, 14] ** 2 + y[j, 15] ** 2) ** 0.5
         for c in range(12, 16):
             y[j, c] *= over
-    for k in range(walls.actuators):
+    for k in range(actuators):
         last_pressures[2, k] = last_pressures[1, k]
         last_pressures[1, k] = last_pressures[0, k]
         last_pressures[0, k] = pressure[k]
-    if branched(walls.law):
-        relax_branches(branch_factors, branch_strains, y, x)
-    _update_history(scheme, y, x, past_states, workspace.history)
-    interpolate_midpoints(workspace.history, x.size // 2, length / n)
-    if branched(walls.law):
-        compute_past_strains(branch_factors, branch_strains, x, workspace.history, workspace.walls_past)
-        interpolate_midpoints(workspace.walls_past, x.size // 2, length / n)
+    if branched(rod.walls.law):
+        relax_branches(state.branch_factors, state.branch_strains, y, x)
+    _update_history(state.coefficients, y, x, past_states, workspace.history)
+    interpolate_midpoints(workspace.history, x.size // 2, rod.length / n)
+    if branched(rod.walls.law):
+        compute_past_strains(state.branch_factors, state.branch_strains, x, workspace.history, workspace.walls_past)
+        interpolate_midpoints(workspace.walls_past, x.size // 2, rod.length / n)
     return int(passes)
 
 
