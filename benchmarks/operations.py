@@ -24,7 +24,7 @@ from rod import DT, path_of_sine
 import model.laws.quadratic_compliance
 from model import Arm
 from model.dynamics import Dynamics
-from model.kernels.arguments import Rod, Section
+from model.kernels.arguments import PressureWrench, Rod
 from model.kernels.axis import write_tip_pose
 from model.kernels.layout import LANES, OTHER_TRIOS, STATE, SUMS
 from model.kernels.shooting import TOLERANCE_IN_MOTION, Workspace
@@ -152,7 +152,7 @@ def second(variant: str, nodes: int) -> dict[str, int]:
     workspace = Workspace(*(given(part) for part in moving._workspace))
     # Walls without branches have no past of their own.
     workspace = workspace._replace(walls_past=workspace.history)
-    state, section = moving.state, Section(problem.rest[0], problem.per_pressure[0], problem.free_per_pa)
+    state, push = moving.state, PressureWrench(problem.rest[0], problem.per_pressure[0], problem.free_per_pa)
     work, past_states, x = (given(a) for a in (problem.work(), state.past_states, state.x))
     place, turned = given(np.zeros((1, 3))), given(np.zeros((1, 3, 3)))
     for row in path[1:]:
@@ -160,7 +160,7 @@ def second(variant: str, nodes: int) -> dict[str, int]:
         work[OTHER_TRIOS * LANES : (OTHER_TRIOS + SUMS) * LANES] = 0.0
         own = Rod(work, problem.walls, moving._load, moving._loaded, moving._tip, problem.length_m, problem.scale)
         own_state = state._replace(past_states=past_states, x=x)
-        done = advance(own, section, own_state, row, workspace, TOLERANCE_IN_MOTION)
+        done = advance(own, push, own_state, row, workspace, TOLERANCE_IN_MOTION)
         assert done > 0
         passes += done
         write_tip_pose(x, problem.length_m, problem.centre_m, place, turned, 0)

@@ -70,8 +70,8 @@ class Rod(NamedTuple):
     scale: Array  # (32,)
 
 
-class Section(NamedTuple):
-    """What the pressures do in the sections of a rod, whose stiffness stands in its work array."""
+class PressureWrench(NamedTuple):
+    """Wrench of the pressures in a section, and free strains; the stiffness of the section is in the work array."""
 
     rest: Array  # (6,), wrench at zero strain
     per_pressure: Array  # (6, N), wrench per pascal

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from model.kernels.arguments import ArmArguments, Fields, MotionState, Rod, Section, TipPoses
+from model.kernels.arguments import ArmArguments, Fields, MotionState, PressureWrench, Rod, TipPoses
 from model.kernels.between_nodes import displacement_between, orientation_between
 from model.kernels.equilibrium import UNSTABLE, equilibrium
 from model.kernels.jit import kernel
@@ -166,8 +166,8 @@ def motion(
         r, q = t % sections, t % arm.rest.shape[0]
         if sections > 1:
             set_stiffness(arm.work, arm.stiffness[r])
-        section = Section(arm.rest[q], arm.per_pressure[r], arm.free_per_pa)
-        passes = advance(rod, section, state, pressure[t], workspace, tolerance)
+        push = PressureWrench(arm.rest[q], arm.per_pressure[r], arm.free_per_pa)
+        passes = advance(rod, push, state, pressure[t], workspace, tolerance)
         tips.good[t] = passes > 0
         if passes > 0:
             total += passes
@@ -195,8 +195,8 @@ def equilibria(
         k, r, q = b % arms.work.shape[0], b % arms.stiffness.shape[0], b % arms.rest.shape[0]
         set_stiffness(arms.work[k], arms.stiffness[r])
         rod = Rod(arms.work[k], walls, arms.load[k], arms.loaded, arms.tip[k], arms.length[k], arms.scale[k])
-        section = Section(arms.rest[q], arms.per_pressure[r], arms.free_per_pa[k])
-        passes = equilibrium(rod, section, pressure[b], workspace, tolerance)
+        push = PressureWrench(arms.rest[q], arms.per_pressure[r], arms.free_per_pa[k])
+        passes = equilibrium(rod, push, pressure[b], workspace, tolerance)
         tips.good[b], unstable[b] = passes > 0, passes == UNSTABLE
         if passes > 0:
             write_tip_pose(workspace.x, arms.length[k], arms.centre[k], tips.place, tips.turned, b)

@@ -11,8 +11,8 @@ from model.kernels.arguments import (
     Fields,
     LaneArguments,
     MotionState,
+    PressureWrench,
     Rod,
-    Section,
     SectionSensitivities,
     TipSensitivities,
 )
@@ -169,8 +169,8 @@ def dynamic_sensitivities(
                 row[k] = pressure[t, 0, k, 0]
             if rows > 1:
                 set_stiffness(arm.work, arm.stiffness[r])
-            section = Section(arm.rest[q], arm.per_pressure[r], arm.free_per_pa)
-            solved = advance(rod, section, state, row, solver, tolerance)
+            push = PressureWrench(arm.rest[q], arm.per_pressure[r], arm.free_per_pa)
+            solved = advance(rod, push, state, row, solver, tolerance)
             if solved > 0 and differentiable:
                 # y_t of the last step is c0 times its solution plus its history.
                 _update_history(past, workspace, now, c1 + d1 * c0, c2, d1)

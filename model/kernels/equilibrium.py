@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from model.kernels.arguments import ArmArguments, Fields, Rod, Section
+from model.kernels.arguments import ArmArguments, Fields, PressureWrench, Rod
 from model.kernels.jit import kernel
 from model.kernels.law import Walls
 from model.kernels.layout import C0, LAG, LANES, LINE_DENSITY, RATE, SHEAR_INVERSE, SLOPE, STAGE, STATE, WRENCH
@@ -60,7 +60,7 @@ def uniform_guess(rod: Rod, workspace: Workspace) -> None:
 
 
 @leaf
-def equilibrium(rod: Rod, section: Section, pressure: Array, workspace: Workspace, tolerance: float) -> int:
+def equilibrium(rod: Rod, push: PressureWrench, pressure: Array, workspace: Workspace, tolerance: float) -> int:
     """Solve the static rod into workspace.x without a guess. Returns the number of passes, NONE or UNSTABLE.
 
     First by simple shooting from a uniform guess. If that fails or finds an unstable equilibrium, by load continuation;
@@ -69,25 +69,27 @@ def equilibrium(rod: Rod, section: Section, pressure: Array, workspace: Workspac
     """
     for m in range(workspace.history.shape[0]):
         workspace.history[m] = 0.0
-    set_pressures(rod, section, pressure)
+    set_pressures(rod, push, pressure)
     uniform_guess(rod, workspace)
     # One segment; numba would compile Newton's method again for the constant 1. A shortened update would depend on the
     # direction of the arm in the base frame, and so would the equilibrium: a longer update is refused.
     passes = newton(rod, 0.0, np.int64(1), workspace, tolerance, 20.0, LONGEST_UPDATE)
     if passes > 0 and is_stable(rod, workspace.x):
         return int(passes)
-    return int(_search(rod, section, pressure, workspace, tolerance, passes > 0))
+    return int(_search(rod, push, pressure, workspace, tolerance, passes > 0))
 
 
 @kernel
-def _search(rod: Rod, section: Section, pressure: Array, workspace: Workspace, tolerance: float, found: bool) -> int:
+def _search(
+    rod: Rod, push: PressureWrench, pressure: Array, workspace: Workspace, tolerance: float, found: bool
+) -> int:
     """The methods of `equilibrium` after the first guess; found: workspace.x holds an unstable equilibrium."""
     x = workspace.x
     unstable = x.copy()
-    passes = _load_continuation(rod, section, pressure, workspace, tolerance)
+    passes = _load_continuation(rod, push, pressure, workspace, tolerance)
     if passes > 0:
         return int(passes)
-    set_pressures(rod, section, pressure)
+    set_pressures(rod, push, pressure)
     passes = _relax_dynamically(rod, workspace, tolerance)
     if passes > 0:
         return int(passes)
@@ -104,7 +106,7 @@ def _search(rod: Rod, section: Section, pressure: Array, workspace: Workspace, t
 
 
 @kernel
-def _load_continuation(rod: Rod, section: Section, pressure: Array, workspace: Workspace, tolerance: float) -> int:
+def _load_continuation(rod: Rod, push: PressureWrench, pressure: Array, workspace: Workspace, tolerance: float) -> int:
     """Increase pressures and loads from zero, in increments that adapt, as long as each equilibrium is stable.
 
     Returns the number of passes, or NONE where stability is lost, with the last stable equilibrium in workspace.x.
@@ -132,7 +134,7 @@ def _load_continuation(rod: Rod, section: Section, pressure: Array, workspace: W
             partial_tip_load[k] = share * rod.tip[k]
         for k in range(13, 16):
             partial_tip_load[k] = share * rod.tip[k]
-        set_pressures(partial, section, partial_pressure)
+        set_pressures(partial, push, partial_pressure)
         passes = newton(partial, 0.0, segments, workspace, tolerance, 20.0, 0.5 * LONGEST_UPDATE)
         if passes > 0 and is_stable(partial, x):
             total += passes
@@ -244,5 +246,5 @@ def solve_equilibrium(walls: Walls, arm_fields: Fields, pressure: Array, pool: A
     arm = ArmArguments(*arm_fields)
     workspace = workspace_within(pool, arm.load.shape[0] // 12, 0)
     rod = Rod(arm.work, walls, arm.load, arm.loaded, arm.tip, arm.length, arm.scale)
-    section = Section(arm.rest[0], arm.per_pressure[0], arm.free_per_pa)
-    return int(equilibrium(rod, section, pressure, workspace, tolerance))
+    push = PressureWrench(arm.rest[0], arm.per_pressure[0], arm.free_per_pa)
+    return int(equilibrium(rod, push, pressure, workspace, tolerance))

@@ -10,8 +10,8 @@ from model.kernels.arguments import (
     ArmArguments,
     Fields,
     LaneArguments,
+    PressureWrench,
     Rod,
-    Section,
     SectionSensitivities,
     TipSensitivities,
 )
@@ -96,8 +96,8 @@ def static_sensitivities(
         for k in range(walls.actuators):
             row[k] = pressure[t, 0, k, 0]
         set_stiffness(arm.work, arm.stiffness[r])
-        section = Section(arm.rest[q], arm.per_pressure[r], arm.free_per_pa)
-        solved = equilibrium(rod, section, row, solver, tolerance)
+        push = PressureWrench(arm.rest[q], arm.per_pressure[r], arm.free_per_pa)
+        solved = equilibrium(rod, push, row, solver, tolerance)
         tips.good[t], tips.unstable[t] = solved > 0, solved == UNSTABLE
         if solved > 0:
             write_tip_pose(solver.x, arm.length, arm.centre, tips.place, tips.turned, t)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from model.kernels.arguments import MotionState, Rod, Section
+from model.kernels.arguments import MotionState, PressureWrench, Rod
 from model.kernels.jit import kernel
 from model.kernels.law import branched
 from model.kernels.layout import ALL_TRIOS, AXIAL, LANES, OFFSET, PER_TUBE, STATE, TRIO
@@ -18,19 +18,19 @@ Array = Any
 
 
 @leaf
-def set_pressures(rod: Rod, section: Section, pressure: Array) -> None:
+def set_pressures(rod: Rod, push: PressureWrench, pressure: Array) -> None:
     """Write the wrench and free strains of the pressures (N,) [Pa] into all lanes."""
     w, actuators = rod.work, rod.walls.actuators
     for c in range(6):
-        total = section.rest[c]
+        total = push.rest[c]
         for k in range(actuators):
-            total += section.per_pressure[c, k] * pressure[k]
+            total += push.per_pressure[c, k] * pressure[k]
         for i in range(LANES):
             w[(OFFSET + c) * LANES + i] = total
     first = TRIO if actuators <= 3 else ALL_TRIOS
     for k in range(actuators):
         for i in range(LANES):
-            w[(first + PER_TUBE * k + 2) * LANES + i] = section.free_per_pa * pressure[k]
+            w[(first + PER_TUBE * k + 2) * LANES + i] = push.free_per_pa * pressure[k]
 
 
 @leaf
@@ -51,7 +51,7 @@ def copy_rows(a: Array, b: Array) -> None:
 
 @kernel
 def _continuation(
-    rod: Rod, section: Section, last: Array, pressure: Array, c0: float, segments: int, workspace: Workspace,
+    rod: Rod, push: PressureWrench, last: Array, pressure: Array, c0: float, segments: int, workspace: Workspace,
     tolerance: float,
 ) -> int:  # fmt: skip
     """Change the pressures from the last ones to the new ones in increments that adapt (continuation)."""
@@ -62,7 +62,7 @@ def _continuation(
         share = min(1.0, fraction + increment)
         for k in range(rod.walls.actuators):
             partial_pressure[k] = last[k] + (pressure[k] - last[k]) * share
-        set_pressures(rod, section, partial_pressure)
+        set_pressures(rod, push, partial_pressure)
         passes = newton(rod, c0, segments, workspace, tolerance, 40.0, np.inf)
         if passes > 0:
             total += passes
@@ -126,7 +126,7 @@ def _update_history(scheme: Array, y: Array, x: Array, past_states: Array, histo
 
 @inlined
 def advance(
-    rod: Rod, section: Section, state: MotionState, pressure: Array, workspace: Workspace, tolerance: float
+    rod: Rod, push: PressureWrench, state: MotionState, pressure: Array, workspace: Workspace, tolerance: float
 ) -> int:
     """Solve one time step. Returns the number of passes, or -1: then only work array and workspace are changed.
 
@@ -139,7 +139,7 @@ def advance(
     n = workspace.states.shape[0] - 1
     x, past_states, last_pressures, segments = state.x, state.past_states, state.last_pressures, state.segments
     c0, y, actuators = state.coefficients[0], workspace.x, rod.walls.actuators
-    set_pressures(rod, section, pressure)
+    set_pressures(rod, push, pressure)
     extrapolate, off = 0.0, 0.0
     for k in range(actuators):
         off += abs(pressure[k] - last_pressures[0, k])
@@ -152,7 +152,7 @@ def advance(
         passes = newton(rod, c0, finer, workspace, tolerance, 25.0, np.inf)
         if passes < 0:
             _predict(x, past_states, False, n, finer, y)
-            passes = _continuation(rod, section, last_pressures[0], pressure, c0, finer, workspace, tolerance)
+            passes = _continuation(rod, push, last_pressures[0], pressure, c0, finer, workspace, tolerance)
             if passes < 0:
                 return -1
     for j in range(n + 1):
