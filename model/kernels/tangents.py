@@ -14,11 +14,100 @@ from model.kernels.lanes import FIRST, UNUSED_HISTORY, SensitivityWorkspace, int
 from model.kernels.layout import LANES, NODE, STATE, WRENCH
 from model.kernels.linear_algebra import orthonormalise, solve_six_rows
 from model.kernels.shooting import tip_residual
-from model.kernels.vec3 import leaf
+from model.kernels.vec3 import inlined, leaf
 
 Array = Any
 
 STEP = 1e-7  # of the perturbed base strains, in scaled states
+
+
+@inlined
+def _clear_first_segment(workspace: SensitivityWorkspace) -> None:
+    """The directions of the first segment are the base strains; the copies start from the solution."""
+    directions, parts = workspace.directions, workspace.parts
+    for k in range(6):
+        for c in range(STATE):
+            directions[0, k, c] = 1.0 if c == k else 0.0
+    for f in range(parts.shape[0]):
+        for c in range(STATE):
+            parts[f, c] = 0.0
+
+
+@inlined
+def _start_segment(w: Array, p: int, start: Array, scale: Array, workspace: SensitivityWorkspace, s: int) -> None:
+    """Set the lanes of work array p at the start of segment s, where the solved rod has the state `start` (16,)."""
+    directions, parts = workspace.directions, workspace.parts
+    count = parts.shape[0]
+    for c in range(STATE):
+        at = (NODE + c) * LANES
+        for i in range(LANES):
+            w[at + i] = start[c]
+        for i in range(LANES):
+            f = p * LANES + i - FIRST
+            if 0 <= f < count:
+                w[at + i] += parts[f, c]
+        if p == 0:
+            for k in range(6):
+                w[at + 1 + k] += STEP * scale[c] * directions[s, k, c]
+
+
+@inlined
+def _carry_segment(works: Array, scale: Array, workspace: SensitivityWorkspace, s: int) -> bool:
+    """Directions and parts at the start of segment s + 1; False if the directions are dependent."""
+    directions, projections, parts, first = workspace.directions, workspace.projections, workspace.parts, works[0]
+    for c in range(STATE):
+        at, over = (NODE + c) * LANES, 1.0 / (STEP * scale[c])
+        for k in range(6):
+            directions[s + 1, k, c] = (first[at + 1 + k] - first[at]) * over
+    if not orthonormalise(directions[s + 1], workspace.triangle[s + 1]):
+        return False
+    for f in range(parts.shape[0]):
+        w, i = works[(FIRST + f) // LANES], (FIRST + f) % LANES
+        for c in range(STATE):
+            at = (NODE + c) * LANES
+            parts[f, c] = (w[at + i] - first[at]) / scale[c]
+        for k in range(6):
+            total = 0.0
+            for c in range(STATE):
+                total += directions[s + 1, k, c] * parts[f, c]
+            projections[s + 1, f, k] = total
+        for k in range(6):
+            for c in range(STATE):
+                parts[f, c] -= projections[s + 1, f, k] * directions[s + 1, k, c]
+        for c in range(STATE):
+            parts[f, c] *= scale[c]
+    return True
+
+
+@inlined
+def _solve_tip(works: Array, workspace: SensitivityWorkspace) -> bool:
+    """Solve for the shares of the last segment, in workspace.right (P, 6); False if the Jacobian is singular."""
+    first = works[0]
+    for i in range(6):
+        at = (WRENCH + i) * LANES
+        for k in range(6):
+            workspace.matrix[i, k] = (first[at + 1 + k] - first[at]) * (1.0 / STEP)
+        for f in range(workspace.parts.shape[0]):
+            lane = FIRST + f
+            workspace.right[f, i] = first[at] - works[lane // LANES, at + lane % LANES]
+    return solve_six_rows(workspace.matrix, workspace.right)  # type: ignore[no-any-return]
+
+
+@inlined
+def _fill_shares(workspace: SensitivityWorkspace, last: int) -> None:
+    """Shares of every segment, by back substitution from the last to the first."""
+    projections, triangle = workspace.projections, workspace.triangle
+    for f in range(workspace.parts.shape[0]):
+        p, i, right = (FIRST + f) // LANES, (FIRST + f) % LANES, workspace.right[f]
+        for s in range(last, -1, -1):
+            for k in range(6):
+                workspace.shares[s, p, k, i] = right[k] * (1.0 / STEP)
+            if s > 0:
+                for k in range(5, -1, -1):
+                    total = right[k] - projections[s, f, k]
+                    for c in range(k + 1, 6):
+                        total -= triangle[s, k, c] * right[c]
+                    right[k] = total / triangle[s, k, k]
 
 
 @leaf
@@ -31,83 +120,20 @@ def tangents(
     are joined as in `shooting.newton`. The past of the lanes is not read for an arm at rest, whose c0 is zero. Returns
     False if the Jacobian is singular.
     """
-    walls, works, scale = rod.walls, lanes.works, lanes.scale
-    states, derivatives = workspace.states[now], workspace.derivatives[now]
-    directions, triangle, projections, parts = (
-        workspace.directions,
-        workspace.triangle,
-        workspace.projections,
-        workspace.parts,
-    )
-    n, count = states.shape[1] - 1, parts.shape[0]
-    per = n // segments
-    first = works[0]
-    for k in range(6):
-        for c in range(STATE):
-            directions[0, k, c] = 1.0 if c == k else 0.0
-    for f in range(count):
-        for c in range(STATE):
-            parts[f, c] = 0.0
+    states, derivatives, last = workspace.states[now], workspace.derivatives[now], segments - 1
+    per = (states.shape[1] - 1) // segments
+    _clear_first_segment(workspace)
     for s in range(segments):
-        for p in range(works.shape[0]):
-            w = works[p]
-            for c in range(STATE):
-                at = (NODE + c) * LANES
-                for i in range(LANES):
-                    w[at + i] = x[s * per, c]
-                for i in range(LANES):
-                    f = p * LANES + i - FIRST
-                    if 0 <= f < count:
-                        w[at + i] += parts[f, c]
-                if p == 0:
-                    for k in range(6):
-                        w[at + 1 + k] += STEP * scale[c] * directions[s, k, c]
-            copies = Rod(w, walls, rod.load, lanes.loaded, rod.tip, rod.length, scale)
-            past = workspace.past[p]
+        for p in range(lanes.works.shape[0]):
+            w, past = lanes.works[p], workspace.past[p]
+            _start_segment(w, p, x[s * per], lanes.scale, workspace, s)
+            copies = Rod(w, rod.walls, rod.load, lanes.loaded, rod.tip, rod.length, lanes.scale)
             integrate_lanes(copies, past, c0 > 0.0, s * per, (s + 1) * per, states[p], derivatives[p])
-        if s == segments - 1:
-            break
-        for c in range(STATE):
-            at, over = (NODE + c) * LANES, 1.0 / (STEP * scale[c])
-            for k in range(6):
-                directions[s + 1, k, c] = (first[at + 1 + k] - first[at]) * over
-        if not orthonormalise(directions[s + 1], triangle[s + 1]):
+        if s < last and not _carry_segment(lanes.works, lanes.scale, workspace, s):
             return False
-        for f in range(count):
-            w, i = works[(FIRST + f) // LANES], (FIRST + f) % LANES
-            for c in range(STATE):
-                at = (NODE + c) * LANES
-                parts[f, c] = (w[at + i] - first[at]) / scale[c]
-            for k in range(6):
-                total = 0.0
-                for c in range(STATE):
-                    total += directions[s + 1, k, c] * parts[f, c]
-                projections[s + 1, f, k] = total
-            for k in range(6):
-                for c in range(STATE):
-                    parts[f, c] -= projections[s + 1, f, k] * directions[s + 1, k, c]
-            for c in range(STATE):
-                parts[f, c] *= scale[c]
-    for p in range(works.shape[0]):
-        tip_residual(works[p], walls, UNUSED_HISTORY, True, c0, lanes.cap_inertia)
-    for i in range(6):
-        at = (WRENCH + i) * LANES
-        for k in range(6):
-            workspace.matrix[i, k] = (first[at + 1 + k] - first[at]) * (1.0 / STEP)
-        for f in range(count):
-            lane = FIRST + f
-            workspace.right[f, i] = first[at] - works[lane // LANES, at + lane % LANES]
-    if not solve_six_rows(workspace.matrix, workspace.right):
+    for p in range(lanes.works.shape[0]):
+        tip_residual(lanes.works[p], rod.walls, UNUSED_HISTORY, True, c0, lanes.cap_inertia)
+    if not _solve_tip(lanes.works, workspace):
         return False
-    for f in range(count):
-        p, i, right = (FIRST + f) // LANES, (FIRST + f) % LANES, workspace.right[f]
-        for s in range(segments - 1, -1, -1):
-            for k in range(6):
-                workspace.shares[s, p, k, i] = right[k] * (1.0 / STEP)
-            if s > 0:
-                for k in range(5, -1, -1):
-                    total = right[k] - projections[s, f, k]
-                    for c in range(k + 1, 6):
-                        total -= triangle[s, k, c] * right[c]
-                    right[k] = total / triangle[s, k, k]
+    _fill_shares(workspace, last)
     return True
