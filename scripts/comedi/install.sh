@@ -70,8 +70,9 @@ fetched "$build" -m pip download --disable-pip-version-check --no-deps --no-bina
     --require-hashes --dest "$work" -r "$here/requirements.txt"
 tar -xzf "$work/pycomedi-0.9.tar.gz" -C "$work"
 quietly patch -d "$work/pycomedi-0.9" -p1 -i "$here/pycomedi-0.9.patch"
+quietly "$build" "$here/constants.py" "$work/pycomedi-0.9/pycomedi/comedi_h.py"
 quietly "$build" -m pip wheel --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir "$work" "$work/pycomedi-0.9"
-quietly "$python" -m pip install --disable-pip-version-check --no-deps --force-reinstall "$work"/pycomedi-0.9.post2-*.whl
+quietly "$python" -m pip install --disable-pip-version-check --no-deps --force-reinstall "$work"/pycomedi-0.9.post3-*.whl
 if ! installed; then
     echo "pycomedi was built and cannot be imported, for the reason above" >&2
     exit 1

@@ -11,7 +11,6 @@ import functools
 import grp
 import os
 import pwd
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
@@ -23,22 +22,21 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike, NDArray
 
-from rig.hardware.cards import comedi_constants
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.cards.kernel_devices import processes_with
 
-_BUILD = "0.9.post2"
+_BUILD = "0.9.post3"
 """What scripts/comedi/install.sh makes of pycomedi 0.9."""
 _ROUNDINGS = 8
 """Number of times that a driver may round a command before it must accept it."""
 
 
 class Trigger(IntFlag):
-    """What starts a scan or a conversion."""
+    """What starts a scan or a conversion, by the numbers of comedi.h."""
 
-    NOW = comedi_constants.TRIG_NOW
-    FOLLOW = comedi_constants.TRIG_FOLLOW
-    TIMER = comedi_constants.TRIG_TIMER
+    NOW = 0x02
+    FOLLOW = 0x04
+    TIMER = 0x10
 
 
 @dataclass(frozen=True)
@@ -144,12 +142,12 @@ class Subdevice:
         cmd = pc.Command()
         cmd.subdev = self._subdevice.index
         # Without it some drivers deliver samples only once the FIFO is half full: 512 samples late on a 171x.
-        cmd.flags = comedi_constants.CMDF_WAKE_EOS
-        cmd.start_src, cmd.start_arg = comedi_constants.TRIG_NOW, 0
+        cmd.flags = pc.CMDF.wake_eos
+        cmd.start_src, cmd.start_arg = pc.TRIG_SRC.now, 0
         cmd.scan_begin_src, cmd.scan_begin_arg = int(timing.scan_begin), timing.scan_ns
         cmd.convert_src, cmd.convert_arg = int(timing.convert), timing.convert_ns
-        cmd.scan_end_src, cmd.scan_end_arg = comedi_constants.TRIG_COUNT, len(lines)
-        cmd.stop_src, cmd.stop_arg = comedi_constants.TRIG_NONE, 0
+        cmd.scan_end_src, cmd.scan_end_arg = pc.TRIG_SRC.count, len(lines)
+        cmd.stop_src, cmd.stop_arg = pc.TRIG_SRC.none, 0
         cmd.chanlist = [line.chanspec for line in lines]
         self._subdevice.cmd = cmd
         for _ in range(_ROUNDINGS):
@@ -268,23 +266,15 @@ def require() -> None:
 @functools.cache
 def _pycomedi() -> Any:
     """The parts of pycomedi that are used."""
-    # pycomedi imports a module `comedi`; it gets ours, and other programs' stays what it was.
-    before = sys.modules.get("comedi")
-    sys.modules["comedi"] = comedi_constants
     try:
         from pycomedi import PyComediError, __version__
         from pycomedi.channel import AnalogChannel
         from pycomedi.command import Command
-        from pycomedi.constant import AREF, SUBDEVICE_TYPE, UNIT
+        from pycomedi.constant import AREF, CMDF, SUBDEVICE_TYPE, TRIG_SRC, UNIT
         from pycomedi.device import Device
         from pycomedi.subdevice import StreamingSubdevice
     except ImportError as error:
         raise CardError(f"pycomedi is not installed ({error})", "run `make comedi` in softrig's folder") from None
-    finally:
-        if before is None:
-            del sys.modules["comedi"]
-        else:
-            sys.modules["comedi"] = before
     if __version__ != _BUILD:
         raise CardError(
             f"pycomedi is build {__version__}, which cannot open every card; softrig needs {_BUILD}",
@@ -295,7 +285,9 @@ def _pycomedi() -> Any:
         AnalogChannel=AnalogChannel,
         Command=Command,
         AREF=AREF,
+        CMDF=CMDF,
         SUBDEVICE_TYPE=SUBDEVICE_TYPE,
+        TRIG_SRC=TRIG_SRC,
         UNIT=UNIT,
         Device=Device,
         StreamingSubdevice=StreamingSubdevice,
