@@ -21,6 +21,7 @@ from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.control.step import StallExcuse
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import CardError
+from rig.valves.metering import MeteringRegulator
 
 _LONGEST_INTERVALS = 1.5
 """Between two scans, of the usual interval; in a longer one the time of a simulated bench stops."""
@@ -104,6 +105,7 @@ class BenchDriver:
         """
         command_v = np.array(self._prepared.safe_output)
         settings = self._prepared.valves[valve]
+        assert isinstance(settings, MeteringRegulator)
         command_v[valve] = settings.opening_v(offset_v)
         chambers = list(settings.actuators)
         states = (SensorState(),) * self._config.actuators

@@ -25,6 +25,7 @@ from rig.execution.virtual_time import require_mocks
 from rig.realtime.scheduling import obtainable
 from rig.realtime.timing_limits import timing_limits
 from rig.simulator.plant_launcher import simulated
+from rig.valves.metering import MeteringValve
 
 _LARGEST_ML = 1e5
 _VOLUME_DOUBT = 0.1
@@ -152,7 +153,7 @@ def _drive(
     readings = read_gauge(config, driver, gauge, operator.tell) if request.by_gauge else {}
     rates = {}
     for index, valve in enumerate(config.valves) if request.valves else ():
-        if valve.metering is not None:
+        if isinstance(valve, MeteringValve):
             operator.tell(f"valve {index + 1}: sweep of its voltage")
             rates[index] = sweep(config, driver, index)
     return readings, rates

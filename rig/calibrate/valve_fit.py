@@ -16,7 +16,7 @@ import numpy as np
 from calibration.camera import CalibrationError
 from model.arrays import Array
 from rig.valves.iso6358 import ANR_PA, ATMOSPHERE_PA, flow_function, sonic_conductance
-from rig.valves.metering import FlowMetering
+from rig.valves.metering import MeteringValve
 
 # Openings in these shares of the full flow lie on the straight part next to the dead zone.
 _EDGE_SHARES = (0.004, 0.028)
@@ -68,7 +68,7 @@ class FittedValve:
     residuals_l_min: Array
 
 
-def fit(valve: FlowMetering, rates: Sequence[RateMeasurement], volumes_m3: Sequence[float]) -> FittedValve:
+def fit(valve: MeteringValve, rates: Sequence[RateMeasurement], volumes_m3: Sequence[float]) -> FittedValve:
     """Fit one valve; `volumes_m3` is the air that each rate moved.
 
     Raises:
@@ -98,7 +98,7 @@ def fit(valve: FlowMetering, rates: Sequence[RateMeasurement], volumes_m3: Seque
     knots, curve, curve_std, full = _joined(valve, volts, mean, mean_std, dead)
     modelled = np.sign(offset) * np.interp(np.abs(offset - middle), *_from_edge(knots, curve, dead))
     return FittedValve(
-        closed_v=valve.closed_v + valve.fill_sign * middle,
+        closed_v=valve.closed_V + valve.fill_sign * middle,
         closed_std_v=spread / np.sqrt(2),
         dead_zone_v=dead,
         dead_zone_std_v=spread / np.sqrt(2),
@@ -125,14 +125,14 @@ class _Flow(NamedTuple):
     std: float
 
 
-def _leak_drive(valve: FlowMetering, pressure_pa: float) -> float:
+def _leak_drive(valve: MeteringValve, pressure_pa: float) -> float:
     """Leakage in per conductance: from the supply into the chamber, less from the chamber into the room."""
-    chamber, supply = pressure_pa + ATMOSPHERE_PA, valve.supply_pa
+    chamber, supply = pressure_pa + ATMOSPHERE_PA, valve.absolute_supply_pa
     into = supply * flow_function(chamber / supply, valve.critical_ratio)
     return into - chamber * flow_function(ATMOSPHERE_PA / chamber, valve.critical_ratio)
 
 
-def _leakage(valve: FlowMetering, rates: Sequence[_Flow]) -> tuple[float, float]:
+def _leakage(valve: MeteringValve, rates: Sequence[_Flow]) -> tuple[float, float]:
     """Conductance of the closed valve and its standard uncertainty, from rates at different pressures."""
     if len(rates) < 2:
         raise CalibrationError("the leakage needs the closed valve at two pressures")
@@ -145,10 +145,10 @@ def _leakage(valve: FlowMetering, rates: Sequence[_Flow]) -> tuple[float, float]
     return max(found, 0.0), float(np.sqrt(max(chi, 1.0) / np.sum(weight * drive**2)))
 
 
-def _opening(valve: FlowMetering, seen: _Flow, leakage: float) -> tuple[float, float]:
+def _opening(valve: MeteringValve, seen: _Flow, leakage: float) -> tuple[float, float]:
     """Conductance of the metered path, signed as the offset, and its standard uncertainty."""
     chamber = seen.of.pressure_pa + ATMOSPHERE_PA
-    up, down = (valve.supply_pa, chamber) if seen.of.offset_v > 0 else (chamber, ATMOSPHERE_PA)
+    up, down = (valve.absolute_supply_pa, chamber) if seen.of.offset_v > 0 else (chamber, ATMOSPHERE_PA)
     drive = up * flow_function(down / up, valve.critical_ratio)
     return (seen.flow - leakage * _leak_drive(valve, seen.of.pressure_pa)) / drive, seen.std / drive
 
@@ -194,11 +194,11 @@ def _curve(offset: Array, flow: Array, std: Array, middle: float) -> tuple[Array
 
 
 def _joined(
-    valve: FlowMetering, volts: Array, mean: Array, std: Array, dead: float
+    valve: MeteringValve, volts: Array, mean: Array, std: Array, dead: float
 ) -> tuple[Array, Array, Array, float]:
     """The measured curve, continued by the rig's: knots, flows, standard uncertainties; and the flow fully open."""
-    stated_v = np.array(valve.curve_v) + dead - valve.dead_zone_v
-    stated = np.array(valve.curve_percent) / 100 * valve.full_flow_l_min
+    stated_v = np.array(valve.flow_curve_V) + dead - valve.dead_zone_V
+    stated = np.array(valve.flow_curve_percent) / 100 * valve.full_flow_l_min
     kept = [(0.0, 0.0, 0.0)]
     for v, f, s in zip(volts, mean, std, strict=True):
         if v > dead and f > max(kept[-1][1], 0.0):

@@ -20,7 +20,7 @@ from rig.config.calibration_files import rounded
 from rig.config.schema import RigConfig
 from rig.control.interlocks.actuator_interlocks import PressureRate
 from rig.valves.iso6358 import ATMOSPHERE_PA
-from rig.valves.metering import FlowMetering
+from rig.valves.metering import MeteringValve
 
 FILL_FROM, VENT_FROM, BAND = 0.25, 0.75, 0.14
 """Pressures at which a sweep opens the valve, and how far it lets them move; of the highest set-point."""
@@ -35,8 +35,7 @@ _LEAST_ROWS = 8
 
 def sweep(config: RigConfig, driver: BenchDriver, index: int) -> list[RateMeasurement]:
     """Open one valve to more and more voltages, either side, out and back; watch how fast the pressure moves."""
-    valve = config.valves[index]
-    metering = _metering(config, index)
+    valve = _metering_valve(config, index)
     highest = config.limits.pressure_bar * PA_PER_BAR
     chambers = [a - 1 for a in valve.actuators]
 
@@ -58,7 +57,8 @@ def sweep(config: RigConfig, driver: BenchDriver, index: int) -> list[RateMeasur
     limit = FASTEST_SHARE * PressureRate.of(config, config.sensors[0]).limit_pa_s
     going = {1.0: True, -1.0: True}
     fastest = {1.0: (0.0, 0.0), -1.0: (0.0, 0.0)}
-    room_v = min(metering.closed_v - metering.low_v, metering.high_v - metering.closed_v) - KICK_V
+    low_v, high_v = valve.range_V
+    room_v = min(valve.closed_V - low_v, high_v - valve.closed_V) - KICK_V
     for offset in (float(v) for v in OFFSETS_V if v <= room_v):
         for side, share in ((1.0, FILL_FROM), (-1.0, VENT_FROM)):
             if not going[side]:
@@ -78,10 +78,10 @@ def sweep(config: RigConfig, driver: BenchDriver, index: int) -> list[RateMeasur
     return rates
 
 
-def _metering(config: RigConfig, index: int) -> FlowMetering:
-    metering = config.valves[index].metering
-    assert metering is not None, f"valve {index + 1} does not meter flow"
-    return metering
+def _metering_valve(config: RigConfig, index: int) -> MeteringValve:
+    valve = config.valves[index]
+    assert isinstance(valve, MeteringValve), f"valve {index + 1} does not meter flow"
+    return valve
 
 
 def rate_of(time_s: Array, pressure_pa: Array, offset_v: float, outward: bool) -> RateMeasurement:
@@ -122,14 +122,14 @@ def valve_section(
     chambers = [a - 1 for a in config.valves[index].actuators]
     count, arm = len(chambers), model_arm(config)
     volumes = [volume_m3(config, chambers, count * volume_ml * 1e-6, r.pressure_pa, arm) for r in rates]
-    found = fit(_metering(config, index), rates, volumes)
+    found = fit(_metering_valve(config, index), rates, volumes)
     return _valve_section(config, index, found, volume_ml * count, volume_std_ml * count)
 
 
 def _valve_section(
     config: RigConfig, index: int, found: FittedValve, volume_ml: float, volume_std_ml: float
 ) -> calibration_schema.ValveCalibration:
-    valve = config.valves[index]
+    valve = _metering_valve(config, index)
     full = found.full_l_min
     return calibration_schema.ValveCalibration(
         valve=index + 1,
@@ -149,7 +149,7 @@ def _valve_section(
         measured_to_V=rounded(found.measured_to_v, 4),
         volume_ml=rounded(volume_ml, 5),
         volume_std_ml=rounded(volume_std_ml, 3),
-        supply_bar=rounded((_metering(config, index).supply_pa - ATMOSPHERE_PA) / PA_PER_BAR),
+        supply_bar=rounded(valve.supply_bar),
         rms_l_min=rounded(float(np.sqrt(np.mean(found.residuals_l_min**2))), 4),
         points=tuple(
             calibration_schema.FlowPoint(

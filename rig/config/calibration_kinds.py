@@ -28,6 +28,7 @@ from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
 from rig.config.sections import LensConfig, Placement, Sensor
 from rig.valves.base import ValveSection
+from rig.valves.metering import CALIBRATED_KEYS, MeteringValve
 
 Problems = Iterator[Problem]
 YamlPath = tuple[str | int, ...]
@@ -169,7 +170,7 @@ class PressureOverlay(CalibrationOverlay[PressureFile]):
                     sensor["span_V"] = list(scale.span_V)
                     sensor["span_bar"] = [scale.offset_bar + scale.scale_bar_per_V * v for v in scale.span_V]
         for sweep in self.found.valves:
-            data["valves"][sweep.valve - 1] |= config.valves[sweep.valve - 1].calibrated(sweep)
+            data["valves"][sweep.valve - 1] |= sweep.model_dump(mode="json", include=set(CALIBRATED_KEYS))
 
     def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Problems:
         yield from self._other_sensors(config)
@@ -200,13 +201,14 @@ class PressureOverlay(CalibrationOverlay[PressureFile]):
                 yield self.source.problem((*path, "valve"), f"a valve from 1 to {len(config.valves)}")
                 continue
             valve = config.valves[sweep.valve - 1]
-            if (metering := valve.metering) is None:
+            if not isinstance(valve, MeteringValve):
                 expected = f"a valve that meters flow; valve {sweep.valve} of rig {config.name} regulates by itself"
                 yield self.source.problem((*path, "valve"), expected)
                 continue
             yield from _other_channel(config, self.source, path, sweep, valve, f"valve {sweep.valve}")
-            if not metering.low_v < sweep.closed_V < metering.high_v:
-                expected = f"a voltage inside range_V of the valve, {metering.low_v:g} to {metering.high_v:g} V"
+            low_v, high_v = valve.range_V
+            if not low_v < sweep.closed_V < high_v:
+                expected = f"a voltage inside range_V of the valve, {low_v:g} to {high_v:g} V"
                 yield self.source.problem((*path, "closed_V"), expected)
 
 

@@ -282,7 +282,8 @@ class ValveCalibration(Section):
 
     @model_validator(mode="after")
     def _check(self) -> ValveCalibration:
-        found, std = list(flow_curve_faults(self)), self.flow_curve_std_percent
+        found = list(flow_curve_faults(self.flow_curve_V, self.flow_curve_percent, self.dead_zone_V))
+        std = self.flow_curve_std_percent
         if len(std) != len(self.flow_curve_V):
             expected = f"{len(self.flow_curve_V)} values, as many as flow_curve_V has, not {len(std)}"
             found.append(ValidationFault(("flow_curve_std_percent",), expected))

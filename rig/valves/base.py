@@ -11,7 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -21,7 +21,6 @@ from rig.sections.base import Section
 from rig.sections.control import Control, Limits
 from rig.sections.quantities import ActuatorNumber, Index, NonNegative, Number, VoltSpan, Word
 from rig.valves.iso6358 import ATMOSPHERE_PA
-from rig.valves.metering import FlowMetering, MeasuredFlow
 
 REFERENCE_SHARE = 0.5
 """Bandwidth of the set-point filter as a share of the loop's: it is slower than the disturbance rejection."""
@@ -60,22 +59,6 @@ class Regulator(ABC):
         self, integral_pa_s: float, dt_s: float, measured_pa: float, reference_pa: float, reference_rate_pa_s: float
     ) -> RegulatorState:
         """The state after a step of `dt_s` towards a filtered set-point; gauge pressures [Pa]."""
-
-    def opening_v(self, offset_v: float) -> float:
-        """The voltage of an opening at an offset from the closed voltage; positive fills.
-
-        Raises:
-            NotImplementedError: the valve has no `metering`.
-        """
-        raise NotImplementedError
-
-    def opening_rate_pa_s(self, offset_v: float, pressure_pa: float) -> float:
-        """The rate of the gauge pressure that this opening should cause [Pa/s].
-
-        Raises:
-            NotImplementedError: the valve has no `metering`.
-        """
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -148,19 +131,6 @@ class ValveSection(Section, ABC):
     def closed_output(self) -> float | None:
         """The output that stops the flow when control has no sample; None if the valve keeps its output then."""
         return None
-
-    @property
-    def metering(self) -> FlowMetering | None:
-        """How the valve meters flow, for its calibration; None for a valve that regulates by itself."""
-        return None
-
-    def calibrated(self, found: MeasuredFlow) -> dict[str, Any]:
-        """Keys of this section, with the values of a calibration.
-
-        Raises:
-            NotImplementedError: the valve has no `metering`.
-        """
-        raise NotImplementedError
 
     def safe_output(self, *, vent: bool = False) -> float:
         """The output of the safe state: vented, or closed where the rig file holds the pressure and not `vent`."""

@@ -1,28 +1,24 @@
-"""A proportional valve that meters flow: section, regulator and simulation.
+"""A proportional valve that meters flow: regulator and simulation.
 
 The physics and the reasons for the regulator's terms are in docs/explanation/control.md. Pressures are gauge, SI
 throughout, where a name does not say otherwise.
 """
-
-# ruff: noqa: N815 - volts keep their capital, as in V and mV
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from model.units import PA_PER_BAR
 from protocols.validation import ValidationFault
 from rig.sections.control import Control, Limits
-from rig.sections.quantities import Bar, NonNegative, Positive, Volt
-from rig.valves.base import Regulator, RegulatorState, SimulatedValve, ValidationFaults, ValveTruth, VoltageValve
+from rig.valves.base import RegulatorState, SimulatedValve, ValidationFaults, ValveTruth
 from rig.valves.iso6358 import ANR_PA, ATMOSPHERE_PA, flow_function, sonic_conductance
-from rig.valves.metering import FlowMetering, MeasuredFlow, flow_curve_faults
+from rig.valves.metering import MeteringRegulator, MeteringValve
 
 SOFT_FRACTION = 0.005
 """Smaller openings cross the dead zone linearly instead of with a jump, so that noise does not wear the spool."""
@@ -38,7 +34,7 @@ ZERO_REFERENCE_PA = 500.0
 
 
 @dataclass(frozen=True)
-class FlowRegulator(Regulator):
+class FlowRegulator(MeteringRegulator):
     """PI control of the pressure with feed-forward, linearised by the flow through the valve (ISO 6358)."""
 
     gain_per_s: float
@@ -93,64 +89,13 @@ class FlowRegulator(Regulator):
         return self.conductance * upstream * ease * ANR_PA / self.volume_m3
 
 
-class FlowValve(VoltageValve):
+class FlowValve(MeteringValve):
     """A proportional 5/3-way valve that meters flow (Festo MPYE): the chamber hangs on one port, the other is plugged.
 
     `fills` says on which side of `closed_V` the chamber is connected to the supply.
     """
 
     type: Literal["flow"]
-    closed_V: Volt = 5.0
-    fills: Literal["above", "below"] = "above"
-    dead_zone_V: NonNegative
-    full_flow_l_min: Positive = Field(le=100_000, description="normal litres per minute fully open at 6 -> 5 bar gauge")
-    flow_curve_V: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="volts from closed")
-    flow_curve_percent: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="of full flow")
-    supply_bar: Bar = Field(description="gauge pressure at the supply port")
-    critical_ratio: Positive = Field(default=0.3, lt=1, description="b of ISO 6358")
-
-    @property
-    def fill_sign(self) -> float:
-        """+1 where a higher voltage fills the chamber, -1 where a lower one does."""
-        return 1.0 if self.fills == "above" else -1.0
-
-    @property
-    def vent_output(self) -> float:
-        """The voltage that opens the valve to the exhaust completely."""
-        return self.range_V[0] if self.fills == "above" else self.range_V[1]
-
-    @property
-    def closed_output(self) -> float:
-        """The middle of the dead zone."""
-        return self.closed_V
-
-    @property
-    def fills_at_power_up(self) -> bool:
-        return self.fills == "below"
-
-    @property
-    def metering(self) -> FlowMetering:
-        return FlowMetering(
-            closed_v=self.closed_V,
-            low_v=self.range_V[0],
-            high_v=self.range_V[1],
-            fill_sign=self.fill_sign,
-            dead_zone_v=self.dead_zone_V,
-            curve_v=self.flow_curve_V,
-            curve_percent=self.flow_curve_percent,
-            full_flow_l_min=self.full_flow_l_min,
-            supply_pa=self.supply_bar * PA_PER_BAR + ATMOSPHERE_PA,
-            critical_ratio=self.critical_ratio,
-        )
-
-    def calibrated(self, found: MeasuredFlow) -> dict[str, Any]:
-        return {
-            "closed_V": found.closed_V,
-            "dead_zone_V": found.dead_zone_V,
-            "full_flow_l_min": found.full_flow_l_min,
-            "flow_curve_V": list(found.flow_curve_V),
-            "flow_curve_percent": list(found.flow_curve_percent),
-        }
 
     def opening_curve(self, dead_zone_v: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Volts from closed and the fraction of the full flow they open, both increasing from the dead zone's edge on.
@@ -204,25 +149,9 @@ class FlowValve(VoltageValve):
             fill_sign=self.fill_sign,
             half_hysteresis_v=truth.hysteresis_percent / 200.0 * (self.range_V[1] - self.range_V[0]),
             leak=sonic_conductance(truth.leakage_l_min, self.critical_ratio),
-            supply_pa=self.supply_bar * PA_PER_BAR + ATMOSPHERE_PA,
+            supply_pa=self.absolute_supply_pa,
             critical_ratio=self.critical_ratio,
         )
-
-    def faults(self) -> ValidationFaults:
-        """A closed voltage outside the range, and faults of the curve."""
-        low, high = self.range_V
-        if not low < self.closed_V < high:
-            yield ValidationFault(("closed_V",), f"a voltage inside range_V, {low:g} to {high:g} V")
-        yield from flow_curve_faults(self)
-
-    def reach_faults(self, limits: Limits) -> ValidationFaults:
-        """A supply that is too low, and a vacuum, which its exhaust to the atmosphere cannot reach."""
-        if self.supply_bar <= limits.pressure_bar:
-            expected = f"more than limits, pressure_bar ({limits.pressure_bar:g} bar): the valve cannot fill that far"
-            yield ValidationFault(("supply_bar",), expected)
-        if limits.lowest_pressure_bar < 0:
-            lowest = f"limits, lowest_pressure_bar ({limits.lowest_pressure_bar:g} bar)"
-            yield ValidationFault(("type",), f"pressure or bus for {lowest}: a flow valve vents to the atmosphere")
 
     def simulated_faults(self, truth: SimulatedValve) -> ValidationFaults:
         """A dead zone that covers one side of the range, and a leak as large as the flow of the open valve."""

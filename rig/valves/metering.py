@@ -1,67 +1,94 @@
-"""Metering of flow by a voltage: what a valve states of it, and what a calibration finds."""
+"""A valve that meters flow by a voltage: its keys in the rig file, which `rig calibrate pressure` measures."""
+
+# ruff: noqa: N815 - volts keep their capital, as in V and mV
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Protocol
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Annotated, Literal
 
+from pydantic import Field
+
+from model.units import PA_PER_BAR
 from protocols.validation import ValidationFault
+from rig.sections.control import Limits
+from rig.sections.quantities import Bar, NonNegative, Positive, Volt
+from rig.valves.base import Regulator, ValidationFaults, VoltageValve
+from rig.valves.iso6358 import ATMOSPHERE_PA
+
+CALIBRATED_KEYS = ("closed_V", "dead_zone_V", "full_flow_l_min", "flow_curve_V", "flow_curve_percent")
+"""Keys of a flow valve that a calibration file sets."""
 
 
-class FlowCurve(Protocol):
-    """The flow curve of a valve, as stated in a rig file or found by a calibration."""
+class MeteringRegulator(Regulator):
+    """The regulator of a valve that meters flow, which a calibration also opens to a voltage."""
+
+    @abstractmethod
+    def opening_v(self, offset_v: float) -> float:
+        """The voltage of an opening at an offset from the closed voltage; positive fills."""
+
+    @abstractmethod
+    def opening_rate_pa_s(self, offset_v: float, pressure_pa: float) -> float:
+        """The rate of the gauge pressure that this opening should cause [Pa/s]."""
+
+
+class MeteringValve(VoltageValve):
+    """A valve whose voltage meters the flow to or from the supply and the exhaust, by a curve of the rig file."""
+
+    closed_V: Volt = 5.0
+    fills: Literal["above", "below"] = "above"
+    dead_zone_V: NonNegative
+    full_flow_l_min: Positive = Field(le=100_000, description="normal litres per minute fully open at 6 -> 5 bar gauge")
+    flow_curve_V: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="volts from closed")
+    flow_curve_percent: Annotated[tuple[NonNegative, ...], Field(min_length=2)] = Field(description="of full flow")
+    supply_bar: Bar = Field(description="gauge pressure at the supply port")
+    critical_ratio: Positive = Field(default=0.3, lt=1, description="b of ISO 6358")
 
     @property
-    def flow_curve_V(self) -> tuple[float, ...]:
-        """Voltages from the closed valve."""
+    def fill_sign(self) -> float:
+        """+1 where a higher voltage fills the chamber, -1 where a lower one does."""
+        return 1.0 if self.fills == "above" else -1.0
 
     @property
-    def flow_curve_percent(self) -> tuple[float, ...]:
-        """Per cent of the full flow at these voltages."""
+    def vent_output(self) -> float:
+        """The voltage that opens the valve to the exhaust completely."""
+        return self.range_V[0] if self.fills == "above" else self.range_V[1]
 
     @property
-    def dead_zone_V(self) -> float:
-        """Half width of the dead zone."""
-
-
-class MeasuredFlow(FlowCurve, Protocol):
-    """What a sweep of the voltage found of one valve."""
+    def closed_output(self) -> float:
+        """The middle of the dead zone."""
+        return self.closed_V
 
     @property
-    def closed_V(self) -> float:
-        """The voltage in the middle of the dead zone."""
+    def fills_at_power_up(self) -> bool:
+        return self.fills == "below"
 
     @property
-    def full_flow_l_min(self) -> float:
-        """Normal litres per minute fully open at 6 -> 5 bar gauge."""
+    def absolute_supply_pa(self) -> float:
+        """The absolute pressure at the supply port."""
+        return self.supply_bar * PA_PER_BAR + ATMOSPHERE_PA
+
+    def faults(self) -> ValidationFaults:
+        """A closed voltage outside the range, and faults of the curve."""
+        low, high = self.range_V
+        if not low < self.closed_V < high:
+            yield ValidationFault(("closed_V",), f"a voltage inside range_V, {low:g} to {high:g} V")
+        yield from flow_curve_faults(self.flow_curve_V, self.flow_curve_percent, self.dead_zone_V)
+
+    def reach_faults(self, limits: Limits) -> ValidationFaults:
+        """A supply that is too low, and a vacuum, which its exhaust to the atmosphere cannot reach."""
+        if self.supply_bar <= limits.pressure_bar:
+            expected = f"more than limits, pressure_bar ({limits.pressure_bar:g} bar): the valve cannot fill that far"
+            yield ValidationFault(("supply_bar",), expected)
+        if limits.lowest_pressure_bar < 0:
+            lowest = f"limits, lowest_pressure_bar ({limits.lowest_pressure_bar:g} bar)"
+            yield ValidationFault(("type",), f"pressure or bus for {lowest}: a flow valve vents to the atmosphere")
 
 
-@dataclass(frozen=True)
-class FlowMetering:
-    """How a valve meters flow, as stated: what `rig calibrate pressure` sweeps and fits.
-
-    `closed_v` lies between `low_v` and `high_v`; `fill_sign` is +1 where a higher voltage fills. `curve_v` (n,) from
-    the closed valve opens `curve_percent` (n,) of `full_flow_l_min` at 6 -> 5 bar; `dead_zone_v` is the half width of
-    the dead zone. `supply_pa` is absolute; `critical_ratio` is b of ISO 6358.
-    """
-
-    closed_v: float
-    low_v: float
-    high_v: float
-    fill_sign: float
-    dead_zone_v: float
-    curve_v: tuple[float, ...]
-    curve_percent: tuple[float, ...]
-    full_flow_l_min: float
-    supply_pa: float
-    critical_ratio: float
-
-
-def flow_curve_faults(valve: FlowCurve) -> Iterator[ValidationFault]:
+def flow_curve_faults(volts: Sequence[float], percent: Sequence[float], dead_zone_v: float) -> ValidationFaults:
     """Yield the faults of a stated or calibrated flow curve; paths start at the valve's section."""
-    volts, percent = valve.flow_curve_V, valve.flow_curve_percent
     if len(volts) != len(percent):
         expected = f"{len(volts)} values, as many as flow_curve_V has, not {len(percent)}"
         yield ValidationFault(("flow_curve_percent",), expected)
@@ -73,5 +100,5 @@ def flow_curve_faults(valve: FlowCurve) -> Iterator[ValidationFault]:
                 yield ValidationFault((name, i + 1), f"more than the value before, {a:g}: the curve must rise")
     if percent[-1] > 100:
         yield ValidationFault(("flow_curve_percent", len(percent) - 1), "at most 100 (% of full flow)")
-    if valve.dead_zone_V >= volts[-1]:
+    if dead_zone_v >= volts[-1]:
         yield ValidationFault(("dead_zone_V",), f"less than the end of flow_curve_V, {volts[-1]:g} V")

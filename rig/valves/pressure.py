@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Literal
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
@@ -45,6 +46,14 @@ class PressureRegulator(Regulator):
         return RegulatorState(reference_pa, 0.0, reference_rate_pa_s, output)
 
 
+class SetPointSpan(NamedTuple):
+    """The range of set-points of a valve: gauge pressures, by their `key` in the section, and the outputs for them."""
+
+    key: str
+    bar: tuple[float, float]
+    outputs: tuple[float, float]
+
+
 class RegulatingValve(ValveSection):
     """A valve that holds the pressure by itself, between those of its two supplies."""
 
@@ -55,29 +64,39 @@ class RegulatingValve(ValveSection):
         default=0.0, ge=-1, le=0, description="gauge pressure of the vacuum supply; 0: the exhaust is the atmosphere"
     )
 
-    def supply_faults(self, limits: Limits) -> ValidationFaults:
-        """Supplies that do not reach the limits of the pressure."""
+    @property
+    @abstractmethod
+    def setpoints(self) -> SetPointSpan:
+        """The pressures that the valve can hold."""
+
+    def regulator(self, limits: Limits, control: Control) -> PressureRegulator:
+        """The conversion of the set-point to an output."""
+        _, (low_bar, high_bar), outputs = self.setpoints
+        return PressureRegulator(*self._filter(limits, control), low_bar * PA_PER_BAR, high_bar * PA_PER_BAR, *outputs)
+
+    def simulated(self, truth: SimulatedValve) -> ValveTruth:
+        """A valve that holds the set-point, within the pressures of its supplies."""
+        _, (low_bar, high_bar), (low, high) = self.setpoints
+        pa_per_unit = (high_bar - low_bar) / (high - low) * PA_PER_BAR
+        return ValveTruth(
+            pa_at_zero=low_bar * PA_PER_BAR - low * pa_per_unit + ATMOSPHERE_PA,
+            pa_per_unit=pa_per_unit,
+            lowest_pa=self.vacuum_bar * PA_PER_BAR + ATMOSPHERE_PA,
+            highest_pa=math.inf if self.supply_bar is None else self.supply_bar * PA_PER_BAR + ATMOSPHERE_PA,
+        )
+
+    def reach_faults(self, limits: Limits) -> ValidationFaults:
+        """Set-points that do not include the permitted pressures, and supplies that do not reach them."""
+        key, (low_bar, high_bar), _ = self.setpoints
+        lowest = f"limits, lowest_pressure_bar ({limits.lowest_pressure_bar:g} bar)"
+        highest = f"limits, pressure_bar ({limits.pressure_bar:g} bar)"
+        if not low_bar <= limits.lowest_pressure_bar < limits.pressure_bar <= high_bar:
+            begin = lowest if limits.lowest_pressure_bar < 0 else "0"
+            yield ValidationFault((key,), f"a range from {begin} to {highest} at least")
         if self.supply_bar is not None and self.supply_bar <= limits.pressure_bar:
-            expected = f"more than limits, pressure_bar ({limits.pressure_bar:g} bar): the valve cannot fill that far"
-            yield ValidationFault(("supply_bar",), expected)
+            yield ValidationFault(("supply_bar",), f"more than {highest}: the valve cannot fill that far")
         if limits.lowest_pressure_bar < self.vacuum_bar:
-            expected = f"at most limits, lowest_pressure_bar ({limits.lowest_pressure_bar:g} bar): the vacuum supply"
-            yield ValidationFault(("vacuum_bar",), expected)
-
-    def held(self, truth: ValveTruth) -> ValveTruth:
-        """The simulated valve with the pressures of its supplies."""
-        highest_pa = math.inf if self.supply_bar is None else self.supply_bar * PA_PER_BAR + ATMOSPHERE_PA
-        return replace(truth, lowest_pa=self.vacuum_bar * PA_PER_BAR + ATMOSPHERE_PA, highest_pa=highest_pa)
-
-
-def range_faults(key: str, span_bar: tuple[float, float], limits: Limits) -> ValidationFaults:
-    """A range of set-points that does not include the permitted pressures; `key` is its place in the section."""
-    if not span_bar[0] <= limits.lowest_pressure_bar < limits.pressure_bar <= span_bar[1]:
-        lowest = "0"
-        if limits.lowest_pressure_bar < 0:
-            lowest = f"limits, lowest_pressure_bar ({limits.lowest_pressure_bar:g} bar)"
-        expected = f"a range from {lowest} to limits, pressure_bar ({limits.pressure_bar:g} bar) at least"
-        yield ValidationFault((key,), expected)
+            yield ValidationFault(("vacuum_bar",), f"at most {lowest}: the vacuum supply")
 
 
 class PressureValve(VoltageValve, RegulatingValve):
@@ -88,35 +107,21 @@ class PressureValve(VoltageValve, RegulatingValve):
     span_bar: BarSpan
 
     @property
+    def setpoints(self) -> SetPointSpan:
+        return SetPointSpan("span_bar", self.span_bar, self.span_V)
+
+    @property
     def vent_output(self) -> float:
         """The voltage of 0 bar, or the end of the span that is nearest to it."""
-        (low_v, high_v), (low_bar, high_bar) = self.span_V, self.span_bar
+        _, (low_bar, high_bar), (low_v, high_v) = self.setpoints
         zero = low_v - low_bar * (high_v - low_v) / (high_bar - low_bar)
         return min(max(zero, min(low_v, high_v)), max(low_v, high_v))
-
-    def regulator(self, limits: Limits, control: Control) -> PressureRegulator:
-        """The conversion of the set-point to a voltage."""
-        (low_v, high_v), (low_bar, high_bar) = self.span_V, self.span_bar
-        return PressureRegulator(
-            *self._filter(limits, control), low_bar * PA_PER_BAR, high_bar * PA_PER_BAR, low_v, high_v
-        )
-
-    def simulated(self, truth: SimulatedValve) -> ValveTruth:
-        (low_v, high_v), (low_bar, high_bar) = self.span_V, self.span_bar
-        pa_per_unit = (high_bar - low_bar) / (high_v - low_v) * PA_PER_BAR
-        pa_at_zero = low_bar * PA_PER_BAR - low_v * pa_per_unit + ATMOSPHERE_PA
-        return self.held(ValveTruth(pa_at_zero=pa_at_zero, pa_per_unit=pa_per_unit))
 
     def faults(self) -> ValidationFaults:
         """A span outside the range of the output."""
         low, high = self.range_V
         if self.span_V[0] < low or self.span_V[1] > high:
             yield ValidationFault(("span_V",), f"a span inside range_V, {low:g} to {high:g} V")
-
-    def reach_faults(self, limits: Limits) -> ValidationFaults:
-        """A span that does not include the permitted pressures, and supplies that do not reach them."""
-        yield from range_faults("span_bar", self.span_bar, limits)
-        yield from self.supply_faults(limits)
 
 
 class BusValve(RegulatingValve):
@@ -140,6 +145,10 @@ class BusValve(RegulatingValve):
         return self.range_bar
 
     @property
+    def setpoints(self) -> SetPointSpan:
+        return SetPointSpan("range_bar", self.range_bar, self.range_bar)
+
+    @property
     def vent_output(self) -> float:
         return self.vent_bar
 
@@ -148,21 +157,8 @@ class BusValve(RegulatingValve):
         """The gauge pressure of the exhaust."""
         return self.vent_bar * PA_PER_BAR
 
-    def regulator(self, limits: Limits, control: Control) -> PressureRegulator:
-        """The set-point, from pascal to bar."""
-        low, high = self.range_bar
-        return PressureRegulator(*self._filter(limits, control), low * PA_PER_BAR, high * PA_PER_BAR, low, high)
-
-    def simulated(self, truth: SimulatedValve) -> ValveTruth:
-        return self.held(ValveTruth(pa_at_zero=ATMOSPHERE_PA, pa_per_unit=PA_PER_BAR))
-
     def faults(self) -> ValidationFaults:
         """A vent level outside the range."""
         low, high = self.range_bar
         if not low <= self.vent_bar <= high:
             yield ValidationFault(("vent_bar",), f"a pressure inside range_bar, {low:g} to {high:g} bar")
-
-    def reach_faults(self, limits: Limits) -> ValidationFaults:
-        """A range that does not include the permitted pressures, and supplies that do not reach them."""
-        yield from range_faults("range_bar", self.range_bar, limits)
-        yield from self.supply_faults(limits)
