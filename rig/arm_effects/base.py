@@ -1,4 +1,4 @@
-"""The interface of an effect: a section of the rig file, and the state that it advances with the plant's time.
+"""The interface of an effect: a section of the rig file, and the function that advances it with the plant's time.
 
 An effect turns the pressures of the chambers into the pressures that an ideal arm would need for the same push. The
 registry is part of the rig file's schema, so these modules must not import the compiler.
@@ -7,18 +7,13 @@ registry is part of the rig file's schema, so these modules must not import the 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from protocols.validation import ValidationFault
 from rig.sections.base import Section
 
-
-class ArmEffect(ABC):
-    """An effect with its state; the state begins with a rested arm without pressure."""
-
-    @abstractmethod
-    def advance(self, pressure_bar: list[float]) -> list[float]:
-        """Advance by one step at the pressures (N,) [bar, gauge] of its end; return the effective pressures (N,)."""
+ArmEffect = Callable[[list[float]], list[float]]
+"""Advance by one step at the pressures (N,) [bar, gauge] of its end; return the effective pressures (N,)."""
 
 
 class ArmEffectSection(Section, ABC):
@@ -28,7 +23,7 @@ class ArmEffectSection(Section, ABC):
 
     @abstractmethod
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
-        """A new state for an arm with `actuators`, which advances in steps of `step_s`."""
+        """An effect on a rested arm with `actuators`, without pressure, which advances in steps of `step_s`."""
 
     def actuator_faults(self, actuators: int) -> Iterator[ValidationFault]:
         """Problems of the section for an arm with `actuators`."""

@@ -16,16 +16,10 @@ class CouplingSection(ArmEffectSection):
     share: Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False, strict=True)]
 
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
-        return CouplingEffect(self.share)
+        """P_i + c sum_{j != i} P_j."""
 
+        def advance(pressure_bar: list[float]) -> list[float]:
+            common = self.share * sum(pressure_bar)
+            return [common + (1.0 - self.share) * pressure for pressure in pressure_bar]
 
-class CouplingEffect(ArmEffect):
-    """P_i + c sum_{j != i} P_j."""
-
-    def __init__(self, share: float) -> None:
-        self._share = share
-
-    def advance(self, pressure_bar: list[float]) -> list[float]:
-        """Add the share of the others."""
-        common = self._share * sum(pressure_bar)
-        return [common + (1.0 - self._share) * pressure for pressure in pressure_bar]
+        return advance

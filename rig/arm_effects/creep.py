@@ -25,22 +25,15 @@ class CreepSection(ArmEffectSection):
     branches: Annotated[tuple[CreepBranch, ...], Field(min_length=1, max_length=8)]
 
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
-        return CreepEffect(actuators, step_s, [(branch.amount, branch.time_s) for branch in self.branches])
+        """P + sum_k g_k y_k with T_k dy_k/dt = P - y_k: exact for a pressure that is constant over a step."""
+        branches = [(b.amount, -math.expm1(-step_s / b.time_s), [0.0] * actuators) for b in self.branches if b.amount]
 
+        def advance(pressure_bar: list[float]) -> list[float]:
+            out = list(pressure_bar)
+            for amount, gain, strain in branches:
+                for i, pressure in enumerate(pressure_bar):
+                    strain[i] += gain * (pressure - strain[i])
+                    out[i] += amount * strain[i]
+            return out
 
-class CreepEffect(ArmEffect):
-    """P + sum_k g_k y_k with T_k dy_k/dt = P - y_k: exact for a pressure that is constant over a step."""
-
-    def __init__(self, actuators: int, step_s: float, branches: list[tuple[float, float]]) -> None:
-        self._branches = [
-            (amount, -math.expm1(-step_s / time_s), [0.0] * actuators) for amount, time_s in branches if amount
-        ]
-
-    def advance(self, pressure_bar: list[float]) -> list[float]:
-        """Relax each branch towards the pressure; add its share."""
-        out = list(pressure_bar)
-        for amount, gain, strain in self._branches:
-            for i, pressure in enumerate(pressure_bar):
-                strain[i] += gain * (pressure - strain[i])
-                out[i] += amount * strain[i]
-        return out
+        return advance

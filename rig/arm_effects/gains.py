@@ -20,18 +20,9 @@ class GainsSection(ArmEffectSection):
     gains: tuple[Gain, ...]
 
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
-        return GainsEffect(self.gains)
+        """g_i P_i."""
+        return lambda pressure_bar: [gain * p for gain, p in zip(self.gains, pressure_bar, strict=True)]
 
     def actuator_faults(self, actuators: int) -> Iterator[ValidationFault]:
         if len(self.gains) != actuators:
             yield ValidationFault(("gains",), f"{actuators} of them, one for each actuator")
-
-
-class GainsEffect(ArmEffect):
-    """g_i P_i."""
-
-    def __init__(self, gains: tuple[float, ...]) -> None:
-        self._gains = gains
-
-    def advance(self, pressure_bar: list[float]) -> list[float]:
-        return [gain * pressure for gain, pressure in zip(self._gains, pressure_bar, strict=True)]

@@ -24,25 +24,19 @@ class HysteresisSection(ArmEffectSection):
     elements: Annotated[tuple[SlipElement, ...], Field(min_length=1, max_length=16)]
 
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
-        """Relaxed elements; the step does not matter, because the effect does not depend on the rate."""
-        return HysteresisEffect(actuators, [(element.weight, element.slip_bar) for element in self.elements])
+        """P - sum_k w_k s_k, where the stop s_k follows P within -r_k and r_k, at any rate."""
+        elements = [(e.weight, e.slip_bar, [0.0] * actuators) for e in self.elements if e.weight]
+        before = [0.0] * actuators
 
+        def advance(pressure_bar: list[float]) -> list[float]:
+            out = list(pressure_bar)
+            for i, pressure in enumerate(pressure_bar):
+                change = pressure - before[i]
+                for weight, slip, stop in elements:
+                    force = stop[i] + change
+                    stop[i] = force = slip if force > slip else -slip if force < -slip else force
+                    out[i] -= weight * force
+            before[:] = pressure_bar
+            return out
 
-class HysteresisEffect(ArmEffect):
-    """P - sum_k w_k s_k, where the stop s_k follows P within -r_k and r_k."""
-
-    def __init__(self, actuators: int, elements: list[tuple[float, float]]) -> None:
-        self._elements = [(weight, slip, [0.0] * actuators) for weight, slip in elements if weight]
-        self._before = [0.0] * actuators
-
-    def advance(self, pressure_bar: list[float]) -> list[float]:
-        """Move each stop with the change of pressure; subtract its force."""
-        out = list(pressure_bar)
-        for i, pressure in enumerate(pressure_bar):
-            change = pressure - self._before[i]
-            for weight, slip, stop in self._elements:
-                force = stop[i] + change
-                stop[i] = force = slip if force > slip else -slip if force < -slip else force
-                out[i] -= weight * force
-        self._before = list(pressure_bar)
-        return out
+        return advance

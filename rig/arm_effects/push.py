@@ -17,26 +17,8 @@ class PushSection(ArmEffectSection):
     pressure: Literal["own", "sum"] = "own"
 
     def effect(self, actuators: int, step_s: float) -> ArmEffect:
-        return OwnPressurePushEffect(self.per_bar) if self.pressure == "own" else SumPressurePushEffect(self.per_bar)
-
-
-class OwnPressurePushEffect(ArmEffect):
-    """P_i (1 + k P_i)."""
-
-    def __init__(self, per_bar: float) -> None:
-        self._per_bar = per_bar
-
-    def advance(self, pressure_bar: list[float]) -> list[float]:
-        return [pressure * (1.0 + self._per_bar * pressure) for pressure in pressure_bar]
-
-
-class SumPressurePushEffect(ArmEffect):
-    """P_i (1 + k sum_j P_j)."""
-
-    def __init__(self, per_bar: float) -> None:
-        self._per_bar = per_bar
-
-    def advance(self, pressure_bar: list[float]) -> list[float]:
-        """Scale all pressures by their sum."""
-        scale = 1.0 + self._per_bar * sum(pressure_bar)
-        return [pressure * scale for pressure in pressure_bar]
+        """P_i (1 + k P_i), or P_i (1 + k sum_j P_j)."""
+        per_bar = self.per_bar
+        if self.pressure == "own":
+            return lambda pressure_bar: [p * (1.0 + per_bar * p) for p in pressure_bar]
+        return lambda pressure_bar: [p * (1.0 + per_bar * sum(pressure_bar)) for p in pressure_bar]

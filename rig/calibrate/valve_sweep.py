@@ -54,7 +54,7 @@ def sweep(config: RigConfig, driver: BenchDriver, index: int) -> list[RateMeasur
     for share in (FILL_FROM, VENT_FROM):
         reach(share)
         rates.append(watch(0.0, True, LEAK_S))
-    limit = FASTEST_SHARE * PressureRate.of(config, config.sensors[0]).limit_pa_s
+    limit = FASTEST_SHARE * PressureRate(config, config.sensors[0]).limit_pa_s
     going = {1.0: True, -1.0: True}
     fastest = {1.0: (0.0, 0.0), -1.0: (0.0, 0.0)}
     low_v, high_v = valve.range_V

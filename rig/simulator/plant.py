@@ -179,7 +179,7 @@ class Plant:
             return pressure_pa
         pressure_bar = [pressure / PA_PER_BAR for pressure in pressure_pa.tolist()]
         for effect in self._effects:
-            pressure_bar = effect.advance(pressure_bar)
+            pressure_bar = effect(pressure_bar)
         return np.array(pressure_bar) * PA_PER_BAR
 
     def _remember_shape(self, index: int, shape: Shape) -> None:

@@ -71,12 +71,13 @@ def test_loops_between_the_same_pressures_are_congruent(one: list[float], other:
 
 
 def test_the_operator_is_that_of_the_simulated_bench() -> None:
-    from rig.arm_effects.hysteresis import HysteresisEffect
+    from rig.arm_effects.hysteresis import HysteresisSection, SlipElement
 
     rng = np.random.default_rng(2)
     pressure = np.vstack([np.zeros((1, 3)), rng.uniform(0, 0.6, (50, 3)) * BAR])
-    bench = HysteresisEffect(3, [(e.weight, e.width_pa / BAR) for e in ELEMENTS])
-    expected = BAR * np.array([bench.advance((row / BAR).tolist()) for row in pressure])
+    elements = tuple(SlipElement(weight=e.weight, slip_bar=e.width_pa / BAR) for e in ELEMENTS)
+    bench = HysteresisSection(type="hysteresis", elements=elements).effect(3, 1.0)
+    expected = BAR * np.array([bench((row / BAR).tolist()) for row in pressure])
     assert effective_pa(ELEMENTS, pressure) == pytest.approx(expected, abs=1e-6)
 
 

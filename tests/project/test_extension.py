@@ -104,7 +104,7 @@ def test_the_example_law_has_consistent_derivatives(known: dict[str, Any]) -> No
 
 
 def test_the_examples_of_the_page_are_complete_extensions(known: dict[str, Any]) -> None:
-    leak = known["Leak"](1)
+    leak = known["Leak"](mock_rig(), mock_rig().sensors[0])
     assert leak.trip(0, SensorState(), RegulatorDemand(0.0, 0.0, 0.0, 0.0)) is None
     assert "more than 0.3 bar/s" in leak.trip(0, SensorState(), RegulatorDemand(0.0, 0.0, 0.0, 4e4)).message
 

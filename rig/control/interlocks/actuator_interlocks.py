@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Self
-
 from model.units import PA_PER_BAR
 from rig.config.schema import RigConfig
 from rig.config.sections import Sensor
@@ -15,19 +12,14 @@ FROZEN_FACTOR = 2.0
 """A constant reading counts as frozen once the valve should have moved it by this multiple of the accuracy."""
 
 
-@dataclass(frozen=True)
 class PressureRange(ActuatorInterlock):
     """The pressure is outside the limits with their margin, or not a number."""
 
-    actuator: int
-    lowest_pa: float
-    highest_pa: float
-
-    @classmethod
-    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
-        limits, margin_bar = config.limits, config.limits.pressure_margin_bar
-        lowest_bar, highest_bar = limits.lowest_pressure_bar - margin_bar, limits.pressure_bar + margin_bar
-        return cls(sensor.actuator, lowest_bar * PA_PER_BAR, highest_bar * PA_PER_BAR)
+    def __init__(self, config: RigConfig, sensor: Sensor) -> None:
+        super().__init__(config, sensor)
+        margin_bar = self.limits.pressure_margin_bar
+        self.lowest_pa = (self.limits.lowest_pressure_bar - margin_bar) * PA_PER_BAR
+        self.highest_pa = (self.limits.pressure_bar + margin_bar) * PA_PER_BAR
 
     def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
         if self.lowest_pa <= state.pressure_pa <= self.highest_pa:
@@ -37,17 +29,12 @@ class PressureRange(ActuatorInterlock):
         return _trip_bar(t_ns, source, f"actuator {self.actuator} is at", state.pressure_pa, limit_pa)
 
 
-@dataclass(frozen=True)
 class PressureRate(ActuatorInterlock):
     """The filtered rate of the pressure is above the limit with its margin."""
 
-    actuator: int
-    limit_pa_s: float
-
-    @classmethod
-    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
-        limits = config.limits
-        return cls(sensor.actuator, (limits.rate_bar_per_s + limits.rate_margin_bar_per_s) * PA_PER_BAR)
+    def __init__(self, config: RigConfig, sensor: Sensor) -> None:
+        super().__init__(config, sensor)
+        self.limit_pa_s = (self.limits.rate_bar_per_s + self.limits.rate_margin_bar_per_s) * PA_PER_BAR
 
     def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
         if not abs(state.rate_pa_s) > self.limit_pa_s:
@@ -56,17 +43,12 @@ class PressureRate(ActuatorInterlock):
         return _trip_bar(t_ns, "pressure rate", what, state.rate_pa_s, self.limit_pa_s, "bar/s")
 
 
-@dataclass(frozen=True)
 class FrozenReading(ActuatorInterlock):
     """The reading has not moved by one count for `frozen_s` although the valve should have changed the pressure."""
 
-    actuator: int
-    frozen_s: float
-    accuracy_pa: float
-
-    @classmethod
-    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
-        return cls(sensor.actuator, config.limits.frozen_s, sensor.accuracy_bar * PA_PER_BAR)
+    def __init__(self, config: RigConfig, sensor: Sensor) -> None:
+        super().__init__(config, sensor)
+        self.frozen_s, self.accuracy_pa = self.limits.frozen_s, sensor.accuracy_bar * PA_PER_BAR
 
     def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
         expected = abs(state.expected_change_pa)
@@ -80,23 +62,15 @@ class FrozenReading(ActuatorInterlock):
         return Trip(t_ns, name, message, state.unchanged_s, self.frozen_s, "s")
 
 
-@dataclass(frozen=True)
 class UnresponsiveSensor(ActuatorInterlock):
-    """The reading moves by noise only while the reference leads it away.
+    """The reading moves by noise only while the reference leads it away."""
 
-    `response_s` is how long the pressure may take to follow a moving reference: zero if the sensor controls a
-    flow-metering valve, which would otherwise continue to fill.
-    """
-
-    actuator: int
-    tracking_pa: float
-    response_s: float
-
-    @classmethod
-    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
+    def __init__(self, config: RigConfig, sensor: Sensor) -> None:
+        super().__init__(config, sensor)
+        self.tracking_pa = self.limits.tracking_bar * PA_PER_BAR
         valve = next(valve for valve in config.valves if sensor.actuator in valve.actuators)
-        response_s = 0.0 if valve.closed_output is not None else config.limits.frozen_s
-        return cls(sensor.actuator, config.limits.tracking_bar * PA_PER_BAR, response_s)
+        # How long the pressure may take to follow: a flow-metering valve would meanwhile continue to fill.
+        self.response_s = 0.0 if valve.closed_output is not None else self.limits.frozen_s
 
     def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
         reference_change = demand.reference_pa - state.moved_reference_pa
@@ -109,17 +83,12 @@ class UnresponsiveSensor(ActuatorInterlock):
         return _trip_bar(t_ns, name, message, reference_change, self.tracking_pa)
 
 
-@dataclass(frozen=True)
 class Tracking(ActuatorInterlock):
     """The pressure is off its standing set-point, or strays from its moving one, for `tracking_s`."""
 
-    actuator: int
-    tracking_pa: float
-    tracking_s: float
-
-    @classmethod
-    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
-        return cls(sensor.actuator, config.limits.tracking_bar * PA_PER_BAR, config.limits.tracking_s)
+    def __init__(self, config: RigConfig, sensor: Sensor) -> None:
+        super().__init__(config, sensor)
+        self.tracking_pa, self.tracking_s = self.limits.tracking_bar * PA_PER_BAR, self.limits.tracking_s
 
     def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
         name, error = f"actuator {self.actuator}", state.pressure_pa - demand.setpoint_pa

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,10 +71,9 @@ class Trip:
 class SampleInterlock(ABC):
     """A condition of one sample, checked before all conditions of the actuators."""
 
-    @classmethod
-    @abstractmethod
-    def of(cls, config: RigConfig) -> Self:
-        """The interlock with the limits of a rig."""
+    def __init__(self, config: RigConfig) -> None:
+        """Take the limits of a rig."""
+        self.limits = config.limits
 
     @abstractmethod
     def trip(self, sample: Sample, *, new: bool) -> Trip | None:
@@ -84,10 +83,9 @@ class SampleInterlock(ABC):
 class ActuatorInterlock(ABC):
     """A condition of one actuator, checked for every new scan."""
 
-    @classmethod
-    @abstractmethod
-    def of(cls, config: RigConfig, sensor: Sensor) -> Self:
-        """The interlock with the limits of a rig, for the actuator of a sensor."""
+    def __init__(self, config: RigConfig, sensor: Sensor) -> None:
+        """Take the limits of a rig, for the actuator of a sensor."""
+        self.limits, self.actuator = config.limits, sensor.actuator
 
     @abstractmethod
     def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:

@@ -47,12 +47,12 @@ def settings(config: RigConfig) -> InterlockSettings:
     sensors = config.sensors_by_actuator
     tracking_pa, lowest_pa = config.limits.tracking_bar * PA_PER_BAR, config.limits.lowest_pressure_bar * PA_PER_BAR
     return InterlockSettings(
-        sample=tuple(kind.of(config) for kind in SAMPLE_INTERLOCKS),
+        sample=tuple(kind(config) for kind in SAMPLE_INTERLOCKS),
         sensors=tuple(
             SensorSettings(sensor_state.resolution(s), s.accuracy_bar * PA_PER_BAR, tracking_pa, lowest_pa)
             for s in sensors
         ),
-        actuators=tuple(tuple(kind.of(config, s) for kind in ACTUATOR_INTERLOCKS) for s in sensors),
+        actuators=tuple(tuple(kind(config, s) for kind in ACTUATOR_INTERLOCKS) for s in sensors),
     )
 
 

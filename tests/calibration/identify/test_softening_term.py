@@ -31,7 +31,7 @@ def softened(name: str, levels_bar: Array, by_peak: float, by_cycles: float, arm
     effect = SofteningSection(
         type="softening", by_peak=by_peak, peak_bar=0.2, by_cycles=by_cycles, travel_bar=1.5
     ).effect(3, 0.05)
-    felt = np.array([effect.advance(row) for row in course.tolist()])
+    felt = np.array([effect(row) for row in course.tolist()])
     time_s, last = 0.05 * np.arange(len(course)), per_level * np.arange(1, len(levels_bar) + 1)
     planned = replace(
         plan(name, levels_bar * PA, errors=ERRORS), history=pressure_history(time_s, course * PA, time_s[last])
@@ -54,7 +54,7 @@ def test_the_term_explains_the_softening_of_the_bench() -> None:
     assert term.push is not None
     columns = term.push(poses, 0.6e5).reshape(-1, term.push(poses, 0.6e5).shape[2])
     effect = SofteningSection(type="softening", by_peak=0.05, peak_bar=0.2, by_cycles=0.03, travel_bar=1.5).effect(3, 1)
-    felt = np.array([effect.advance(row) for row in np.concatenate([np.zeros((1, 3)), levels]).tolist()])[1:]
+    felt = np.array([effect(row) for row in np.concatenate([np.zeros((1, 3)), levels]).tolist()])[1:]
     missing = ((felt - levels) * PA).ravel()
     left = missing - columns @ np.linalg.lstsq(columns, missing, rcond=None)[0]
     assert np.abs(left).max() < 0.03 * np.abs(missing).max()

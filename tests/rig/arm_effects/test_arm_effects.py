@@ -43,7 +43,7 @@ paths = st.lists(st.floats(0.0, 0.7), min_size=2, max_size=6)
 
 
 def played(effect: ArmEffect, pressure_bar: Array) -> Array:
-    return np.array([effect.advance(row.tolist()) for row in np.atleast_2d(pressure_bar)])
+    return np.array([effect(row.tolist()) for row in np.atleast_2d(pressure_bar)])
 
 
 def hysteresis(actuators: int = 1) -> ArmEffect:
@@ -141,7 +141,7 @@ def test_an_effect_without_memory_is_its_formula(entry: dict[str, object], expec
     (section,) = simulated([entry]).arm_effects
     effect = section.effect(3, ARM_STEP_S)
     for _ in range(2):
-        assert effect.advance([0.2, 0.4, 0.0]) == pytest.approx(expected, abs=1e-15)
+        assert effect([0.2, 0.4, 0.0]) == pytest.approx(expected, abs=1e-15)
 
 
 def test_these_tests_cover_every_registered_effect() -> None:
@@ -150,7 +150,7 @@ def test_these_tests_cover_every_registered_effect() -> None:
 
 def test_every_effect_leaves_an_arm_without_pressure_alone() -> None:
     for section in simulated(EVERY).arm_effects:
-        assert section.effect(3, ARM_STEP_S).advance([0.0, 0.0, 0.0]) == [0.0, 0.0, 0.0]
+        assert section.effect(3, ARM_STEP_S)([0.0, 0.0, 0.0]) == [0.0, 0.0, 0.0]
 
 
 def bent(plant: Plant) -> Plant:
@@ -169,7 +169,7 @@ def test_the_tip_goes_where_the_effective_pressures_put_the_true_arm() -> None:
     plant = bent(Plant(config, 1, 0))
     pressure_bar = (plant.pressure_pa * 1e-5).tolist()
     for section in simulated(effects).arm_effects:
-        pressure_bar = section.effect(3, ARM_STEP_S).advance(pressure_bar)
+        pressure_bar = section.effect(3, ARM_STEP_S)(pressure_bar)
     shape = statics(true_arm(config), np.array(pressure_bar) * 1e5)
     np.testing.assert_allclose(plant.pose_at(plant.t_ns).position_m, shape.tip_m, atol=2e-5)
     ideal = statics(true_arm(config), plant.pressure_pa)

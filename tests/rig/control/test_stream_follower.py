@@ -104,7 +104,7 @@ def test_outside_of_the_step_and_in_a_pause_set_points_are_refused() -> None:
 def test_silence_trips_the_interlock_after_the_time_of_the_step_but_not_in_a_pause() -> None:
     def trip(loop: Loop, stalled_ns: int = 0) -> str:
         sample = Sample(0, 0, np.zeros(3), np.zeros(3), stalled_ns, stream=loop.follower.silence)
-        found = SilentStream().trip(sample, new=True)
+        found = SilentStream(CONFIG).trip(sample, new=True)
         return found.message if found else ""
 
     loop = Loop()
