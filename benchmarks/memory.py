@@ -21,8 +21,8 @@ from model import Arm
 from model.actuation import Proportional, StopElement
 from model.arrays import Array
 from model.material import MaxwellBranch
-from rig.arm_effects.creep import CreepEffect
-from rig.arm_effects.hysteresis import HysteresisEffect
+from rig.arm_effects.creep import CreepBranch, CreepSection
+from rig.arm_effects.hysteresis import HysteresisSection, SlipElement
 
 PERIOD_S, BAR = 0.25, 1e5
 CORNERS_BAR = (0.0, 0.5, 0.46, 0.5, 0.3, 0.6, 0.56, 0.1, 0.4, 0.0)
@@ -69,9 +69,11 @@ def planned() -> list[Poses]:
 def felt_pa(poses: Poses, memory: Memory) -> Array:
     """Effective pressures of the simulated bench under those of the poses."""
     retardation_s = memory.time_s * (1 + memory.modulus)
-    friction = HysteresisEffect(poses.actuators, [(memory.weight, memory.width_pa / BAR)])
-    creep = CreepEffect(poses.actuators, PERIOD_S, [(memory.modulus, retardation_s)])
-    rows = [creep.advance(friction.advance((row / BAR).tolist())) for row in poses.pressure_pa]
+    element = SlipElement(weight=memory.weight, slip_bar=memory.width_pa / BAR)
+    branch = CreepBranch(amount=memory.modulus, time_s=retardation_s)
+    friction = HysteresisSection(type="hysteresis", elements=(element,)).effect(poses.actuators, PERIOD_S)
+    creep = CreepSection(type="creep", branches=(branch,)).effect(poses.actuators, PERIOD_S)
+    rows = [creep(friction((row / BAR).tolist())) for row in poses.pressure_pa]
     # The branch is stated over the modulus at rest, the bench's creep over the sudden response.
     return BAR * np.array(rows) / (1 + memory.modulus)
 

@@ -19,11 +19,10 @@ from rig.calibrate.file_sections import OutputFile
 from rig.config import calibration_schema
 from rig.config.board_sections import BoardPattern
 from rig.config.calibration_files import rounded, sha256_of
-from rig.config.drivers import CAMERA_DRIVERS
 from rig.config.loader import load
 from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
-from rig.config.sections import Placement
+from rig.config.sections import CAMERA_DRIVERS, Placement
 
 _WAYS = ("control points (.csv)", "views of a board")
 

@@ -8,8 +8,8 @@ from rich.table import Table
 from rich.text import Text
 
 from rig.cli.output import ColumnTable
-from rig.config.drivers import InstalledDriver
 from rig.driver_contract.check import CheckResult, CheckVerdict
+from rig.hardware.installed_drivers import InstalledDriver
 
 _STYLE = {
     CheckVerdict.PASS: "green",

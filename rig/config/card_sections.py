@@ -122,43 +122,42 @@ class UninstalledCardConfig(CardConfig):
 _KEPT = "outputs keep their values; the watchdog writes the safe state"
 CARD_DRIVERS = DriverRegistry(
     "cards",
-    Driver(
-        "comedi",
-        "rig.hardware.cards.comedi:ComediCard",
-        "cards with a Comedi driver (Linux), such as PCI-1716",
-        _KEPT,
-        section=ComediCardConfig,
-        checks="rig.doctor.cards:examine_comedi",
-        needs="rig.hardware.cards.comedi_device:require",
-    ),
-    Driver(
-        "serial",
-        "rig.hardware.cards.serial:SerialCard",
-        "a pressure controller on a serial port, such as an Arduino",
-        "the controller vents by itself after some 50 ms without a command",
-        section=SerialCardConfig,
-    ),
-    Driver(
-        "nidaqmx",
-        "rig.hardware.cards.ni:NidaqmxCard",
-        "NI-DAQmx devices (softrig[nidaqmx]); not tried on a device",
-        _KEPT,
-        section=NidaqmxCardConfig,
-        needs="rig.hardware.cards.ni:require",
-    ),
-    Driver(
-        "mock",
-        "rig.simulator.mock_card:MockCard",
-        "a card of the simulated bench",
-        _KEPT,
-        simulated=True,
-        section=MockCardConfig,
-    ),
+    CardConfig,
+    {
+        "comedi": Driver(
+            ComediCardConfig,
+            "rig.hardware.cards.comedi:ComediCard",
+            "cards with a Comedi driver (Linux), such as PCI-1716",
+            _KEPT,
+            examine="rig.doctor.cards:examine_comedi",
+            needs="rig.hardware.cards.comedi_device:require",
+        ),
+        "serial": Driver(
+            SerialCardConfig,
+            "rig.hardware.cards.serial:SerialCard",
+            "a pressure controller on a serial port, such as an Arduino",
+            "the controller vents by itself after some 50 ms without a command",
+        ),
+        "nidaqmx": Driver(
+            NidaqmxCardConfig,
+            "rig.hardware.cards.ni:NidaqmxCard",
+            "NI-DAQmx devices (softrig[nidaqmx]); not tried on a device",
+            _KEPT,
+            needs="rig.hardware.cards.ni:require",
+        ),
+        "mock": Driver(
+            MockCardConfig,
+            "rig.simulator.mock_card:MockCard",
+            "a card of the simulated bench",
+            _KEPT,
+            simulated=True,
+        ),
+    },
     has_outputs=True,
 )
 
 if TYPE_CHECKING:
     AnyCard = CardConfig
 else:
-    AnyCard = CARD_DRIVERS.any_section(CardConfig, UninstalledCardConfig)
+    AnyCard = CARD_DRIVERS.section(UninstalledCardConfig)
     """A card of the rig file, by the model of its driver."""

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from model.variants import VARIANTS
 from protocols.arguments import shown
 from protocols.problems import bad_input, closest
 from protocols.validation import ValidationFault, faults
-from rig.config.drivers import CAMERA_DRIVERS
+from rig.config.drivers import Driver, DriverRegistry, resolved
 from rig.config.tip_controllers import CONTROLLERS, FEED_FORWARD, KNOWN
 from rig.sections.base import Section
 from rig.sections.quantities import (
@@ -146,10 +146,15 @@ class CameraTrigger(Section):
     )
 
 
+def _name_drivers(schema: dict[str, Any]) -> None:
+    """Add the names of softrig's drivers to a JSON schema; error messages quote them."""
+    schema["enum"] = list(CAMERA_DRIVERS.built_in)
+
+
 class CameraConfig(Section):
     """One camera. `placement` is the camera (x right, y down, z forward) in the rod-base frame."""
 
-    driver: Annotated[str, Field(json_schema_extra=CAMERA_DRIVERS.extend_schema)]
+    driver: Annotated[str, Field(json_schema_extra=_name_drivers)]
     device: Word | Index
     width_px: Annotated[int, Field(ge=64, le=16384, strict=True)]
     height_px: Annotated[int, Field(ge=64, le=16384, strict=True)]
@@ -182,8 +187,8 @@ class CameraConfig(Section):
 
     def serial(self) -> str | None:
         """Serial number of the camera as it is plugged in now; None where it has none or is not there."""
-        number: str | None = CAMERA_DRIVERS[self.driver].load()().serial(self)
-        return number
+        serial = CAMERA_DRIVERS[self.driver].serial
+        return None if serial is None else resolved(serial)(self)
 
 
 class UninstalledCameraConfig(CameraConfig):
@@ -192,10 +197,37 @@ class UninstalledCameraConfig(CameraConfig):
     model_config = ConfigDict(extra="ignore")
 
 
+CAMERA_DRIVERS = DriverRegistry(
+    "cameras",
+    CameraConfig,
+    {
+        "opencv": Driver(
+            CameraConfig,
+            "rig.hardware.cameras.opencv:open_camera",
+            "V4L2 cameras, folders of pictures and video files",
+            examine="rig.doctor.cameras:examine_opencv",
+            serial="rig.hardware.cameras.opencv:serial_of",
+        ),
+        "realsense": Driver(
+            CameraConfig,
+            "rig.hardware.cameras.realsense:open_camera",
+            "Intel RealSense by librealsense (softrig[realsense])",
+            examine="rig.doctor.cameras:examine_realsense",
+            serial=lambda camera: str(camera.device),
+        ),
+        "mock": Driver(
+            CameraConfig,
+            "rig.simulator.mock_camera:open_mock_camera",
+            "a camera of the simulated bench",
+            simulated=True,
+        ),
+    },
+)
+
 if TYPE_CHECKING:
     AnyCamera = CameraConfig
 else:
-    AnyCamera = CAMERA_DRIVERS.any_section(CameraConfig, UninstalledCameraConfig)
+    AnyCamera = CAMERA_DRIVERS.section(UninstalledCameraConfig)
     """A camera of the rig file, by the model of its driver."""
 
 

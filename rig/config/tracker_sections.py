@@ -98,24 +98,25 @@ class UninstalledTrackerConfig(TrackerConfig):
 
 TRACKER_DRIVERS = DriverRegistry(
     "trackers",
-    Driver(
-        "udp",
-        "rig.hardware.trackers.udp:UdpTrackerDriver",
-        "poses in UDP datagrams from another program",
-        section=UdpTrackerConfig,
-        checks="rig.doctor.udp_tracker:examine",
-    ),
-    Driver(
-        "mock",
-        "rig.simulator.mock_tracker:MockTrackerDriver",
-        "a tracker of the simulated bench",
-        simulated=True,
-        section=MockTrackerConfig,
-    ),
+    TrackerConfig,
+    {
+        "udp": Driver(
+            UdpTrackerConfig,
+            "rig.hardware.trackers.udp:UdpTracker",
+            "poses in UDP datagrams from another program",
+            examine="rig.doctor.udp_tracker:examine",
+        ),
+        "mock": Driver(
+            MockTrackerConfig,
+            "rig.simulator.mock_tracker:open_mock_tracker",
+            "a tracker of the simulated bench",
+            simulated=True,
+        ),
+    },
 )
 
 if TYPE_CHECKING:
     AnyTracker = TrackerConfig
 else:
-    AnyTracker = TRACKER_DRIVERS.any_section(TrackerConfig, UninstalledTrackerConfig)
+    AnyTracker = TRACKER_DRIVERS.section(UninstalledTrackerConfig)
     """A tracker of the rig file, by the model of its driver."""

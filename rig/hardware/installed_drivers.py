@@ -3,35 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
-from rig.config.card_sections import CARD_DRIVERS, CardConfig
-from rig.config.drivers import CAMERA_DRIVERS, InstalledDriver
-from rig.config.sections import CameraConfig
-from rig.config.tracker_sections import TRACKER_DRIVERS, TrackerConfig
-from rig.sections.plugins import PluginError, package_of
+from pydantic import BaseModel
+
+from rig.config.card_sections import CARD_DRIVERS
+from rig.config.sections import CAMERA_DRIVERS
+from rig.config.tracker_sections import TRACKER_DRIVERS
 from rig.valves.base import ValveSection
-from rig.valves.registry import BUILT_IN, VALVE_PLUGINS
+from rig.valves.registry import VALVES
+
+
+@dataclass(frozen=True)
+class InstalledDriver:
+    """A driver as `rig drivers` lists it; `keys` are its own keys in the rig file, `fault` why it cannot be used."""
+
+    kind: str
+    name: str
+    package: str
+    about: str = ""
+    safe_state: str = ""
+    simulated: bool = False
+    keys: tuple[str, ...] = ()
+    fault: str = ""
 
 
 def installed_drivers() -> Iterator[InstalledDriver]:
     """The drivers of softrig and of plug-ins, a broken plug-in with its fault; imports every plug-in."""
-    yield from CARD_DRIVERS.installed(CardConfig)
-    yield from CAMERA_DRIVERS.installed(CameraConfig)
-    yield from TRACKER_DRIVERS.installed(TrackerConfig)
-    for name, valve in BUILT_IN.items():
-        yield _valve(name, "softrig", valve)
-    for entry in VALVE_PLUGINS.entries():
-        if entry.name in BUILT_IN:
-            fault = "not used: softrig has a valve type of that name"
-            yield InstalledDriver("valves", entry.name, package_of(entry), fault=fault)
-            continue
-        try:
-            yield _valve(entry.name, package_of(entry), VALVE_PLUGINS.load(entry.name)[0])
-        except PluginError as error:
-            yield InstalledDriver("valves", entry.name, package_of(entry), fault=str(error))
+    for registry in (CARD_DRIVERS, CAMERA_DRIVERS, TRACKER_DRIVERS):
+        for one in registry.installed():
+            row, driver = InstalledDriver(registry.kind, one.name, one.package, fault=one.fault), one.found
+            if driver is not None:
+                keys, safe_state = _own_keys(driver.section, registry.base), registry.safe_state(driver)
+                row = replace(row, about=driver.about, safe_state=safe_state, simulated=driver.simulated, keys=keys)
+            yield row
+    for valve in VALVES.installed():
+        row = InstalledDriver("valves", valve.name, valve.package, fault=valve.fault)
+        if valve.found is not None:
+            about = (valve.found.__doc__ or "").strip().split("\n")[0]
+            row = replace(row, about=about, keys=_own_keys(valve.found, ValveSection))
+        yield row
 
 
-def _valve(name: str, package: str, valve: type[ValveSection]) -> InstalledDriver:
-    about = (valve.__doc__ or "").strip().split("\n")[0]
-    keys = tuple(key for key in valve.model_fields if key not in ValveSection.model_fields)
-    return InstalledDriver("valves", name, package, about, keys=keys)
+def _own_keys(section: type[BaseModel], base: type[BaseModel]) -> tuple[str, ...]:
+    return tuple(key for key in section.model_fields if key not in base.model_fields)

@@ -1,4 +1,4 @@
-"""Plug-ins: objects that other packages bring by entry points, and sections of the rig file whose model they bring.
+"""Registries of softrig's objects, to which other packages add by entry points, and sections of the rig file from them.
 
 Reading the entry points of every installed package takes some 30 ms, so a name is looked up only if softrig has no
 object of that name.
@@ -6,12 +6,21 @@ object of that name.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+import functools
+import operator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
-from pydantic import BaseModel, GetCoreSchemaHandler, ValidationError, ValidationInfo, ValidatorFunctionWrapHandler
+from pydantic import (
+    BaseModel,
+    Field,
+    GetCoreSchemaHandler,
+    ValidationError,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+)
 from pydantic_core import CoreSchema, core_schema
 
 from protocols.problems import closest
@@ -27,55 +36,96 @@ class PluginError(Exception):
 
 
 @dataclass(frozen=True)
-class PluginGroup(Generic[Loaded]):
-    """The entry points of one group. `check` returns the object, or raises TypeError with what it should be."""
+class Installed(Generic[Loaded]):
+    """An object by its name, with its package; None with the `fault` of one that cannot be used."""
 
-    group: str
-    check: Callable[[str, object], Loaded]
+    name: str
+    package: str
+    found: Loaded | None
+    fault: str = ""
 
-    def entries(self) -> tuple[EntryPoint, ...]:
-        """The installed entry points; reads the metadata of every installed package."""
-        return tuple(sorted(entry_points(group=self.group), key=lambda entry: entry.name))
 
-    def load(self, name: str) -> tuple[Loaded, str]:
-        """Import a plug-in; return its object and its package.
+class Registry(Generic[Loaded]):
+    """The objects of one kind: those of softrig, and the entry points of a group."""
+
+    def __init__(self, group: str, built_in: Mapping[str, Loaded], check: Callable[[object], Loaded]) -> None:
+        """`check` returns the object of an entry point, or raises TypeError with what it should be."""
+        self.built_in = built_in
+        self._group, self._check = group, check
+        self._loaded: dict[str, Loaded] = {}
+
+    def __getitem__(self, name: str) -> Loaded:
+        """An object by name; imports a plug-in.
 
         Raises:
             PluginError: there is none or more than one of that name, it cannot be imported, or is no plug-in.
         """
-        found = [entry for entry in self.entries() if entry.name == name]
-        if len(found) != 1:
-            several = ", ".join(map(package_of, found))
-            raise PluginError(f"{self.group}: {name} is installed by {several or 'no package'}")
-        entry = found[0]
-        try:
-            return self.check(name, entry.load()), package_of(entry)
-        except (Exception, SystemExit) as error:  # the code of another package may raise anything
-            raise PluginError(
-                f"plug-in {name} of {package_of(entry)} ({entry.value}): {type(error).__name__}: {error}"
-            ) from error
+        if name in self.built_in:
+            return self.built_in[name]
+        if name not in self._loaded:
+            found = [entry for entry in self._entries() if entry.name == name]
+            if len(found) != 1:
+                several = ", ".join(map(_package_of, found))
+                raise PluginError(f"{self._group}: {name} is installed by {several or 'no package'}")
+            try:
+                self._loaded[name] = self._check(found[0].load())
+            except (Exception, SystemExit) as error:  # the code of another package may raise anything
+                origin = f"plug-in {name} of {_package_of(found[0])} ({found[0].value})"
+                raise PluginError(f"{origin}: {type(error).__name__}: {error}") from error
+        return self._loaded[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Every name, softrig's first; reads the metadata of every installed package."""
+        return iter(dict.fromkeys((*self.built_in, *(entry.name for entry in self._entries()))))
+
+    def package(self, name: str) -> str:
+        """Name and version of the package of an object."""
+        return (
+            "softrig" if name in self.built_in else ", ".join(_package_of(e) for e in self._entries() if e.name == name)
+        )
+
+    def installed(self) -> Iterator[Installed[Loaded]]:
+        """Every object, also a broken one; imports every plug-in."""
+        for name, found in self.built_in.items():
+            yield Installed(name, "softrig", found)
+        for entry in self._entries():
+            found, fault = None, "not used: softrig has its own"
+            if entry.name not in self.built_in:
+                try:
+                    found, fault = self[entry.name], ""
+                except PluginError as error:
+                    fault = str(error)
+            yield Installed(entry.name, _package_of(entry), found, fault)
+
+    def _entries(self) -> list[EntryPoint]:
+        return sorted(entry_points(group=self._group), key=lambda entry: entry.name)
 
 
-def package_of(entry: EntryPoint) -> str:
-    """Name and version of the package of an entry point."""
+def _package_of(entry: EntryPoint) -> str:
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "an unnamed package"
 
 
 @dataclass(frozen=True)
-class PluginSections:
+class PluginSections(Generic[Loaded]):
     """Annotation of a section, or of a union of sections, to which plug-ins add models.
 
-    The key `tag` of the section names one. `base` is the class of every such section; `built_in` are softrig's names,
-    `plugins` the names that are installed beside them, and `model` returns the model of one of these. In a rig from an
-    archive a plug-in that is not installed is read by `unknown`.
+    The key `tag` of the section names an object of the `registry`, whose section has the model that `model` returns.
+    `base` is the class of every such section. In a rig from an archive a plug-in that is not installed is read by
+    `unknown`.
     """
 
+    registry: Registry[Loaded]
     tag: str
     base: type[BaseModel]
-    built_in: Collection[str]
-    plugins: Callable[[], Sequence[str]]
-    model: Callable[[str], type[BaseModel]]
+    model: Callable[[Loaded], type[BaseModel]]
     unknown: type[BaseModel]
+
+    @property
+    def section(self) -> Any:
+        """The type of the section in the rig file."""
+        models = tuple(dict.fromkeys(self.model(found) for found in self.registry.built_in.values()))
+        own: Any = functools.reduce(operator.or_, models)
+        return Annotated[Annotated[own, Field(discriminator=self.tag)] if len(models) > 1 else own, self]
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Validate by the named model; serialise every key of it."""
@@ -88,21 +138,19 @@ class PluginSections:
         if isinstance(value, self.base):
             return value
         name = value.get(self.tag) if isinstance(value, dict) else None
-        if not isinstance(name, str) or name in self.built_in:
+        if not isinstance(name, str) or name in self.registry.built_in:
             return handler(value)
-        installed = self.plugins()
+        known, model = tuple(self.registry), self.unknown
         recorded = bool(info.context and info.context.get(RECORDED))
-        model: type[BaseModel] | None = None
-        if name in installed:
+        if name in known:
             try:
-                model = self.model(name)
+                model = self.model(self.registry[name])
             except PluginError as error:
                 if not recorded:
                     faults([ValidationFault((self.tag,), f"a plug-in that can be loaded: {error}")])
         elif not recorded:
-            known = (*self.built_in, *installed)
             faults([ValidationFault((self.tag,), f"one of {', '.join(known)}", closest(name, known))])
         try:
-            return (model or self.unknown).model_validate(value)
+            return model.model_validate(value)
         except ValidationError as error:
-            raise nested_faults(error, model or self.unknown) from None
+            raise nested_faults(error, model) from None

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from calibration.vision.transforms import RigidTransform
 from rig.config.optics import board_in_tip, board_of, camera_in_base, lens_of, rigid
 from rig.config.schema import RigConfig
-from rig.config.sections import CameraConfig
 from rig.hardware.cameras.base import CameraError, Frame, TriggerMatch
 from rig.hardware.cards.base import CardError
 from rig.simulator.faults import CameraFault, Faults
@@ -40,26 +39,23 @@ class Exposure:
     trigger: TriggerMatch | None = None
 
 
-class MockCameraDriver:
-    """Opens the mock camera of the plant behind the rig's mock card, from any process."""
+def open_mock_camera(config: RigConfig, name: str, seed: int) -> MockCamera:
+    """Open the mock camera of the plant behind the rig's mock card, from any process.
 
-    def open(self, config: RigConfig, name: str, seed: int) -> MockCamera:
-        """Open a camera of the rig. Raises CameraError: the rig has no mock card, or its plant does not run."""
-        try:
-            registers = Registers.behind(config.cards.values())
-            trigger = config.cameras[name].trigger
-            edges = None
-            if trigger is not None:
-                edges = partial(Registers.attach(config.cards[trigger.card].device).rise, trigger.channel)
-            camera = MockCamera(config, registers, name, seed, registers.faults, edges)
-        except CardError as error:
-            raise CameraError(f"camera {name}: {error}") from error
-        camera.start()
-        return camera
-
-    def serial(self, camera: CameraConfig) -> str | None:
-        """A mock camera has no serial number."""
-        return None
+    Raises:
+        CameraError: the rig has no mock card, or its plant does not run.
+    """
+    try:
+        registers = Registers.behind(config.cards.values())
+        trigger = config.cameras[name].trigger
+        edges = None
+        if trigger is not None:
+            edges = partial(Registers.attach(config.cards[trigger.card].device).rise, trigger.channel)
+        camera = MockCamera(config, registers, name, seed, registers.faults, edges)
+    except CardError as error:
+        raise CameraError(f"camera {name}: {error}") from error
+    camera.start()
+    return camera
 
 
 class MockCamera:

@@ -28,16 +28,17 @@ _CLOCK_ZERO_NS = 1_700_000_000_000_000_000
 _OTHER_NOISE = 7_000_003
 
 
-class MockTrackerDriver:
-    """Opens the mock tracker of the plant behind the rig's mock card, from any process."""
+def open_mock_tracker(config: RigConfig, name: str, seed: int) -> MockTracker:
+    """Open the mock tracker of the plant behind the rig's mock card, from any process.
 
-    def open(self, config: RigConfig, name: str, seed: int) -> MockTracker:
-        """Open a tracker of the rig. Raises TrackerError: the rig has no mock card, or its plant does not run."""
-        try:
-            registers = Registers.behind(config.cards.values())
-            return MockTracker(config, registers, name, seed, registers.faults, time.monotonic_ns())
-        except CardError as error:
-            raise TrackerError(f"tracker {name}: {error}") from error
+    Raises:
+        TrackerError: the rig has no mock card, or its plant does not run.
+    """
+    try:
+        registers = Registers.behind(config.cards.values())
+        return MockTracker(config, registers, name, seed, registers.faults, time.monotonic_ns())
+    except CardError as error:
+        raise TrackerError(f"tracker {name}: {error}") from error
 
 
 class MockTracker:

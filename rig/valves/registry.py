@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import functools
-import operator
 from inspect import isabstract
-from typing import TYPE_CHECKING, Annotated, get_args
+from typing import TYPE_CHECKING, get_args
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict
 
 from rig.sections.control import Control, Limits
-from rig.sections.plugins import PluginError, PluginGroup, PluginSections
+from rig.sections.plugins import PluginError, PluginSections, Registry
 from rig.valves.base import Regulator, SimulatedValve, ValveSection, ValveTruth
 from rig.valves.flow import FlowValve
 from rig.valves.pressure import BusValve, PressureValve
@@ -22,16 +20,12 @@ VALVE_TYPES: tuple[type[ValveSection], ...] = (
 )
 
 
-def _checked(name: str, found: object) -> type[ValveSection]:
+def _checked(found: object) -> type[ValveSection]:
     if not (isinstance(found, type) and issubclass(found, ValveSection)):
         raise TypeError("not a subclass of rig.valves.base.ValveSection")
     if isabstract(found):
         raise TypeError(f"it lacks {', '.join(sorted(found.__abstractmethods__))}")
     return found
-
-
-VALVE_PLUGINS: PluginGroup[type[ValveSection]] = PluginGroup("softrig.valves", _checked)
-"""Valve types of other packages."""
 
 
 class UninstalledValve(ValveSection):
@@ -62,20 +56,12 @@ def _name_of(valve: type[ValveSection]) -> str:
     return str(name)
 
 
-BUILT_IN = {_name_of(valve): valve for valve in VALVE_TYPES}
+VALVES: Registry[type[ValveSection]] = Registry(
+    "softrig.valves", {_name_of(valve): valve for valve in VALVE_TYPES}, _checked
+)
 
 if TYPE_CHECKING:
     Valve = ValveSection
 else:
-    Valve = Annotated[
-        Annotated[functools.reduce(operator.or_, VALVE_TYPES), Field(discriminator="type")],
-        PluginSections(
-            "type",
-            ValveSection,
-            BUILT_IN,
-            lambda: tuple(dict.fromkeys(entry.name for entry in VALVE_PLUGINS.entries())),
-            lambda name: VALVE_PLUGINS.load(name)[0],
-            UninstalledValve,
-        ),
-    ]
+    Valve = PluginSections(VALVES, "type", ValveSection, lambda valve: valve, UninstalledValve).section
     """A valve of the rig file, of the registered type that its key `type` names."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from softrig_pneubox import BAR_PER_V, Pneubox, PneuboxConfig, file_of  # type: ignore[import-not-found]
 
-from rig.config.drivers import Plugin
+from rig.config.drivers import Driver
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
 
 BEHIND_S = 0.03
@@ -152,7 +152,7 @@ class Breakable(Pneubox):  # type: ignore[misc]
         super().close()
 
 
-breakable = Plugin(
+breakable = Driver(
     BreakableConfig,
     Breakable,
     about="a box with a fault",

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from rig.config.card_sections import CARD_DRIVERS
-from rig.config.drivers import CAMERA_DRIVERS
+from rig.config.sections import CAMERA_DRIVERS
 from rig.config.tracker_sections import TRACKER_DRIVERS
+from rig.valves.registry import VALVES
 
 
 def install(
@@ -28,5 +29,5 @@ def install(
 def use(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Put the folder on the path for one test; nothing loaded from it outlives the test."""
     monkeypatch.syspath_prepend(site)
-    for registry in (CARD_DRIVERS, CAMERA_DRIVERS, TRACKER_DRIVERS):
+    for registry in (CARD_DRIVERS, CAMERA_DRIVERS, TRACKER_DRIVERS, VALVES):
         monkeypatch.setattr(registry, "_loaded", {})

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rig.config.card_sections import CardConfig
-from rig.config.drivers import Finding, Plugin
+from rig.config.drivers import Driver, Finding
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError, CardSetup, Scans
 from rig.sections.quantities import Positive
@@ -106,7 +106,7 @@ def examine(config: RigConfig, name: str) -> list[Finding]:
     return [Finding(f"box {name}", "ok", "on") if on else Finding(f"box {name}", "missing", "off", "switch it on")]
 
 
-pneubox = Plugin(
+pneubox = Driver(
     PneuboxConfig,
     Pneubox,
     about="the Pneubox, a simulated pressure controller",

@@ -8,9 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config.drivers import CAMERA_DRIVERS
 from rig.config.schema import RigConfig
-from rig.config.sections import CameraConfig
+from rig.config.sections import CAMERA_DRIVERS
 from rig.hardware.tip_source import TipSourceError
 from rig.hardware.trackers.base import TrackerReading
 
@@ -95,16 +94,6 @@ class FrameSet:
         return None if self.reading is None else self.reading.truth_m
 
 
-class CameraDriver(Protocol):
-    """The interface of a camera driver."""
-
-    def open(self, config: RigConfig, name: str, seed: int) -> Camera:
-        """Open the camera `name` of the rig; `seed` is for simulated cameras. Raises CameraError."""
-
-    def serial(self, camera: CameraConfig) -> str | None:
-        """Serial number of the camera as it is plugged in now; None where it has none or is not there."""
-
-
 class Camera(Protocol):
     """An open camera."""
 
@@ -115,12 +104,7 @@ class Camera(Protocol):
         """Release the device."""
 
 
-def camera_driver(camera: CameraConfig) -> CameraDriver:
-    """The driver of a camera, loaded."""
-    driver: CameraDriver = CAMERA_DRIVERS[camera.driver].load()()
-    return driver
-
-
 def open_camera(config: RigConfig, name: str, seed: int = 0) -> Camera:
     """Open the rig's camera `name`; `seed` is for simulated cameras. Raises CameraError."""
-    return camera_driver(config.cameras[name]).open(config, name, seed)
+    camera: Camera = CAMERA_DRIVERS[config.cameras[name].driver].load()(config, name, seed)
+    return camera

@@ -24,19 +24,19 @@ _EXPOSURE_UNIT_MS = 0.1
 _SAME_CLOCK_S = 2.0
 
 
-class OpenCVDriver:
-    """Opens V4L2 devices, and recordings: a folder of pictures or a video file."""
+def open_camera(config: RigConfig, name: str, seed: int) -> Camera:
+    """Open a V4L2 device, or a recording: a folder of pictures or a video file."""
+    camera = config.cameras[name]
+    if not is_recording(camera.device):
+        return OpenCVCamera(camera)
+    if camera.trigger is not None:
+        raise CameraError(f"camera {name} plays a recording, which no card can trigger: remove its `trigger`")
+    return RecordedCamera(camera)
 
-    def open(self, config: RigConfig, name: str, seed: int) -> Camera:
-        camera = config.cameras[name]
-        if not is_recording(camera.device):
-            return OpenCVCamera(camera)
-        if camera.trigger is not None:
-            raise CameraError(f"camera {name} plays a recording, which no card can trigger: remove its `trigger`")
-        return RecordedCamera(camera)
 
-    def serial(self, camera: CameraConfig) -> str | None:
-        return v4l2_serial(camera.device)
+def serial_of(camera: CameraConfig) -> str | None:
+    """Serial number of the USB device behind a camera."""
+    return v4l2_serial(camera.device)
 
 
 class OpenCVCamera:

@@ -24,15 +24,9 @@ ANY = "any"
 _EXPOSURE_UNIT_MS = 0.1
 
 
-class RealSenseDriver:
-    """Opens RealSense cameras, which the rig file names by serial number."""
-
-    def open(self, config: RigConfig, name: str, seed: int) -> RealSenseCamera:
-        return RealSenseCamera(config.cameras[name])
-
-    def serial(self, camera: CameraConfig) -> str | None:
-        """The serial number by which the rig file names the camera."""
-        return str(camera.device)
+def open_camera(config: RigConfig, name: str, seed: int) -> RealSenseCamera:
+    """Open a camera, which the rig file names by its serial number."""
+    return RealSenseCamera(config.cameras[name])
 
 
 def why_unusable(error: ImportError) -> tuple[str, str]:

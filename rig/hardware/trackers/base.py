@@ -71,14 +71,7 @@ class Tracker(Protocol):
         """Release the device."""
 
 
-class TrackerDriver(Protocol):
-    """The interface of a tracker driver."""
-
-    def open(self, config: RigConfig, name: str, seed: int) -> Tracker:
-        """Open the tracker `name` of the rig; `seed` is for simulated trackers. Raises TrackerError."""
-
-
 def open_tracker(config: RigConfig, name: str, seed: int = 0) -> Tracker:
     """Open the rig's tracker `name`; `seed` is for simulated trackers. Raises TrackerError."""
-    driver: TrackerDriver = TRACKER_DRIVERS[config.trackers[name].driver].load()()
-    return driver.open(config, name, seed)
+    tracker: Tracker = TRACKER_DRIVERS[config.trackers[name].driver].load()(config, name, seed)
+    return tracker

@@ -18,18 +18,15 @@ _TIMESPEC = 16
 _BUFFER = 1 << 18
 
 
-class UdpTrackerDriver:
-    """Opens the socket of a UDP tracker."""
-
-    def open(self, config: RigConfig, name: str, seed: int) -> UdpTracker:
-        """Open a tracker of the rig. Raises TrackerError: the address is not this machine's, or the port is taken."""
-        return UdpTracker(config, name)
-
-
 class UdpTracker:
     """A socket that receives the datagrams of one sender."""
 
-    def __init__(self, config: RigConfig, name: str) -> None:
+    def __init__(self, config: RigConfig, name: str, seed: int = 0) -> None:
+        """Listen for a tracker of the rig; nothing is random, whatever the `seed`.
+
+        Raises:
+            TrackerError: the address is not this machine's, or the port is taken.
+        """
         section = config.trackers[name]
         assert isinstance(section, UdpTrackerConfig)
         self._receiver = TrackerReceiver(config, name, (section.sender, section.sender_port))

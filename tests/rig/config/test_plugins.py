@@ -24,7 +24,7 @@ from tests.support.plugin_package import install, use
 BOX = """
 import time
 import numpy as np
-from rig.config.drivers import Plugin
+from rig.config.drivers import Driver
 from rig.config.card_sections import CardConfig
 from rig.sections.quantities import Positive
 from rig.hardware.cards.base import Scans
@@ -54,7 +54,7 @@ def examine(config, name):
         raise RuntimeError("no such gain")
     return [Finding(f"box {name}", "ok", f"gain {gain:g}, {used} outputs used")]
 
-box = Plugin(BoxConfig, Box, about="a box of volts", safe_state="vents after 50 ms", examine=examine)
+box = Driver(BoxConfig, Box, about="a box of volts", safe_state="vents after 50 ms", examine=examine)
 """
 VALVE = """
 from typing import Literal
@@ -159,10 +159,10 @@ def test_a_fault_between_a_plugins_card_and_the_valves_is_found(site: Path) -> N
         ("raise RuntimeError('no firmware')", "RuntimeError: no firmware"),
         ("import sys; sys.exit(3)", "SystemExit: 3"),
         ("import a_library_that_is_absent", "No module named 'a_library_that_is_absent'"),
-        ("box = 5", "of type int, not a rig.config.drivers.Plugin"),
+        ("box = 5", "of type int, not a rig.config.drivers.Driver"),
         (
-            "from rig.config.drivers import Plugin\nfrom rig.config.tracker_sections import TrackerConfig\n"
-            "box = Plugin(TrackerConfig, print, about='a tracker')",
+            "from rig.config.drivers import Driver\nfrom rig.config.tracker_sections import TrackerConfig\n"
+            "box = Driver(TrackerConfig, print, about='a tracker')",
             "`section` is not a subclass of rig.config.card_sections.CardConfig",
         ),
     ],
@@ -197,7 +197,7 @@ def test_a_plugin_never_replaces_a_driver_of_softrig(
     use(tmp_path / "site", monkeypatch)
     assert type(loader.load("mock").cards["daq"]).__name__ == "MockCardConfig"
     assert status_of("drivers") == 1
-    assert "not used: softrig has a driver of that name" in " ".join(capsys.readouterr().out.split())
+    assert "not used: softrig has its own" in " ".join(capsys.readouterr().out.split())
 
 
 def test_drivers_lists_plugins_with_package_keys_and_safe_state(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -217,10 +217,10 @@ def test_drivers_lists_plugins_with_package_keys_and_safe_state(site: Path, caps
 
 
 TRACKER = """
-from rig.config.drivers import Plugin
+from rig.config.drivers import Driver
 from rig.config.tracker_sections import TrackerConfig
 
-still = Plugin(TrackerConfig, print, about="an arm that stands still")
+still = Driver(TrackerConfig, print, about="an arm that stands still")
 """
 
 

@@ -14,9 +14,10 @@ from protocols import BadInputError, Problem
 from protocols.document import parse, validate
 from rig.config import consistency, loader
 from rig.config.card_sections import CARD_DRIVERS
-from rig.config.drivers import CAMERA_DRIVERS, DriverRegistry
+from rig.config.drivers import DriverRegistry
 from rig.config.loader import load, path_of, text
 from rig.config.schema import RigConfig
+from rig.config.sections import CAMERA_DRIVERS
 from tests.support.budget import examples
 
 MOCK = text("mock")
