@@ -21,8 +21,7 @@ from model import Arm
 from model.actuation import Proportional, StopElement
 from model.arrays import Array
 from model.material import MaxwellBranch
-from rig.arm_effects.creep import CreepBranch, CreepSection
-from rig.arm_effects.hysteresis import HysteresisSection, SlipElement
+from rig.arm_effects.effects import CreepBranch, CreepSection, HysteresisSection, SlipElement
 
 PERIOD_S, BAR = 0.25, 1e5
 CORNERS_BAR = (0.0, 0.5, 0.46, 0.5, 0.3, 0.6, 0.56, 0.1, 0.4, 0.0)

@@ -31,12 +31,16 @@ from calibration.identify.simulated_experiments import MeasurementErrors, drawn_
 from calibration.parallel_map import parallel_map
 from model.arrays import Array
 from rig.arm_effects.base import ArmEffectSection
-from rig.arm_effects.coupling import CouplingSection
-from rig.arm_effects.creep import CreepBranch, CreepSection
-from rig.arm_effects.gains import GainsSection
-from rig.arm_effects.hysteresis import HysteresisSection, SlipElement
-from rig.arm_effects.push import PushSection
-from rig.arm_effects.softening import SofteningSection
+from rig.arm_effects.effects import (
+    CouplingSection,
+    CreepBranch,
+    CreepSection,
+    GainsSection,
+    HysteresisSection,
+    PushSection,
+    SlipElement,
+    SofteningSection,
+)
 
 FREE = ("law", "rpe_per_bar", "cap_mass_kg", "shear_ratio", "base", "sensor_offsets")
 _DWELL_S, _STEP_S = 4.0, 0.02

@@ -1,1 +1,1 @@
-"""What the simulated arm does and the model does not assume; one file per effect, registered in `registry`."""
+"""What the simulated arm does and the model does not assume."""

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import Field
 
 from rig.arm_effects.base import ArmEffectSection
-from rig.arm_effects.coupling import CouplingSection
-from rig.arm_effects.creep import CreepSection
-from rig.arm_effects.gains import GainsSection
-from rig.arm_effects.hysteresis import HysteresisSection
-from rig.arm_effects.push import PushSection
-from rig.arm_effects.softening import SofteningSection
+from rig.arm_effects.effects import (
+    CouplingSection,
+    CreepSection,
+    GainsSection,
+    HysteresisSection,
+    PushSection,
+    SofteningSection,
+)
 
 ARM_EFFECTS: tuple[type[ArmEffectSection], ...] = (
     CouplingSection,

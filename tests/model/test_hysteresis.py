@@ -71,7 +71,7 @@ def test_loops_between_the_same_pressures_are_congruent(one: list[float], other:
 
 
 def test_the_operator_is_that_of_the_simulated_bench() -> None:
-    from rig.arm_effects.hysteresis import HysteresisSection, SlipElement
+    from rig.arm_effects.effects import HysteresisSection, SlipElement
 
     rng = np.random.default_rng(2)
     pressure = np.vstack([np.zeros((1, 3)), rng.uniform(0, 0.6, (50, 3)) * BAR])

@@ -16,7 +16,7 @@ from calibration.identify.pressure_history import pressure_history
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 from model.arrays import Array
-from rig.arm_effects.softening import SofteningSection
+from rig.arm_effects.effects import SofteningSection
 
 PA = 1e5
 START = Setup(model.Arm.paper())

@@ -16,10 +16,8 @@ from model.arrays import Array
 from model.statics import statics
 from protocols import BadInputError
 from rig.arm_effects.base import ArmEffect
-from rig.arm_effects.creep import CreepSection
-from rig.arm_effects.hysteresis import HysteresisSection
+from rig.arm_effects.effects import CreepSection, HysteresisSection, SofteningSection
 from rig.arm_effects.registry import ARM_EFFECTS
-from rig.arm_effects.softening import SofteningSection
 from rig.config import loader
 from rig.config.arm_model import true_arm
 from rig.config.simulator_sections import Simulator
