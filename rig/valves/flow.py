@@ -13,7 +13,6 @@ from typing import Literal
 
 import numpy as np
 
-from model.units import PA_PER_BAR
 from protocols.validation import ValidationFault
 from rig.sections.control import Control, Limits
 from rig.valves.base import RegulatorState, SimulatedValve, ValidationFaults, ValveTruth
@@ -37,17 +36,11 @@ ZERO_REFERENCE_PA = 500.0
 class FlowRegulator(MeteringRegulator):
     """PI control of the pressure with feed-forward, linearised by the flow through the valve (ISO 6358)."""
 
+    valve: FlowValve
     gain_per_s: float
     integral_per_s2: float
     volume_m3: float
     conductance: float
-    critical_ratio: float
-    supply_pa: float
-    closed_v: float
-    fill_sign: float
-    vent_output: float
-    low_v: float
-    high_v: float
     fractions: tuple[float, ...]
     offsets_v: tuple[float, ...]
 
@@ -57,7 +50,7 @@ class FlowRegulator(MeteringRegulator):
         """The opening whose flow changes the pressure by the wanted rate."""
         integral = integral_pa_s
         if reference_pa < ZERO_REFERENCE_PA and reference_rate_pa_s <= 0.0:
-            return RegulatorState(reference_pa, integral, integral, self.vent_output)
+            return RegulatorState(reference_pa, integral, integral, self.valve.vent_output)
         error = reference_pa - measured_pa
         demand = reference_rate_pa_s + self.gain_per_s * error + integral
         full_rate = self._full_rate_pa_s(demand, measured_pa)
@@ -67,14 +60,14 @@ class FlowRegulator(MeteringRegulator):
             fraction = math.copysign(1.0, fraction)
             demand = fraction * full_rate
         if not (saturated and error * fraction > 0.0):
-            bound = LARGEST_LEAK * self.conductance * (self.supply_pa + ATMOSPHERE_PA) * ANR_PA / self.volume_m3
+            bound = LARGEST_LEAK * self.conductance * self.valve.absolute_supply_pa * ANR_PA / self.volume_m3
             integral = min(max(integral + self.integral_per_s2 * error * dt_s, -bound), bound)
         offset = math.copysign(_interpolate(abs(fraction), self.fractions, self.offsets_v), fraction)
-        volts = min(max(self.closed_v + self.fill_sign * offset, self.low_v), self.high_v)
-        return RegulatorState(reference_pa, integral, demand, volts)
+        low_v, high_v = self.valve.range_V
+        return RegulatorState(reference_pa, integral, demand, min(max(self.opening_v(offset), low_v), high_v))
 
     def opening_v(self, offset_v: float) -> float:
-        return self.closed_v + self.fill_sign * offset_v
+        return self.valve.closed_V + self.valve.fill_sign * offset_v
 
     def opening_rate_pa_s(self, offset_v: float, pressure_pa: float) -> float:
         """The rate from the flow through that opening."""
@@ -83,9 +76,9 @@ class FlowRegulator(MeteringRegulator):
 
     def _full_rate_pa_s(self, direction: float, pressure_pa: float) -> float:
         """The rate of the pressure, without a sign, of the valve open to the supply (positive) or the exhaust."""
-        supply, chamber = self.supply_pa + ATMOSPHERE_PA, max(pressure_pa, 0.0) + ATMOSPHERE_PA
+        supply, chamber = self.valve.absolute_supply_pa, max(pressure_pa, 0.0) + ATMOSPHERE_PA
         upstream, downstream = (supply, chamber) if direction > 0.0 else (chamber, ATMOSPHERE_PA)
-        ease = max(flow_function(downstream / upstream, self.critical_ratio), FLOW_FUNCTION_FLOOR)
+        ease = max(flow_function(downstream / upstream, self.valve.critical_ratio), FLOW_FUNCTION_FLOOR)
         return self.conductance * upstream * ease * ANR_PA / self.volume_m3
 
 
@@ -112,27 +105,17 @@ class FlowValve(MeteringValve):
         return (dead_zone_v, *(v for v, _ in pairs)), (0.0, *(f for _, f in pairs))
 
     def regulator(self, limits: Limits, control: Control) -> FlowRegulator:
-        actuators, lowest_pa, rate_limit, filter_per_s = self._filter(limits, control)
         gain = 2 * math.pi * control.bandwidth_hz
         volts, fractions = self.opening_curve(self.dead_zone_V)
         soft_v = _interpolate(SOFT_FRACTION, fractions, volts)
         above = [(f, v) for f, v in zip(fractions, volts, strict=True) if f > SOFT_FRACTION]
         return FlowRegulator(
-            actuators=actuators,
-            lowest_pa=lowest_pa,
-            rate_limit_pa_s=rate_limit,
-            filter_per_s=filter_per_s,
+            *self._filter(limits, control),
+            valve=self,
             gain_per_s=gain,
             integral_per_s2=gain / control.integral_s,
-            volume_m3=control.volume_ml * 1e-6 * len(actuators),
+            volume_m3=control.volume_ml * 1e-6 * len(self.actuators),
             conductance=sonic_conductance(self.full_flow_l_min, self.critical_ratio),
-            critical_ratio=self.critical_ratio,
-            supply_pa=self.supply_bar * PA_PER_BAR,
-            closed_v=self.closed_V,
-            fill_sign=self.fill_sign,
-            vent_output=self.vent_output,
-            low_v=self.range_V[0],
-            high_v=self.range_V[1],
             fractions=(0.0, SOFT_FRACTION, *(f for f, _ in above)),
             offsets_v=(0.0, soft_v, *(v for _, v in above)),
         )

@@ -147,7 +147,7 @@ def test_the_regulator_takes_what_was_found(folder: Path) -> None:
     config = loader.load(folder / "my.yaml")
     found = read(folder / "p.yaml").found
     for settings, sweep in zip(prepare(config).valves, found.valves, strict=True):
-        assert settings.closed_v == sweep.closed_V
+        assert settings.valve.closed_V == sweep.closed_V
         assert sweep.dead_zone_V < settings.offsets_v[2] < sweep.flow_curve_V[3]
     scale = found.sensors[0]
     (volts,) = (config.sensors[0].pressure_pa(np.array([5.0])),)
