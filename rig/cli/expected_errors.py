@@ -84,7 +84,7 @@ EXPECTED_ERRORS = {
     "rig.study.study.OtherStudyError": BAD_INPUT,
     "rig.execution.plan.StoppedError": INTERRUPTED,
     "rig.execution.plan.StartError": FAULT,
-    "rig.hardware.tip_source.TipSourceError": FAULT,
+    "rig.hardware.driver_calls.TipSourceError": FAULT,
     "rig.hardware.cards.base.CardError": FAULT,
     "runs.journal.append_only_file.JournalError": FAULT,
     "builtins.MemoryError": FAULT,

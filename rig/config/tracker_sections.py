@@ -104,7 +104,7 @@ TRACKER_DRIVERS = DriverRegistry(
             UdpTrackerConfig,
             "rig.hardware.trackers.udp:UdpTracker",
             "poses in UDP datagrams from another program",
-            examine="rig.doctor.udp_tracker:examine",
+            examine="rig.hardware.trackers.udp:examine",
         ),
         "mock": Driver(
             MockTrackerConfig,

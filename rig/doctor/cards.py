@@ -9,12 +9,11 @@ from pathlib import Path
 
 from rig.config.drivers import Finding
 from rig.config.schema import RigConfig
-from rig.hardware.cards.base import CardError
+from rig.hardware.cards.base import CardError, card_setup
 from rig.hardware.cards.comedi import ComediCard
 from rig.hardware.cards.comedi_device import closed, device_paths, require
 from rig.hardware.cards.comedi_survey import ComediCardSurvey, survey
 from rig.hardware.cards.kernel_devices import ComediModule, PciCard, comedi, has_module, pci_cards
-from rig.hardware.cards.opening import card_setup
 
 ADVANTECH = "0x13fe"
 FAMILY_DRIVER = "adv_pci1710"
@@ -126,24 +125,15 @@ def _devices(kernel: ComediModule | None, queryable: bool) -> list[Finding]:
         return [finding for found in survey() for finding in _card(found, kernel)]
     findings = []
     for path in device_paths():
-        if (fault := closed(path)) is not None:
-            found = f"{_called(path, kernel)}{fault.what}"
-            findings.append(Finding("card", "missing", found, fault.remedy or SEE_DMESG))
-        else:
-            findings.append(
-                Finding(
-                    "card", "missing", f"{_called(path, kernel)}{path} can be opened, but not queried", "make comedi"
-                )
-            )
+        fault = closed(path) or CardError(f"{path} can be opened, but not queried", "make comedi")
+        findings.append(Finding("card", "missing", f"{_called(path, kernel)}{fault.what}", fault.remedy or SEE_DMESG))
     return findings
 
 
 def _called(path: str, kernel: ComediModule | None) -> str:
     """Return the kernel's name of a card that cannot be queried."""
-    for card in kernel.attached if kernel else ():
-        if path == f"/dev/comedi{card.minor}":
-            return f"{card.board} (driver {card.driver}): "
-    return ""
+    attached = kernel.attached if kernel else ()
+    return next((f"{c.board} (driver {c.driver}): " for c in attached if path == f"/dev/comedi{c.minor}"), "")
 
 
 def _card(found: ComediCardSurvey, kernel: ComediModule | None) -> list[Finding]:

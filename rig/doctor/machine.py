@@ -14,11 +14,8 @@ import time
 from pathlib import Path
 
 from rig.config.drivers import Finding
+from rig.realtime.scheduling import PLANNING_NICENESS, WATCHDOG_PRIORITY, Scheduling, obtainable
 
-PRIORITY = 60
-"""The highest priority that a run uses: the watchdog's."""
-NICENESS = -10
-"""The niceness that the tip controller of a run gets."""
 ENOUGH_BYTES = 2_000_000_000
 SLOW_S = 1.0
 """Longest acceptable time to write one megabyte."""
@@ -48,39 +45,32 @@ def processor() -> Finding:
 
 def real_time() -> Finding:
     """Check that this user may use SCHED_FIFO."""
-    previous = os.sched_getscheduler(0), os.sched_getparam(0)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-        os.sched_setscheduler(0, *previous)
-    except PermissionError:
-        limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
-        found = f"SCHED_FIFO is permitted up to priority {limit}, and {PRIORITY} is wanted" if limit > 0 else ""
-        return Finding(
-            "real-time priority",
-            "missing",
-            f"{found or 'SCHED_FIFO is not permitted'}: deadlines may be missed",
-            _limits("rtprio 80"),
-        )
-    return Finding("real-time priority", "ok", "SCHED_FIFO permitted")
+    if Scheduling.FIFO in obtainable():
+        return Finding("real-time priority", "ok", "SCHED_FIFO permitted")
+    limit, refused = resource.getrlimit(resource.RLIMIT_RTPRIO)[0], "SCHED_FIFO is not permitted"
+    if limit > 0:
+        refused = f"SCHED_FIFO is permitted up to priority {limit}, and {WATCHDOG_PRIORITY} is wanted"
+    return Finding("real-time priority", "missing", f"{refused}: deadlines may be missed", _limits("rtprio 80"))
 
 
 def niceness() -> Finding:
     """Check that this user may raise the priority of the tip controller."""
+    topic, what = "priority of the tip controller", f"niceness {PLANNING_NICENESS}"
     previous = os.getpriority(os.PRIO_PROCESS, 0)
     try:
-        os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
+        os.setpriority(os.PRIO_PROCESS, 0, PLANNING_NICENESS)
         os.setpriority(os.PRIO_PROCESS, 0, previous)
     except PermissionError:
-        found = f"niceness {NICENESS} is not permitted: on a busy machine the plans of a tip controller may be late"
-        return Finding("priority of the tip controller", "note", found, _limits(f"nice {NICENESS}"))
-    return Finding("priority of the tip controller", "ok", f"niceness {NICENESS} permitted")
+        found = f"{what} is not permitted: on a busy machine the plans of a tip controller may be late"
+        return Finding(topic, "note", found, _limits(f"nice {PLANNING_NICENESS}"))
+    return Finding(topic, "ok", f"{what} permitted")
 
 
 def memory_lock() -> Finding:
     """Check that this user may lock memory."""
-    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-    if limit == resource.RLIM_INFINITY or os.geteuid() == 0:
+    if Scheduling.LOCKED in obtainable():
         return Finding("memory lock", "ok", "permitted")
+    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     return Finding("memory lock", "missing", f"limited to {limit // 1024} KiB", _limits("memlock unlimited"))
 
 

@@ -14,8 +14,7 @@ from model.arrays import Array
 from rig.config.schema import RigConfig
 from rig.driver_contract.check import NotApplicableError
 from rig.driver_contract.device_time import idle_wait
-from rig.hardware.cards.base import Card, CardError, CardSetup, Scans
-from rig.hardware.cards.opening import card_setup, card_type
+from rig.hardware.cards.base import Card, CardError, CardSetup, Scans, card_setup, card_type
 from rig.hardware.safe_state import READBACK_TOLERANCE, open_outputs
 from rig.valves.base import ValveSection
 

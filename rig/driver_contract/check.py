@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 
 from rig.hardware.call_limit import within
 from rig.hardware.cards.base import CardError
-from rig.hardware.tip_source import TipSourceError
+from rig.hardware.driver_calls import TipSourceError
 
 Subject = TypeVar("Subject")
 

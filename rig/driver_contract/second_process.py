@@ -21,8 +21,7 @@ from model.arrays import Array
 from rig.config import loader
 from rig.driver_contract.card_subject import CardSubject
 from rig.driver_contract.check import BrokenContractError
-from rig.hardware.cards.base import CardBusyError, CardError
-from rig.hardware.cards.opening import card_setup, open_card
+from rig.hardware.cards.base import CardBusyError, CardError, card_setup, open_card
 
 START_S = 30.0
 HELD_PERIOD_S = 0.005

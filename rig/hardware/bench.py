@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from rig.config.input_sections import AuxiliaryInput
 from rig.config.schema import RigConfig
 from rig.config.sections import Sensor
-from rig.hardware.cards.base import Card, CardError, DigitalInputCard, Scans, SelfClockedCard
-from rig.hardware.cards.opening import card_setup, open_cards
+from rig.hardware.cards.base import Card, CardError, DigitalInputCard, Scans, SelfClockedCard, card_setup, open_cards
 from rig.hardware.driver_calls import as_error
 from rig.hardware.safe_state import SafeOutputs
 

@@ -7,6 +7,10 @@ from contextlib import contextmanager, suppress
 from typing import Protocol
 
 
+class TipSourceError(Exception):
+    """A camera or tracker could not be opened or has failed; the message contains the remedy."""
+
+
 class OpenDevice(Protocol):
     """An open card, camera or tracker."""
 

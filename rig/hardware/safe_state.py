@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.hardware.cards.base import Card, CardBusyError, CardError, DigitalOutputCard
-from rig.hardware.cards.opening import card_setup, open_cards
+from rig.hardware.cards.base import Card, CardBusyError, CardError, DigitalOutputCard, card_setup, open_cards
 from rig.hardware.driver_calls import as_error, release
 
 UNSAFE = "the safe state could not be written, shut the air off by hand"

@@ -10,8 +10,7 @@ import time
 
 from rig.config.schema import RigConfig
 from rig.hardware.call_limit import within
-from rig.hardware.cards.base import CardError
-from rig.hardware.cards.opening import card_type
+from rig.hardware.cards.base import CardError, card_type
 from rig.hardware.safe_state import failure_of, make_safe
 from rig.hardware.vent_verification import verify_venting
 from rig.realtime.child_process import ChildJob, report_end, supervisor_monitor

@@ -15,7 +15,7 @@ from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import FrameSet
 from rig.hardware.cameras.synchroniser import CameraSynchroniser
 from rig.hardware.cameras.trigger import RECENT_PULSES
-from rig.hardware.tip_source import TipSourceError
+from rig.hardware.driver_calls import TipSourceError
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
 from rig.observation.prediction_clock import PredictionClock

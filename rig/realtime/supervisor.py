@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from rig.execution.plan import OpenRecord, OperatorInterface, RunPlan, StartError, StoppedError
-from rig.hardware.cards.base import CardError
-from rig.hardware.cards.opening import card_type
+from rig.hardware.cards.base import CardError, card_type
 from rig.hardware.safe_state import UNSAFE, armed_sentence
 from rig.hardware.vent_verification import UNCONFIRMED
 from rig.realtime import sampling_clocks

@@ -199,7 +199,7 @@ class Plant:
 class PlantCard:
     """A mock card inside the plant's own process, in virtual time.
 
-    Columns are in the order of `rig.hardware.cards.opening.card_setup`.
+    Columns are in the order of `rig.hardware.cards.base.card_setup`.
     """
 
     def __init__(self, plant: Plant, config: RigConfig, name: str) -> None:

@@ -23,8 +23,8 @@ from rig.execution.plan import OpenRecord, OperatorInterface, Progress, Recorder
 from rig.hardware.bench import Bench
 from rig.hardware.cameras.base import CameraError, FrameSet
 from rig.hardware.cards.base import CardError
+from rig.hardware.driver_calls import TipSourceError
 from rig.hardware.safe_state import armed_sentence, failure_of, followed_by
-from rig.hardware.tip_source import TipSourceError
 from rig.hardware.vent_verification import VentOutcome, VentVerification
 from rig.observation.observer import Observer, observations_of
 from rig.observation.picture_recorder import PictureRecorder

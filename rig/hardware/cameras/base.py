@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.config.sections import CAMERA_DRIVERS
-from rig.hardware.tip_source import TipSourceError
+from rig.config.sections import CAMERA_DRIVERS, CameraConfig
+from rig.hardware.driver_calls import TipSourceError
 from rig.hardware.trackers.base import TrackerReading
 
 
@@ -102,6 +102,14 @@ class Camera(Protocol):
 
     def close(self) -> None:
         """Release the device."""
+
+
+def wrong_size(camera: CameraConfig, width_px: int, height_px: int) -> str:
+    """The message about pictures of this size; empty where it is that of the rig file."""
+    if (width_px, height_px) == (camera.width_px, camera.height_px):
+        return ""
+    asked = f"{camera.width_px}x{camera.height_px}: the lens was calibrated for the latter"
+    return f"{width_px}x{height_px} and the rig asks for {asked}"
 
 
 def open_camera(config: RigConfig, name: str, seed: int = 0) -> Camera:

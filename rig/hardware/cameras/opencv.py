@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
-from rig.hardware.cameras.base import Camera, CameraError, Frame
+from rig.hardware.cameras.base import Camera, CameraError, Frame, wrong_size
 from rig.hardware.cameras.recorded import RecordedCamera, is_recording
 
 VIDEO_DEVICES = Path("/sys/class/video4linux")
@@ -77,12 +77,9 @@ class OpenCVCamera:
             self._refuse(f"has no gain that can be set to {camera.gain:g}: leave `gain` out")
         if camera.pixel_format is not None and (given := self._pixel_format()) != camera.pixel_format:
             self._refuse(f"delivers {given} and the rig asks for {camera.pixel_format}: `v4l2-ctl --list-formats`")
-        size = round(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
-        if size != (camera.width_px, camera.height_px):
-            self._refuse(
-                f"delivers {size[0]}x{size[1]} and the rig asks for {camera.width_px}x{camera.height_px}: "
-                "the lens was calibrated for the latter"
-            )
+        size_px = round(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        if wrong := wrong_size(camera, *size_px):
+            self._refuse(f"delivers {wrong}")
 
     def _pixel_format(self) -> str:
         return int(self._capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little").decode("ascii", "replace")

@@ -14,7 +14,7 @@ import numpy as np
 
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig
-from rig.hardware.cameras.base import CameraError, Frame
+from rig.hardware.cameras.base import CameraError, Frame, wrong_size
 
 RECORDINGS = frozenset({".bag", ".db3"})
 ANY = "any"
@@ -89,11 +89,8 @@ class RealSenseCamera:
             frame = frame.as_frameset().get_color_frame()
         # The array is the frame's own memory, which librealsense takes back.
         image = np.array(frame.get_data(), dtype=np.uint8)
-        if image.shape[:2] != (self._camera.height_px, self._camera.width_px):
-            raise CameraError(
-                f"RealSense {self._camera.device} delivers {image.shape[1]}x{image.shape[0]} and the rig asks for "
-                f"{self._camera.width_px}x{self._camera.height_px}: the lens was calibrated for the latter"
-            )
+        if wrong := wrong_size(self._camera, image.shape[1], image.shape[0]):
+            raise CameraError(f"RealSense {self._camera.device} delivers {wrong}")
         if frame.get_profile().format() == rs.format.rgb8:
             image = np.ascontiguousarray(image[:, :, ::-1])
         end_ns = arrived

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from calibration.views import IMAGE_SUFFIXES, VIDEO_SUFFIXES, View, ViewsError, views_in
 from rig.config.sections import CameraConfig
-from rig.hardware.cameras.base import CameraError, Frame
+from rig.hardware.cameras.base import CameraError, Frame, wrong_size
 
 
 def is_recording(device: str | int) -> bool:
@@ -55,10 +55,7 @@ class RecordedCamera:
         except ViewsError as error:
             raise CameraError(f"camera {self._camera.device}: {error}") from error
         if view is not None:
-            height, width = view.image.shape
-            if (width, height) != (self._camera.width_px, self._camera.height_px):
-                raise CameraError(
-                    f"{view.name} is {width}x{height} and the rig asks for "
-                    f"{self._camera.width_px}x{self._camera.height_px}: the lens was calibrated for the latter"
-                )
+            height_px, width_px = view.image.shape
+            if wrong := wrong_size(self._camera, width_px, height_px):
+                raise CameraError(f"{view.name} is {wrong}")
         return view

@@ -17,9 +17,10 @@ from rig.hardware.cards.comedi_device import (
     Device,
     DigitalLines,
     Subdevice,
+    channel_lists,
     device_paths,
+    timings,
 )
-from rig.hardware.cards.comedi_timing import channel_lists, timings
 from rig.hardware.cards.scan_clock import ScanClock
 
 _CHUNK = 65536

@@ -15,7 +15,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -50,6 +49,35 @@ class CommandTiming:
 
     def period_ns(self, channels: int) -> int:
         return self.scan_ns if self.scan_begin == Trigger.TIMER else self.convert_ns * channels
+
+
+def timings(scan_begin: Trigger, convert: Trigger, channels: int, period_ns: int) -> tuple[CommandTiming, ...]:
+    """Candidate timings to sample `channels` every `period_ns` with the triggers of a card, the best first.
+
+    Best is a card that converts all channels at once; then one with a clock for scans beside that for conversions;
+    then one that converts without pause, as the 171x family does (scan_begin FOLLOW, convert TIMER).
+    """
+    found = []
+    if Trigger.TIMER in scan_begin:
+        if Trigger.NOW in convert:
+            found.append(CommandTiming(Trigger.TIMER, period_ns, Trigger.NOW, 0))
+        if Trigger.TIMER in convert:
+            # Half of the period: close together in time, with time for the multiplexer to settle.
+            found.append(CommandTiming(Trigger.TIMER, period_ns, Trigger.TIMER, period_ns // (2 * channels)))
+    if Trigger.FOLLOW in scan_begin and Trigger.TIMER in convert:
+        found.append(CommandTiming(Trigger.FOLLOW, 0, Trigger.TIMER, period_ns // channels))
+    return tuple(found)
+
+
+def channel_lists(wanted: tuple[int, ...], *, differential: bool = False) -> tuple[tuple[int, ...], ...]:
+    """Lists of channels to sample, the shortest first, each holding every channel in `wanted`.
+
+    The second is for cards whose multiplexer only counts upwards: every channel from the lowest to the highest. Of
+    differential channels these cards count the even ones only, the odd ones being the other ends.
+    """
+    step = 2 if differential and all(channel % 2 == 0 for channel in wanted) else 1
+    consecutive = tuple(range(min(wanted), max(wanted) + 1, step))
+    return (wanted,) if wanted == consecutive else (wanted, consecutive)
 
 
 @dataclass(frozen=True)
@@ -113,20 +141,20 @@ class Subdevice:
 
     def ranges(self, channel: int) -> tuple[tuple[float, float], ...]:
         """Voltage ranges of a channel, by their index; NaN where a range is not in volts."""
-        pc = _pycomedi()
+        volt = require().constant.UNIT.volt
         own = self._subdevice.channel(channel).ranges()
-        return tuple((r.min, r.max) if r.unit == pc.UNIT.volt else (float("nan"), float("nan")) for r in own)
+        return tuple((r.min, r.max) if r.unit == volt else (float("nan"), float("nan")) for r in own)
 
     def line(self, channel: int, range_index: int, *, differential: bool = False) -> AnalogueChannel:
         """A channel in the range of that index."""
-        pc = _pycomedi()
+        pc = require()
         what = f"{self.word} {channel}"
         with _as_card_error(self._path, what):
             own = self._subdevice.channel(
                 channel,
-                factory=pc.AnalogChannel,
+                factory=pc.channel.AnalogChannel,
                 range=range_index,
-                aref=pc.AREF.diff if differential else pc.AREF.ground,
+                aref=pc.constant.AREF.diff if differential else pc.constant.AREF.ground,
             )
         return AnalogueChannel(own, self._path, what)
 
@@ -138,16 +166,16 @@ class Subdevice:
 
     def prepare(self, lines: Sequence[AnalogueChannel], timing: CommandTiming) -> CommandTiming | None:
         """Set up an endless command over `lines`; the timing that the driver rounded it to, None where it refuses."""
-        pc = _pycomedi()
-        cmd = pc.Command()
+        pc = require()
+        cmd = pc.command.Command()
         cmd.subdev = self._subdevice.index
         # Without it some drivers deliver samples only once the FIFO is half full: 512 samples late on a 171x.
-        cmd.flags = pc.CMDF.wake_eos
-        cmd.start_src, cmd.start_arg = pc.TRIG_SRC.now, 0
+        cmd.flags = pc.constant.CMDF.wake_eos
+        cmd.start_src, cmd.start_arg = pc.constant.TRIG_SRC.now, 0
         cmd.scan_begin_src, cmd.scan_begin_arg = int(timing.scan_begin), timing.scan_ns
         cmd.convert_src, cmd.convert_arg = int(timing.convert), timing.convert_ns
-        cmd.scan_end_src, cmd.scan_end_arg = pc.TRIG_SRC.count, len(lines)
-        cmd.stop_src, cmd.stop_arg = pc.TRIG_SRC.none, 0
+        cmd.scan_end_src, cmd.scan_end_arg = pc.constant.TRIG_SRC.count, len(lines)
+        cmd.stop_src, cmd.stop_arg = pc.constant.TRIG_SRC.none, 0
         cmd.chanlist = [line.chanspec for line in lines]
         self._subdevice.cmd = cmd
         for _ in range(_ROUNDINGS):
@@ -194,13 +222,13 @@ class Device:
 
     def __init__(self, path: str) -> None:
         """Open /dev/comediN. Raises CardError: it cannot be opened; the message says why and what to do."""
-        pc = _pycomedi()
+        pc = require()
         self.path = path
         # The error of Comedilib is unreliable, so the kernel is asked first, and again if the card was taken meanwhile.
         for again in (True, False):
             if (failure := closed(path)) is not None:
                 raise failure
-            self._device = pc.Device(os.fsencode(path))
+            self._device = pc.device.Device(os.fsencode(path))
             try:
                 with _as_card_error(path, "it exists, but no card is attached to it"):
                     self._device.open()
@@ -214,19 +242,19 @@ class Device:
                 self.board = _text(self._device.get_board_name())
                 self.subdevices = tuple((s.get_type().name, int(s.get_n_channels())) for s in self._device.subdevices())
                 """What the card has: Comedi's short name of the kind (`ai`, `dio`, ...), and how many channels."""
-                self.inputs = self._analogue(pc.SUBDEVICE_TYPE.ai, "input")
-                self.outputs = self._analogue(pc.SUBDEVICE_TYPE.ao, "output")
-                self.digital_inputs = self._digital((pc.SUBDEVICE_TYPE.di, pc.SUBDEVICE_TYPE.dio))
+                self.inputs = self._analogue(pc.constant.SUBDEVICE_TYPE.ai, "input")
+                self.outputs = self._analogue(pc.constant.SUBDEVICE_TYPE.ao, "output")
+                self.digital_inputs = self._digital((pc.constant.SUBDEVICE_TYPE.di, pc.constant.SUBDEVICE_TYPE.dio))
                 # Lines that can be both change direction in groups: an output would turn emergency stops into outputs.
-                self.digital_outputs = self._digital((pc.SUBDEVICE_TYPE.do,))
+                self.digital_outputs = self._digital((pc.constant.SUBDEVICE_TYPE.do,))
             os.set_blocking(self.fileno, False)
         except BaseException:
             self.close()
             raise
 
     def _analogue(self, kind: Any, word: str) -> Subdevice | None:
-        pc = _pycomedi()
-        found = [s for s in self._device.subdevices(factory=pc.StreamingSubdevice) if s.get_type() == kind]
+        pc = require()
+        found = [s for s in self._device.subdevices(factory=pc.subdevice.StreamingSubdevice) if s.get_type() == kind]
         if not found:
             return None
         try:
@@ -258,40 +286,23 @@ def device_paths() -> tuple[str, ...]:
     return tuple(sorted(str(p) for p in Path("/dev").glob("comedi[0-9]*") if p.name[6:].isdigit()))
 
 
-def require() -> None:
-    """Import pycomedi. Raises CardError: it is not installed."""
-    _pycomedi()
-
-
 @functools.cache
-def _pycomedi() -> Any:
-    """The parts of pycomedi that are used."""
+def require() -> Any:
+    """The package pycomedi. Raises CardError: it is not installed, or is another build."""
     try:
-        from pycomedi import PyComediError, __version__
-        from pycomedi.channel import AnalogChannel
-        from pycomedi.command import Command
-        from pycomedi.constant import AREF, CMDF, SUBDEVICE_TYPE, TRIG_SRC, UNIT
-        from pycomedi.device import Device
-        from pycomedi.subdevice import StreamingSubdevice
+        import pycomedi.channel
+        import pycomedi.command
+        import pycomedi.constant
+        import pycomedi.device
+        import pycomedi.subdevice
     except ImportError as error:
         raise CardError(f"pycomedi is not installed ({error})", "run `make comedi` in softrig's folder") from None
-    if __version__ != _BUILD:
+    if pycomedi.__version__ != _BUILD:
         raise CardError(
-            f"pycomedi is build {__version__}, which cannot open every card; softrig needs {_BUILD}",
+            f"pycomedi is build {pycomedi.__version__}, which cannot open every card; softrig needs {_BUILD}",
             "run `make comedi` in softrig's folder",
         )
-    return SimpleNamespace(
-        PyComediError=PyComediError,
-        AnalogChannel=AnalogChannel,
-        Command=Command,
-        AREF=AREF,
-        CMDF=CMDF,
-        SUBDEVICE_TYPE=SUBDEVICE_TYPE,
-        TRIG_SRC=TRIG_SRC,
-        UNIT=UNIT,
-        Device=Device,
-        StreamingSubdevice=StreamingSubdevice,
-    )
+    return pycomedi
 
 
 @contextlib.contextmanager
@@ -299,7 +310,7 @@ def _as_card_error(path: str, what: str) -> Iterator[None]:
     """Turn pycomedi's error into a `CardError` that names the device and what was tried."""
     try:
         yield
-    except _pycomedi().PyComediError as error:
+    except require().PyComediError as error:
         reason = _text(error.comedi_msg) if error.comedi_msg else str(error)
         raise CardError(f"{path}: {what} ({reason})") from None
 

@@ -6,8 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from rig.hardware.cards.base import CardError
-from rig.hardware.cards.comedi_device import Device, Subdevice, device_paths
-from rig.hardware.cards.comedi_timing import timings
+from rig.hardware.cards.comedi_device import Device, Subdevice, device_paths, timings
 
 
 @dataclass(frozen=True)

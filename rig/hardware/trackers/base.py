@@ -8,7 +8,7 @@ from typing import Protocol
 from model.arrays import Array
 from rig.config.schema import RigConfig
 from rig.config.tracker_sections import TRACKER_DRIVERS
-from rig.hardware.tip_source import TipSourceError
+from rig.hardware.driver_calls import TipSourceError
 from runs.records import DATAGRAM_COUNTS
 
 

@@ -6,16 +6,20 @@ import contextlib
 import socket
 import time
 
+from rig.config.drivers import Finding
 from rig.config.schema import RigConfig
 from rig.config.tracker_sections import UdpTrackerConfig
 from rig.hardware.trackers.base import TrackerError, TrackerReading
 from rig.hardware.trackers.datagram import BYTES
 from rig.hardware.trackers.receiver import TrackerReceiver
+from runs.records import DATAGRAM_COUNTS
 
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
 """Linux: the kernel's time of arrival comes with the message. Python names the option since 3.14 only."""
 _TIMESPEC = 16
 _BUFFER = 1 << 18
+LISTENS_S = 1.5
+"""Time in which a sender's clock becomes known and a pose comes."""
 
 
 class UdpTracker:
@@ -87,3 +91,25 @@ def _arrival_ns(ancillary: list[tuple[int, int, bytes]]) -> int:
             # CLOCK_REALTIME may be set between arrival and reading.
             return time.monotonic_ns() - (age_ns if 0 <= age_ns < 1_000_000_000 else 0)
     return time.monotonic_ns()
+
+
+def examine(config: RigConfig, name: str) -> list[Finding]:
+    """Listen for poses, for `rig doctor`; none come while a run uses the port."""
+    section = config.trackers[name]
+    assert isinstance(section, UdpTrackerConfig)
+    topic, place = f"rig's tracker {name}", f"UDP {section.address}:{section.port}"
+    try:
+        with contextlib.closing(UdpTracker(config, name)) as tracker:
+            reading = tracker.read(LISTENS_S)
+            counts = tracker.counts()
+    except TrackerError as error:
+        return [Finding(topic, "missing", str(error), "end the other program, or state another port")]
+    if reading is not None:
+        found = (
+            f"poses at {place} from {section.sender}; its clock drifts by {reading.clock.drift * 1e6:+.0f} ppm, "
+            f"times are known to {reading.time_std_s * 1e3:.2f} ms beside the constant delay"
+        )
+        return [Finding(topic, "ok", found, "nothing")]
+    unused = ", ".join(f"{n} {what.replace('_', ' ')}" for what, n in zip(DATAGRAM_COUNTS, counts, strict=True) if n)
+    found = f"no pose at {place} in {LISTENS_S:g} s" + (f"; not used: {unused}" if unused else "")
+    return [Finding(topic, "missing", found, f"start the sender; messages must come from {section.sender}")]

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from rig.doctor import machine
+from rig.realtime.scheduling import Scheduling
 
 
 def test_a_priority_that_only_a_part_of_a_run_could_have_is_not_enough(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -27,7 +28,7 @@ def test_a_priority_that_only_a_part_of_a_run_could_have_is_not_enough(monkeypat
 
 
 def test_memory_that_may_not_be_locked_names_the_line_to_add(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setattr(machine, "obtainable", lambda: Scheduling.NONE)
     monkeypatch.setattr(resource, "getrlimit", lambda which: (8 << 20, 8 << 20))
     monkeypatch.setattr(os, "getgid", lambda: 0)
     monkeypatch.setattr(os, "getgroups", lambda: [0])

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import rig.hardware.cards.opening
+import rig.hardware.cards.base
 from rig.config.card_sections import CardConfig
 from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
-from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
-from rig.hardware.cards.opening import card_setup
+from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans, card_setup
 from rig.hardware.safe_state import armed_sentence, make_safe
 from rig.hardware.vent import vent
 from tests.support.plant_bench import mock_rig
@@ -170,7 +169,7 @@ def test_an_unexpected_error_of_one_card_does_not_stop_the_safe_state_of_others(
             raise bug("oddly broken")
         return cards[setup.name]
 
-    monkeypatch.setattr(rig.hardware.cards.opening, "card_type", lambda card: opened)
+    monkeypatch.setattr(rig.hardware.cards.base, "card_type", lambda card: opened)
     with pytest.raises(CardError, match=f"card daq: {bug.__name__}: oddly broken"):
         make_safe(two_card_rig(), vent=False)
     assert cards["other"].outputs.tolist() == [5.0]
@@ -186,7 +185,7 @@ def test_a_driver_that_fails_to_close_leaves_no_card_open_and_ends_no_vent(
         raise OSError("cable pulled")
 
     monkeypatch.setattr(cards["daq"], "close", unplugged)
-    monkeypatch.setattr(rig.hardware.cards.opening, "open_card", lambda card, setup: cards[setup.name])
+    monkeypatch.setattr(rig.hardware.cards.base, "open_card", lambda card, setup: cards[setup.name])
     vent(two_card_rig())
     assert cards["other"].closed
     cards["other"].closed = False
@@ -244,7 +243,7 @@ def test_a_card_that_cannot_be_opened_does_not_stop_the_safe_state_of_others(
             raise CardError("card daq is not there")
         return cards[setup.name]
 
-    monkeypatch.setattr(rig.hardware.cards.opening, "open_card", opened)
+    monkeypatch.setattr(rig.hardware.cards.base, "open_card", opened)
     with pytest.raises(CardError, match="card daq is not there"):
         make_safe(two_card_rig(), vent=True)
     assert cards["other"].outputs.tolist() == [0.0]
@@ -261,7 +260,7 @@ def test_a_card_of_another_process_does_not_stop_the_venting_of_others(
             raise CardBusyError("card daq", (os.getpid(),))
         return cards[setup.name]
 
-    monkeypatch.setattr(rig.hardware.cards.opening, "open_card", opened)
+    monkeypatch.setattr(rig.hardware.cards.base, "open_card", opened)
     monkeypatch.setattr(os, "kill", lambda pid, number: None)
     vent(two_card_rig())
     assert cards["daq"].outputs.tolist() == [0.0]

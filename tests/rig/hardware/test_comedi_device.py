@@ -131,8 +131,8 @@ def test_a_card_that_another_process_opens_between_the_question_and_the_opening_
     opened = os.open
     node = tmp_path / "comedi0"
     node.touch()
-    binding = SimpleNamespace(PyComediError=RefusedError, Device=Contested)
-    monkeypatch.setattr(comedi_device, "_pycomedi", lambda: binding)
+    binding = SimpleNamespace(PyComediError=RefusedError, device=SimpleNamespace(Device=Contested))
+    monkeypatch.setattr(comedi_device, "require", lambda: binding)
     monkeypatch.setattr(os, "open", asked)
     with pytest.raises(CardBusyError, match="one process at a time"):
         Device(str(node))

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.hardware.cards.comedi_device import CommandTiming, Trigger
-from rig.hardware.cards.comedi_timing import channel_lists, timings
+from rig.hardware.cards.comedi_device import CommandTiming, Trigger, channel_lists, timings
 
 NOW, FOLLOW, TIMER = Trigger.NOW, Trigger.FOLLOW, Trigger.TIMER
 

@@ -133,7 +133,7 @@ PLACES: dict[str, tuple[Callable[[], Path], Callable[[], object]]] = {
 
 
 def _open_alone() -> MockCard:
-    from rig.hardware.cards.opening import card_setup
+    from rig.hardware.cards.base import card_setup
 
     text = with_one_opener(rig.config.loader.text("mock"), one_opener=True)
     return MockCard(card_setup(rig.config.loader.parse(text, "rig.yaml"), "daq"))

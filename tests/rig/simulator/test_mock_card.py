@@ -15,8 +15,7 @@ import pytest
 
 from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
-from rig.hardware.cards.base import CardError, CardSetup, Channel
-from rig.hardware.cards.opening import card_setup, open_card
+from rig.hardware.cards.base import CardError, CardSetup, Channel, card_setup, open_card
 from rig.simulator import registers
 from rig.simulator.mock_card import MockCard
 from rig.simulator.registers import Registers, path_of

@@ -12,7 +12,7 @@ from protocols import BadInputError
 from rig.config import consistency, loader
 from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
-from rig.hardware.cards.opening import card_setup
+from rig.hardware.cards.base import card_setup
 from rig.hardware.safe_state import safe_outputs
 from rig.simulator.plant import Plant
 from tests.support.bus_rig import bus_rig, bus_text
