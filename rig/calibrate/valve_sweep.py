@@ -18,7 +18,7 @@ from rig.config import calibration_schema
 from rig.config.arm_model import model_arm
 from rig.config.calibration_files import rounded
 from rig.config.schema import RigConfig
-from rig.control.interlocks.actuator_interlocks import PressureRate
+from rig.control.interlocks.conditions import PressureRate
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from rig.valves.metering import MeteringValve
 

@@ -54,7 +54,7 @@ class Sample(NamedTuple):
 
 @dataclass(frozen=True)
 class Trip:
-    """The reason to stop a run. `value` and `limit` are in `unit`; the message contains all three.
+    """The reason to stop a run; the message has the value and its limit.
 
     With `vent` the run ends with every chamber vented, also those that the safe state holds.
     """
@@ -62,9 +62,6 @@ class Trip:
     t_ns: int
     source: str
     message: str
-    value: float
-    limit: float
-    unit: str
     vent: bool = False
 
 

@@ -12,24 +12,22 @@ from dataclasses import dataclass
 from model.units import PA_PER_BAR
 from rig.config.schema import RigConfig
 from rig.control import sensor_state
-from rig.control.interlocks.actuator_interlocks import (
-    FrozenReading,
-    PressureRange,
-    PressureRate,
-    Tracking,
-    UnresponsiveSensor,
-)
+from rig.control.interlocks import conditions
 from rig.control.interlocks.base import ActuatorInterlock, Sample, SampleInterlock, Trip
-from rig.control.interlocks.sample_interlocks import BrokenSensors, EmergencyStops, SilentStream, StaleSamples
 from rig.control.sensor_state import RegulatorDemand, SensorSettings, SensorState
 
-SAMPLE_INTERLOCKS: tuple[type[SampleInterlock], ...] = (EmergencyStops, StaleSamples, SilentStream, BrokenSensors)
+SAMPLE_INTERLOCKS: tuple[type[SampleInterlock], ...] = (
+    conditions.EmergencyStops,
+    conditions.StaleSamples,
+    conditions.SilentStream,
+    conditions.BrokenSensors,
+)
 ACTUATOR_INTERLOCKS: tuple[type[ActuatorInterlock], ...] = (
-    PressureRange,
-    PressureRate,
-    FrozenReading,
-    UnresponsiveSensor,
-    Tracking,
+    conditions.PressureRange,
+    conditions.PressureRate,
+    conditions.FrozenReading,
+    conditions.UnresponsiveSensor,
+    conditions.Tracking,
 )
 
 

@@ -34,11 +34,6 @@ def open_camera(config: RigConfig, name: str, seed: int) -> Camera:
     return RecordedCamera(camera)
 
 
-def serial_of(camera: CameraConfig) -> str | None:
-    """Serial number of the USB device behind a camera."""
-    return v4l2_serial(camera.device)
-
-
 class OpenCVCamera:
     """A V4L2 camera that keeps one buffer, so that a picture is never older than one period.
 
@@ -121,8 +116,9 @@ class OpenCVCamera:
         self._capture.release()
 
 
-def v4l2_serial(device: str | int, devices: Path = VIDEO_DEVICES) -> str | None:
+def serial_of(camera: CameraConfig, devices: Path = VIDEO_DEVICES) -> str | None:
     """Serial number of the USB device behind a V4L2 camera; None where there is none or it has none."""
+    device = camera.device
     name = f"video{device}" if isinstance(device, int) else Path(device).resolve().name
     node = devices / name / "device"
     if not node.exists():

@@ -19,7 +19,7 @@ from rig.config.board_sections import CheckerboardPattern
 from rig.config.calibration_files import parse, read, text_of, write
 from rig.config.optics import camera_in_base, lens_of, rigid
 from rig.config.sections import LensConfig, Placement
-from rig.hardware.cameras.opencv import v4l2_serial
+from rig.hardware.cameras.opencv import serial_of
 from runs.overwriting import WouldOverwriteError
 from tests.support.budget import examples
 from tests.support.command_line import invoke
@@ -294,8 +294,9 @@ def test_the_serial_number_is_that_of_the_usb_device(tmp_path: Path) -> None:
     (usb / "serial").write_text("SN-77\n")
     (tmp_path / "video3").mkdir()
     (tmp_path / "video3" / "device").symlink_to(usb / "1-2:1.0")
-    assert v4l2_serial("/dev/video3", tmp_path) == "SN-77"
-    assert v4l2_serial(4, tmp_path) is None
+    camera = loader.load("mock").cameras["front"]
+    assert serial_of(camera.model_copy(update={"device": "/dev/video3"}), tmp_path) == "SN-77"
+    assert serial_of(camera.model_copy(update={"device": 4}), tmp_path) is None
 
 
 def test_two_calibrations_of_one_thing_are_refused(tmp_path: Path) -> None:

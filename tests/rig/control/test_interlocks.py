@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -90,10 +92,8 @@ def test_over_pressure_trips_with_value_limit_and_unit() -> None:
     trip = command.trip
     assert trip is not None
     assert trip.source == "over-pressure"
-    assert trip.value == pytest.approx(0.755, abs=0.006)
-    assert trip.limit == pytest.approx(0.75)
-    assert trip.unit == "bar"
-    assert f"actuator 1 is at {trip.value:.3f} bar (limit 0.750 bar)" == trip.message
+    (value,) = re.fullmatch(r"actuator 1 is at (\d\.\d{3}) bar \(limit 0\.750 bar\)", trip.message).groups()
+    assert float(value) == pytest.approx(0.755, abs=0.006)
 
 
 def test_a_pressure_that_rises_too_fast_trips_before_it_is_too_high() -> None:
@@ -103,7 +103,7 @@ def test_a_pressure_that_rises_too_fast_trips_before_it_is_too_high() -> None:
     while not (command := loop.cycle((bar, 0, 0), (0.2, 0, 0))).trip:
         bar += 10.0 * 0.005
     assert command.trip.source == "pressure rate"
-    assert command.trip.unit == "bar/s"
+    assert "bar/s" in command.trip.message
     assert bar < 0.4
 
 
@@ -113,7 +113,7 @@ def test_a_pressure_that_falls_too_fast_trips() -> None:
     bar = 0.6
     while not (command := loop.cycle((bar, 0, 0), (0.6, 0, 0))).trip:
         bar -= 10.0 * 0.005
-    assert command.trip.value < -2.0
+    assert re.match(r"actuator 1 changes by -\d+\.\d{3} bar/s \(limit 2\.000 bar/s\)", command.trip.message)
 
 
 @pytest.mark.parametrize("volts", [-0.2, 10.0, 10.2, float("nan")])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from protocols.trajectory import Segment, SetPointTrajectory, StreamInterval
 from rig.config.loader import load
 from rig.control.interlocks.base import Sample
-from rig.control.interlocks.sample_interlocks import SilentStream
+from rig.control.interlocks.conditions import SilentStream
 from rig.control.stream_follower import StreamFollower
 from runs.columns import StreamStatus
 from runs.records import blank, streamed_dtype

@@ -13,7 +13,7 @@ from rig.config import loader
 from rig.config.schema import RigConfig
 from rig.control import sensor_state
 from rig.control.interlocks import evaluation
-from rig.control.interlocks.actuator_interlocks import PressureRange
+from rig.control.interlocks.conditions import PressureRange
 from rig.control.sensor_state import RegulatorDemand
 from rig.experiment.preflight import check
 from rig.hardware.safe_state import safe_outputs
