@@ -15,17 +15,12 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from runs import columns
 from runs.columns import BACKBONE_POINTS as BACKBONE_POINTS
 from runs.columns import DATAGRAM_COUNTS as DATAGRAM_COUNTS
 from runs.columns import DetectionStatus as DetectionStatus
 from runs.columns import SolveStatus as SolveStatus
-from runs.record_dtypes import adaptation_dtype as adaptation_dtype
-from runs.record_dtypes import blank as blank
-from runs.record_dtypes import observation_dtype as observation_dtype
-from runs.record_dtypes import pulse_dtype as pulse_dtype
-from runs.record_dtypes import sample_dtype as sample_dtype
-from runs.record_dtypes import streamed_dtype as streamed_dtype
-from runs.record_dtypes import tip_control_dtype as tip_control_dtype
+from runs.columns.declaration import Table
 
 MODEL_ALONE = "model alone"
 """Executor of a simulation of the model, without a bench."""
@@ -285,3 +280,79 @@ class RunFooter:
     message: str
     counters: dict[str, int] = field(default_factory=dict)
     """Ring overflows, dropped frames, missed deadlines, stolen CPU time [ms], as the executor counted them."""
+
+
+_ZERO = {c.record for table in columns.TABLES for c in table.columns() if c.record and c.missing == 0}
+_SIZES = {axis: int(size) for axis, (size, _) in columns.AXES.items() if size.isdecimal()}
+_SIZES["station"] = columns.BACKBONE_POINTS
+
+
+def sample_dtype(actuators: int, valves: int, inputs: int = 0) -> np.dtype[np.void]:
+    """One control cycle: `Pressure` and `Timing`, and `Auxiliary` for a rig with auxiliary inputs.
+
+    `t_ns` is the time of the newest scan, `measured_pa` the mean of the `scans` scans since the last cycle,
+    `valve_v` the voltage then commanded, NaN where an output is in another unit.
+    """
+    tables = (columns.Pressure, columns.Timing, *([columns.Auxiliary] if inputs else []))
+    return _dtype(*tables, actuator=actuators, valve=valves, input=inputs)
+
+
+def observation_dtype(
+    actuators: int, cameras: int = 1, tracker: bool = False, triggered: bool = False, sections: int = 0
+) -> np.dtype[np.void]:
+    """One frame of every camera: `Tip`, `Backbone`, `Simulated`, `Reference` and `Learning`, in the rod-base frame.
+
+    With a tracker: one reading, with `TrackerClock`. With triggered cameras: also `TriggeredFrame`. With measured
+    sections: also `Sections`.
+
+    `seen` is a `DetectionStatus`; where it is not MEASURED the measured columns are NaN. `truth_m` is NaN on a real
+    rig. `age_ns` is the time from exposure to the end of the computation.
+    """
+    some = ((tracker, columns.TrackerClock), (triggered, columns.TriggeredFrame), (sections, columns.Sections))
+    tables = (columns.Tip, columns.Backbone, columns.Simulated, columns.Reference, columns.Learning)
+    every = (*tables, *(table for present, table in some if present))
+    return _dtype(*every, actuator=actuators, camera=cameras, section=sections)
+
+
+def adaptation_dtype(parameters: int) -> np.dtype[np.void]:
+    """Result of the recursive estimator for one camera frame: `Adaptation`, in the order of `RunHeader.adapted`.
+
+    `start_model_m` is the tip with the initial parameters; the observation's `model_m` is that with the estimates
+    before the frame.
+    """
+    return _dtype(columns.Adaptation, parameter=parameters)
+
+
+def tip_control_dtype(valves: int) -> np.dtype[np.void]:
+    """One plan of the tip controller: `TipControl`."""
+    return _dtype(columns.TipControl, valve=valves)
+
+
+def pulse_dtype() -> np.dtype[np.void]:
+    """One pulse of the camera trigger: `TriggerPulse`."""
+    return _dtype(columns.TriggerPulse)
+
+
+def streamed_dtype(actuators: int) -> np.dtype[np.void]:
+    """One set-point of another program: `StreamedSetPoints`."""
+    return _dtype(columns.StreamedSetPoints, actuator=actuators)
+
+
+def _dtype(*tables: type[Table], **sizes: int) -> np.dtype[np.void]:
+    known = _SIZES | sizes
+    fields = {
+        column.record: (column.record, column.dtype, tuple(known[axis] for axis in column.shape or column.axes))
+        for table in tables
+        for column in table.columns()
+        if column.record
+    }
+    return np.dtype(list(fields.values()))
+
+
+def blank(count: int | tuple[()], dtype: np.dtype[np.void]) -> NDArray[np.void]:
+    """Return records (count,) in which no field is set: each is NaN, unless declared otherwise."""
+    rows = np.zeros(count, dtype)
+    for name in dtype.names or ():
+        if dtype[name].base.kind == "f" and name not in _ZERO:
+            rows[name] = np.nan
+    return rows

@@ -8,34 +8,31 @@ row in `docs/reference/archive.md` (`python -m runs.archive.reference docs/refer
 from __future__ import annotations
 
 from runs.columns.adaptation import Adaptation
-from runs.columns.control_cycles import Auxiliary, Pressure, Timing
+from runs.columns.control_cycles import Auxiliary, Pressure, Timing, TriggerPulse
 from runs.columns.conversions import COUNT, SECONDS
 from runs.columns.declaration import Column, Table
-from runs.columns.observations import BACKBONE_POINTS, Backbone, DetectionStatus, Simulated, Tip
-from runs.columns.sections import Sections
+from runs.columns.observations import (
+    BACKBONE_POINTS,
+    DATAGRAM_COUNTS,
+    Backbone,
+    DetectionStatus,
+    Sections,
+    Simulated,
+    Tip,
+    TrackerClock,
+    TriggeredFrame,
+)
 from runs.columns.streamed import StreamedSetPoints, StreamStatus
 from runs.columns.tip_control import PLAN_AHEAD_S, Learning, Reference, SolveStatus, TipControl
-from runs.columns.tracker import DATAGRAM_COUNTS, TrackerClock
-from runs.columns.trigger import TriggeredFrame, TriggerPulse
 
 __all__ = [
-    "ADAPTATIONS",
-    "AUXILIARY",
     "AXES",
     "BACKBONE_POINTS",
     "COUNT",
     "DATAGRAM_COUNTS",
-    "OBSERVATIONS",
     "PLAN_AHEAD_S",
-    "SAMPLES",
     "SECONDS",
-    "SECTIONS",
-    "STREAMED",
     "TABLES",
-    "TIP_CONTROL",
-    "TRACKED",
-    "TRIGGERED",
-    "TRIGGER_PULSES",
     "Adaptation",
     "Auxiliary",
     "Backbone",
@@ -74,26 +71,20 @@ AXES = {
 }
 """Size of each axis in the reference page, and what its scale holds."""
 
-SAMPLES: tuple[type[Table], ...] = (Pressure, Timing)
-AUXILIARY: tuple[type[Table], ...] = (Auxiliary,)
-OBSERVATIONS: tuple[type[Table], ...] = (Tip, Backbone, Simulated, Reference, Learning)
-TRACKED: tuple[type[Table], ...] = (TrackerClock,)
-TRIGGERED: tuple[type[Table], ...] = (TriggeredFrame,)
-SECTIONS: tuple[type[Table], ...] = (Sections,)
-TRIGGER_PULSES: tuple[type[Table], ...] = (TriggerPulse,)
-ADAPTATIONS: tuple[type[Table], ...] = (Adaptation,)
-TIP_CONTROL: tuple[type[Table], ...] = (TipControl,)
-STREAMED: tuple[type[Table], ...] = (StreamedSetPoints,)
-"""The tables of each record."""
-TABLES = (
-    *SAMPLES,
-    *AUXILIARY,
-    *OBSERVATIONS,
-    *TRACKED,
-    *TRIGGERED,
-    *SECTIONS,
-    *TRIGGER_PULSES,
-    *ADAPTATIONS,
-    *TIP_CONTROL,
-    *STREAMED,
+TABLES: tuple[type[Table], ...] = (
+    Pressure,
+    Timing,
+    Auxiliary,
+    Tip,
+    Backbone,
+    Simulated,
+    Reference,
+    Learning,
+    TrackerClock,
+    TriggeredFrame,
+    Sections,
+    TriggerPulse,
+    Adaptation,
+    TipControl,
+    StreamedSetPoints,
 )

@@ -1,8 +1,8 @@
-"""Columns of the control cycles: pressures, auxiliary inputs and timing."""
+"""Columns of the control cycles: pressures, auxiliary inputs, timing, and the pulses that trigger the cameras."""
 
 from __future__ import annotations
 
-from runs.columns.conversions import protocol_time_column, time_column, to_bar, to_us
+from runs.columns.conversions import COUNT, protocol_time_column, time_column, to_bar, to_us
 from runs.columns.declaration import Column, Table
 
 
@@ -56,3 +56,22 @@ class Timing(Table):
     time_s = time_column("time of the newest scan of the cycle")
     overruns = Column("missed", "<i4", about="deadlines missed since the last cycle")
     lateness_us = Column("lateness_ns", "<i8", unit="us", about="how late the control cycle began", convert=to_us)
+
+
+class TriggerPulse(Table):
+    """Pulses of the camera trigger (g,). Only for rigs with a `trigger`."""
+
+    group, rows, signal = "trigger", "G", "uncertainty_us"
+    about = "one row per pulse; tip/frame is the number of the pulse that began the exposure"
+
+    time_s = time_column("rising edge")
+    pulse = Column("pulse", "<i8", about="number of the pulse")
+    skipped = Column(
+        "skipped", "<i4", about="frame periods without a pulse before this one, because control was late", limits=COUNT
+    )
+    uncertainty_us = Column(
+        "write_s",
+        unit="us",
+        about="half of the duration of the write that set the output high",
+        convert=lambda seconds: seconds * 0.5e6,
+    )

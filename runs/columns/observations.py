@@ -1,4 +1,4 @@
-"""Columns of the camera frames: the measured tip, and what model and simulator say beside it."""
+"""Columns of the camera frames: what was measured in each, and what model and simulator say beside it."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ from runs.columns.declaration import Column, Table, Values
 
 BACKBONE_POINTS = 11
 """Points of the model's backbone, evenly spaced along the arm at rest."""
+DATAGRAM_COUNTS = ("lost", "doubled", "reordered", "late", "malformed", "foreign", "implausible", "clock_steps")
+"""What is counted of a tracker's messages: those that were not used, by reason, and steps of the sender's clock."""
 _DEG_PER_RAD = 180 / np.pi
 _UPPER = (np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2]))
 _FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
@@ -199,4 +201,116 @@ class Simulated(Table):
     time_s = time_column("middle of the exposure")
     tip_mm = Column(
         "truth_m", axes=("axis",), unit="mm", about="SIMULATED: true tool centre point of the simulator", convert=to_mm
+    )
+
+
+def _section_error_mm(rows: NDArray[np.void]) -> Values:
+    return np.asarray(np.linalg.norm(rows["section_m"] - rows["section_model_m"], axis=2) * MM_PER_M)
+
+
+class Sections(Table):
+    """Measured sections (m, sections, ..) in the rod-base frame, at the times of `Tip`; NaN without a measurement."""
+
+    group, rows, signal = "sections", "M", "error_mm"
+    about = "one row per camera frame of a rig with `sections`; NaN where nothing was measured"
+    facts = (("names", "section"), ("at_mm", "at_mm"))
+    names: tuple[str, ...]
+    at_mm: Values
+    """Arc lengths from the rod base, of the arm at rest."""
+
+    time_s = time_column("middle of the exposure")
+    seen = Column("section_seen", "<i4", axes=("section",), about=STATUSES, among=tuple(DetectionStatus))
+    measured_mm = Column(
+        "section_m", axes=("section", "axis"), unit="mm", about="point of the arm's axis, by the board", convert=to_mm
+    )
+    covariance_mm2 = Column(
+        "section_covariance_m2",
+        axes=("section", "component"),
+        shape=("section", "axis", "axis"),
+        unit="mm^2",
+        about="covariance of measured_mm: xx, xy, xz, yy, yz, zz",
+        convert=lambda covariance: upper_triangle(covariance) * MM_PER_M**2,
+        read=full_matrix,
+    )
+    orientation_deg = Column(
+        "section_orientation_rad",
+        axes=("section", "axis"),
+        unit="deg",
+        about="measured rotation vector of the section's frame in the rod-base frame",
+        convert=np.rad2deg,
+    )
+    orientation_covariance_deg2 = Column(
+        "section_orientation_covariance_rad2",
+        axes=("section", "component"),
+        shape=("section", "axis", "axis"),
+        unit="deg^2",
+        about="covariance of a small rotation about the rod-base axes: xx, xy, xz, yy, yz, zz",
+        convert=lambda covariance: upper_triangle(covariance) * _DEG_PER_RAD**2,
+        read=full_matrix,
+    )
+    reprojection_px = Column(
+        "section_reprojection_px", axes=("section",), unit="px", about="rms over the board's corners"
+    )
+    model_mm = Column(
+        "section_model_m",
+        axes=("section", "axis"),
+        unit="mm",
+        about="the same point of the model; NaN where the step was not solved",
+        convert=to_mm,
+    )
+    error_mm = Column(
+        of=_section_error_mm, axes=("section",), unit="mm", about="distance between measured and modelled point"
+    )
+
+
+class TrackerClock(Table):
+    """Clock of a tracker and counts of its messages (m, ..), at the times of `Tip`."""
+
+    group, rows, signal = "tracker", "M", "clock_offset_s"
+    about = "one row per observation of a rig with a tracker; NaN where no message came"
+
+    time_s = time_column("of the pose, on the own clock")
+    clock_offset_s = Column(
+        "clock_offset_s", unit="s", about="own time minus the sender's; contains the constant part of the delay"
+    )
+    clock_drift_ppm = Column(
+        "clock_drift",
+        unit="1e-6",
+        about="change of the offset per time of the sender",
+        convert=lambda drift: drift * 1e6,
+    )
+    clock_uncertainty_us = Column(
+        "clock_std_s", unit="us", about="standard uncertainty of the offset's estimate", convert=lambda s: s * 1e6
+    )
+    time_uncertainty_us = Column(
+        "time_std_s",
+        unit="us",
+        about="standard uncertainty of the time, with that of the constant delay",
+        convert=lambda s: s * 1e6,
+    )
+    messages = Column(
+        "datagrams", "<i8", axes=("count",), about="messages that were not used and steps of the clock, since the start"
+    )
+
+
+class TriggeredFrame(Table):
+    """What the pulses say of the camera frames (m, cameras), at the times of `Tip`. Only for rigs with a `trigger`."""
+
+    group, rows, signal = "exposure", "M", "stamp_delay_us"
+    about = "one row per camera frame of a rig with a trigger"
+
+    time_s = time_column("middle of the exposure, by the pulse that began it")
+    stamp_delay_us = Column(
+        "stamp_delay_s",
+        axes=("camera",),
+        unit="us",
+        about="time that the camera's driver gives, minus that by the pulse; NaN where a camera gave no picture",
+        convert=lambda seconds: seconds * 1e6,
+    )
+    untriggered = Column(
+        "untriggered",
+        "<i4",
+        axes=("camera",),
+        about="pictures of the camera that no pulse began, since it was opened; they are not used",
+        limits=COUNT,
     )

@@ -14,12 +14,11 @@ import runs
 import tests.support.synthetic_runs as made_up
 from runs.archive import layout, schema
 from runs.archive.writer import ArchiveError, finalise
-from runs.columns import ADAPTATIONS, AUXILIARY, OBSERVATIONS, SAMPLES, Tip
+from runs.columns import TABLES, Tip
 from runs.columns.declaration import Column
 from runs.export.exporters import export
 from runs.journal.journal import JournalWriter
-from runs.record_dtypes import blank
-from runs.records import RunFooter, Status, adaptation_dtype, observation_dtype, pulse_dtype, sample_dtype
+from runs.records import RunFooter, Status, adaptation_dtype, blank, observation_dtype, pulse_dtype, sample_dtype
 
 
 @pytest.fixture
@@ -106,7 +105,7 @@ def test_a_record_that_is_not_filled_is_missing_and_not_zero() -> None:
 
 
 def test_every_column_says_what_it_is() -> None:
-    for table in (*SAMPLES, *AUXILIARY, *OBSERVATIONS, *ADAPTATIONS):
+    for table in TABLES:
         for column in table.columns():
             assert column.about, (table, column.name)
             assert bool(column.record) != (column.of is not None), (table, column.name)
