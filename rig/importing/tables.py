@@ -8,9 +8,9 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from rig.importing.mapping_sections import TableFormat
 LARGEST_FILE = 500_000_000
 MOST_PROBLEMS = 5
 """Rows that are named of a mistake that many have; see `first_problems`."""
+DECIMAL_POINT, DECIMAL_COMMA = (f"a finite number with a decimal {sign}" for sign in ("point", "comma"))
 DELIMITERS = {"semicolon": ";", "tab": "\t", "bar": "|", "comma": ",", "space": " "}
 """In the order in which they are tried: a comma may be the decimal sign, a space part of a name."""
 SNIFFED_LINES = 50
@@ -35,12 +36,22 @@ _END = "\n"
 Key = int | str
 
 
-class SourceTable(Protocol):
-    """Rows of a file, whose columns have numbers (from 0) or names."""
+@dataclass(frozen=True)
+class SourceTable:
+    """The columns of a file, by name and by number; those of a MATLAB file may differ in length.
 
-    @property
-    def file(self) -> str:
-        """The file's name."""
+    `numbered` are the columns that have numbers, from `first_column` on. `lines` (n,) are those of the rows, in a file
+    of lines. A cell that is no number is infinite; `odd` has its text, and `wanted` is what should stand there.
+    """
+
+    file: str
+    names: tuple[str, ...]
+    columns: Sequence[NDArray[Any]]
+    numbered: range
+    first_column: int
+    wanted: str
+    lines: Sequence[int] = ()
+    odd: Mapping[tuple[int, int], str] = field(default_factory=dict)
 
     def numbers(self, column: Key) -> Array:
         """The numbers (n,) of a column, NaN where a cell says that nothing was measured.
@@ -48,6 +59,18 @@ class SourceTable(Protocol):
         Raises:
             BadInputError: the column is missing or has cells without a number; names the first ones and the total.
         """
+        at = self._position(column)
+        if np.iscomplexobj(self.columns[at]):
+            raise bad_input(self.file, f"complex numbers in column {column}", "real numbers")
+        numbers: Array = self.columns[at].astype(np.float64)
+        rows = np.flatnonzero(np.isinf(numbers)).tolist()
+        if not rows:
+            return numbers
+        cells = {row: self.odd.get((row, at), str(numbers[row])) for row in rows}
+        if len(rows) > 1 and all(map(self._other_decimal, cells.values())):
+            first = self._no_number(rows[0], column, cells[rows[0]])
+            raise BadInputError([replace(first, value=f"{first.value}, and so in {len(rows) - 1} more rows")])
+        raise BadInputError(self.first_problems(column, rows, lambda row: self._no_number(row, column, cells[row])))
 
     def texts(self, column: Key) -> Sequence[str]:
         """The cells (n,) of a column as they are written, where they are no numbers; empty where nothing was measured.
@@ -55,12 +78,54 @@ class SourceTable(Protocol):
         Raises:
             BadInputError: the column is missing, or the file format has numbers only.
         """
+        at = self._position(column)
+        if not self.lines:
+            expected = "dates, which only a CSV's columns can hold; or another unit in the mapping"
+            raise bad_input(self.file, f"numbers in column {column}", expected)
+        plain = ("" if math.isnan(value) else f"{value:.15g}" for value in self.columns[at])
+        return [self.odd.get((row, at), text).strip() for row, text in enumerate(plain)]
 
     def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
         """A fault of one cell; `row` counts the rows of numbers from 0."""
+        line, where = (self.lines[row], "") if self.lines else (0, f"{self.place(row)}, ")
+        return Problem(self.file, line, 0, f"{where}column {column}", shortened(value), expected, suggestion)
+
+    def first_problems(self, column: Key, rows: Sequence[int], problem_at: Callable[[int], Problem]) -> list[Problem]:
+        """Return the problems of the first rows with the same fault, and the number of the others."""
+        problems = [problem_at(int(row)) for row in rows[:MOST_PROBLEMS]]
+        if len(rows) > len(problems):
+            counted = f"and {len(rows) - len(problems)} more rows like these"
+            problems.append(Problem(self.file, 0, 0, f"column {column}", "", counted))
+        return problems
 
     def place(self, row: int) -> str:
         """A row as its file counts it: `line 7`, `row 7`."""
+        return f"line {self.lines[row]}" if self.lines else f"row {row + 1}"
+
+    def _position(self, column: Key) -> int:
+        if isinstance(column, int):
+            last = len(self.numbered) - 1 + self.first_column
+            if not self.numbered:
+                expected = "columns by name, or 'variable:' in the mapping's file section, naming a matrix"
+                held = f"no single matrix, but {', '.join(self.names) or 'no numbers'}"
+                raise bad_input(self.file, held, expected)
+            if column > last:
+                raise bad_input(self.file, f"no column {column}", f"a column from {self.first_column} to {last}")
+            return self.numbered[column - self.first_column]
+        if self.names.count(column) != 1:
+            found = f"several columns '{column}'" if column in self.names else f"no column '{column}'"
+            raise bad_input(self.file, found, f"one of {', '.join(self.names)}", closest(column, self.names))
+        return self.names.index(column)
+
+    def _no_number(self, row: int, column: Key, cell: str) -> Problem:
+        if cell == _END:
+            return self.problem(row, column, "the end of the row", "a number here")
+        suggestion = "'decimal: comma' in the mapping's file section" if self._other_decimal(cell) else ""
+        return self.problem(row, column, cell, self.wanted, suggestion)
+
+    def _other_decimal(self, cell: str) -> bool:
+        """Return whether an invalid cell is a number with a decimal comma."""
+        return self.wanted == DECIMAL_POINT and re.fullmatch(r"[-+]?\d*,\d+", cell) is not None
 
 
 def read(path: Path, written: TableFormat) -> SourceTable:
@@ -70,79 +135,7 @@ def read(path: Path, written: TableFormat) -> SourceTable:
     return _read_mat(path, written) if path.suffix.lower() == ".mat" else _read_csv(path, written)
 
 
-@dataclass(frozen=True)
-class CsvTable:
-    """Numbers of every cell (n, k) with the line of each row (n,); `odd` are the cells that are no numbers."""
-
-    file: str
-    names: tuple[str, ...]
-    first_column: int
-    cells: Array
-    odd: Mapping[tuple[int, int], str]
-    lines: Sequence[int]
-    decimal_comma: bool
-
-    def numbers(self, column: Key) -> Array:
-        at = self._position(column)
-        rows = [int(row) for row in np.flatnonzero(np.isinf(self.cells[:, at]))]
-        if not rows:
-            return self.cells[:, at]
-        cells = [self.odd[row, at] for row in rows]
-        if len(rows) > 1 and all(map(self._other_decimal, cells)):
-            problem_at = self._no_number(rows[0], column, cells[0])
-            raise BadInputError([replace(problem_at, value=f"{problem_at.value}, and so in {len(rows) - 1} more rows")])
-        raise BadInputError(
-            first_problems(self, column, rows, lambda row: self._no_number(row, column, self.odd[row, at]))
-        )
-
-    def texts(self, column: Key) -> Sequence[str]:
-        at = self._position(column)
-        plain = ("" if math.isnan(value) else f"{value:.15g}" for value in self.cells[:, at])
-        return [self.odd.get((row, at), text).strip() for row, text in enumerate(plain)]
-
-    def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
-        return Problem(self.file, self.lines[row], 0, f"column {column}", shortened(value), expected, suggestion)
-
-    def place(self, row: int) -> str:
-        return f"line {self.lines[row]}"
-
-    def _position(self, column: Key) -> int:
-        if isinstance(column, int):
-            last = self.cells.shape[1] - 1 + self.first_column
-            if column > last:
-                expected = f"a column from {self.first_column} to {last}"
-                raise bad_input(self.file, f"no column {column}", expected)
-            return column - self.first_column
-        if self.names.count(column) != 1:
-            found = f"several columns '{column}'" if column in self.names else f"no column '{column}'"
-            expected = f"one of {', '.join(self.names)}"
-            raise bad_input(self.file, found, expected, closest(column, self.names))
-        return self.names.index(column)
-
-    def _no_number(self, row: int, column: Key, cell: str) -> Problem:
-        if cell == _END:
-            return self.problem(row, column, "the end of the row", "a number here")
-        expected = f"a finite number with a decimal {'comma' if self.decimal_comma else 'point'}"
-        suggestion = "'decimal: comma' in the mapping's file section" if self._other_decimal(cell) else ""
-        return self.problem(row, column, cell, expected, suggestion)
-
-    def _other_decimal(self, cell: str) -> bool:
-        """Return whether an invalid cell is a number with a decimal comma."""
-        return not self.decimal_comma and re.fullmatch(r"[-+]?\d*,\d+", cell) is not None
-
-
-def first_problems(
-    table: SourceTable, column: Key, rows: Sequence[int], problem_at: Callable[[int], Problem]
-) -> list[Problem]:
-    """Return the problems of the first rows with the same fault, and the number of the others."""
-    problems = [problem_at(int(row)) for row in rows[:MOST_PROBLEMS]]
-    if len(rows) > len(problems):
-        counted = f"and {len(rows) - len(problems)} more rows like these"
-        problems.append(Problem(table.file, 0, 0, f"column {column}", "", counted))
-    return problems
-
-
-def _read_csv(path: Path, written: TableFormat) -> CsvTable:
+def _read_csv(path: Path, written: TableFormat) -> SourceTable:
     text = read_text(path, LARGEST_FILE)
     lines = [(number, line) for number, line in enumerate(text.split("\n"), start=1) if number > written.skip_lines]
     if written.comment is not None:
@@ -160,7 +153,7 @@ def _read_csv(path: Path, written: TableFormat) -> CsvTable:
 
 def _parsed(
     path: Path, names: tuple[str, ...], rows: Sequence[tuple[int, list[str]]], written: TableFormat
-) -> CsvTable:
+) -> SourceTable:
     width = len(names) or len(rows[0][1])
     comma = written.decimal == "comma"
     missing = {"", *(word.strip() for word in written.missing)}
@@ -178,8 +171,15 @@ def _parsed(
             if math.isinf(value):
                 odd[row, at] = cell
     raise_all(problems)
-    return CsvTable(
-        str(path), names, written.first_column or 0, values, odd, tuple(number for number, _ in rows), comma
+    return SourceTable(
+        str(path),
+        names,
+        values.T,
+        range(width),
+        written.first_column or 0,
+        DECIMAL_COMMA if comma else DECIMAL_POINT,
+        tuple(number for number, _ in rows),
+        odd,
     )
 
 
@@ -229,59 +229,7 @@ def _split(path: Path, lines: Sequence[tuple[int, str]], delimiter: str) -> list
     return rows
 
 
-@dataclass(frozen=True)
-class MatTable:
-    """Columns by name, and those of the one matrix by number."""
-
-    file: str
-    columns: Mapping[str, NDArray[Any]]
-    matrix: NDArray[Any] | None
-    first_column: int
-
-    def numbers(self, column: Key) -> Array:
-        values = self._values(column)
-        if np.iscomplexobj(values):
-            raise bad_input(self.file, f"complex numbers in column {column}", "real numbers")
-        numbers = values.astype(np.float64)
-        infinite = np.flatnonzero(np.isinf(numbers)).tolist()
-        if infinite:
-            expected = "a finite number, or NaN where nothing was measured"
-            raise BadInputError(
-                first_problems(
-                    self, column, infinite, lambda row: self.problem(row, column, str(numbers[row]), expected)
-                )
-            )
-        return numbers
-
-    def texts(self, column: Key) -> Sequence[str]:
-        self._values(column)
-        expected = "dates, which only a CSV's columns can hold; or another unit in the mapping"
-        raise bad_input(self.file, f"numbers in column {column}", expected)
-
-    def problem(self, row: int, column: Key, value: str, expected: str, suggestion: str = "") -> Problem:
-        return Problem(self.file, 0, 0, f"{self.place(row)}, column {column}", value, expected, suggestion)
-
-    def place(self, row: int) -> str:
-        return f"row {row + 1}"
-
-    def _values(self, column: Key) -> NDArray[Any]:
-        if isinstance(column, str):
-            if column not in self.columns:
-                expected = f"one of {', '.join(self.columns)}"
-                raise bad_input(self.file, f"no column '{column}'", expected, closest(column, self.columns))
-            return self.columns[column]
-        if self.matrix is None:
-            expected = "columns by name, or 'variable:' in the mapping's file section, naming a matrix"
-            held = f"no single matrix, but {', '.join(self.columns) or 'no numbers'}"
-            raise bad_input(self.file, held, expected)
-        at = column - self.first_column
-        if at >= self.matrix.shape[1]:
-            expected = f"a column from {self.first_column} to {self.matrix.shape[1] - 1 + self.first_column}"
-            raise bad_input(self.file, f"no column {column}", expected)
-        return np.asarray(self.matrix[:, at])
-
-
-def _read_mat(path: Path, written: TableFormat) -> MatTable:
+def _read_mat(path: Path, written: TableFormat) -> SourceTable:
     import h5py
 
     if not path.is_file():
@@ -297,14 +245,16 @@ def _read_mat(path: Path, written: TableFormat) -> MatTable:
     if written.variable is not None:
         arrays = _chosen(path, arrays, written.variable)
     columns: dict[str, NDArray[Any]] = {}
+    matrices = []
     for name, array in arrays.items():
         if array.ndim == 1:
             columns[name] = array
         else:
+            matrices.append(range(len(columns), len(columns) + array.shape[1]))
             columns |= {f"{name}(:,{j + 1})": array[:, j] for j in range(array.shape[1])}
-    matrices = [array for array in arrays.values() if array.ndim == 2]
-    matrix = matrices[0] if len(matrices) == 1 else None
-    return MatTable(str(path), columns, matrix, written.first_column or 0)
+    numbered = matrices[0] if len(matrices) == 1 else range(0)
+    wanted = "a finite number, or NaN where nothing was measured"
+    return SourceTable(str(path), tuple(columns), tuple(columns.values()), numbered, written.first_column or 0, wanted)
 
 
 def _load_v5(path: Path) -> dict[str, Any]:

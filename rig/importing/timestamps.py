@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from protocols.problems import Problem
 from rig.importing.columns import ColumnReader
 from rig.importing.mapping import Mapping
-from rig.importing.tables import Key, first_problems
+from rig.importing.tables import Key
 from rig.importing.units import SECONDS
 
 LONGEST_S = 9e9
@@ -48,7 +48,7 @@ def times(columns: ColumnReader, mapping: Mapping) -> RowTimes:
             row, column, row_text(row), f"a time after {row_text(row - 1)}, that of the row before"
         )
 
-    problems += first_problems(columns.table, column, early, not_later)
+    problems += columns.table.first_problems(column, early, not_later)
     columns.problems += [*problems, *_too_few(columns, read)]
     return read
 
@@ -82,7 +82,7 @@ def _numbers(columns: ColumnReader, column: Key, scale: float) -> tuple[RowTimes
         value = "nothing" if np.isnan(time_s[row]) else f"{time_s[row]:g} s"
         return columns.table.problem(row, column, value, f"a time of at most {LONGEST_S:g} s")
 
-    columns.problems += first_problems(columns.table, column, wrong, no_time)
+    columns.problems += columns.table.first_problems(column, wrong, no_time)
     if wrong:
         return None
     return RowTimes(np.round(time_s * 1e9).astype(np.int64), utc=False), lambda row: f"{time_s[row]:.12g} s"
@@ -98,8 +98,8 @@ def _dates(columns: ColumnReader, column: Key) -> tuple[RowTimes, RowText] | Non
     expected = f"date and time in ISO 8601, as 2026-11-21T14:05:00.250{'+01:00' if zoned else ''}"
     wrong = [row for row, moment in enumerate(moments) if moment is None or (moment.tzinfo is not None) != zoned]
     table = columns.table
-    columns.problems += first_problems(
-        table, column, wrong, lambda row: table.problem(row, column, cells[row] or "nothing", expected)
+    columns.problems += table.first_problems(
+        column, wrong, lambda row: table.problem(row, column, cells[row] or "nothing", expected)
     )
     if wrong:
         return None

@@ -15,7 +15,6 @@ from rig.config.optics import rigid
 from rig.importing.columns import ColumnReader
 from rig.importing.mapping import Mapping
 from rig.importing.mapping_sections import BaseSensor, LoadCell, Orientation, Position, TipOrientation, Wrench
-from rig.importing.tables import first_problems
 from rig.importing.units import METRES, NEWTON_METRES, NEWTONS
 
 UNIT = 0.01
@@ -82,8 +81,8 @@ def wrench(columns: ColumnReader, mapping: Mapping) -> Array:
     table, column = columns.table, wrench.force.columns[0]
     expected = "a whole wrench in every row: what pulls at the arm cannot be guessed"
     broken = np.flatnonzero(~np.isfinite(found).all(axis=1)).tolist()
-    columns.problems += first_problems(
-        table, column, broken, lambda row: table.problem(row, column, "nothing, or no orientation", expected)
+    columns.problems += table.first_problems(
+        column, broken, lambda row: table.problem(row, column, "nothing, or no orientation", expected)
     )
     return found if wrench.on == "arm" else -found
 
