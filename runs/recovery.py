@@ -14,9 +14,8 @@ from runs.archive import writer as archive
 from runs.archive.writer import ArchiveError, ArchiveInUseError
 from runs.data_folder import DATA, free_id
 from runs.export import foxglove
-from runs.file_lock import lock
 from runs.journal import journal
-from runs.journal.append_only_file import JournalError
+from runs.journal.append_only_file import JournalError, lock
 from runs.run import Run
 
 

@@ -1,14 +1,49 @@
-"""What the tip controller needed for its plans."""
+"""Plans of the tip controller: how many were followed or refused and why, and what they took."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from runs.archive.reader import ArchiveReader
-from runs.plan_counts import PlanCounts
-from runs.records import SolveStatus
+from runs.columns import SolveStatus, TipControl
+
+
+class PlanCounts:
+    """Number of plans by `SolveStatus`."""
+
+    def __init__(self, statuses: ArrayLike = ()) -> None:
+        self._counts: NDArray[np.int64] = np.zeros(len(SolveStatus), dtype=np.int64)
+        self.add(statuses)
+
+    def add(self, statuses: ArrayLike) -> None:
+        """Count plans with these statuses."""
+        self._counts += np.bincount(np.asarray(statuses, dtype=np.int64).ravel(), minlength=len(SolveStatus))
+
+    def __getitem__(self, status: SolveStatus) -> int:
+        return int(self._counts[status])
+
+    @property
+    def total(self) -> int:
+        """All plans."""
+        return int(self._counts.sum())
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Number of refused plans by reason."""
+        return {status.words: self[status] for status in SolveStatus if status.refused and self[status]}
+
+    @property
+    def at_fault(self) -> bool:
+        """True if plans were refused because the controller made them wrong."""
+        return any(status.at_fault and self[status] for status in SolveStatus)
+
+
+def refusals(refused: dict[str, int]) -> str:
+    """The reasons of refused plans in a message."""
+    return ", ".join(f"{count} {reason}" for reason, count in refused.items())
+
 
 NAN = float("nan")
 
@@ -29,9 +64,8 @@ class TipPlans:
     solve_max_ms: float = NAN
 
 
-def tip_plans(run: ArchiveReader) -> TipPlans | None:
-    """Return the plans of a run; None for a run without any."""
-    plans = run.tip_control
+def tip_plans(plans: TipControl | None) -> TipPlans | None:
+    """Return what the plans of a run took; None for a run without any."""
     if plans is None or not len(plans.time_s):
         return None
     counted = PlanCounts(plans.status)

@@ -22,7 +22,6 @@ from rig.cli.output import ColumnTable, console, facts_table, print_json
 from rig.cli.run_names import resolve
 from runs import annotation_file
 from runs.catalogue import Entry
-from runs.plan_counts import refusals
 from runs.pressure_cycles import pressure_cycles
 from runs.records import Quantity, StudyRun
 from runs.recovery import RecoveryStatus
@@ -30,7 +29,7 @@ from runs.recovery import recover as recover_folder
 from runs.run import Run
 from runs.summary import Summary, summarise
 from runs.tip_error import TipErrorSummary
-from runs.tip_plans import TipPlans
+from runs.tip_plans import TipPlans, refusals
 
 WARNINGS_SHOWN = 10
 _DATE = re.compile(r"\d{4}(-(0[1-9]|1[0-2])(-(0[1-9]|[12]\d|3[01])(T([01]\d|2[0-3])(:[0-5]\d(:[0-5]\d)?)?)?)?)?")

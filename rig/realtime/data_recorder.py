@@ -16,8 +16,8 @@ from rig.realtime.ring import RingBuffer
 from rig.realtime.scheduling import suspended_ns
 from rig.realtime.shared_state import SharedState
 from runs.journal.append_only_file import JournalError
-from runs.plan_counts import PlanCounts
 from runs.records import Event, Level
+from runs.tip_plans import PlanCounts
 
 Record = TypeVar("Record")
 

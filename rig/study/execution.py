@@ -22,7 +22,7 @@ from rig.study.plan import StopRules
 from rig.study.study import Study, archived, finished
 from runs.catalogue import Entry
 from runs.data_folder import free_id
-from runs.file_lock import lock
+from runs.journal.append_only_file import lock
 from runs.overwriting import naming
 from runs.records import Status, StudyRole
 from runs.recovery import move_unused

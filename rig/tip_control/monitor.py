@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from rig.tip_control.plan_follower import LONGEST_S, LOST_S, SetPointSource
-from runs.plan_counts import PlanCounts, refusals
 from runs.records import Event, Level
+from runs.tip_plans import PlanCounts, refusals
 
 SOURCE = "tip controller"
 _UNCONTROLLED = (SetPointSource.HELD, SetPointSource.LOST)

@@ -39,7 +39,6 @@ from rig.virtual import time_limit
 from rig.virtual.frame_pipeline import MOST_IN_FLIGHT, FramePipeline, FrameProcessError, FrameSamples, FrameStages
 from rig.virtual.recent_rows import RecentRows
 from rig.virtual.triggered_exposures import FrameExposures, TriggeredExposures
-from runs.plan_counts import PlanCounts
 from runs.records import (
     Event,
     Level,
@@ -49,6 +48,7 @@ from runs.records import (
     sample_dtype,
     tip_control_dtype,
 )
+from runs.tip_plans import PlanCounts
 
 if TYPE_CHECKING:
     from rig.tip_control.session import TipControlSession

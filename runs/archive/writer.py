@@ -23,9 +23,8 @@ from runs.archive import checksum, layout
 from runs.archive.checked import ArchiveError as ArchiveError
 from runs.archive.checked import content_sha256, digest_of
 from runs.archive.fields import CHUNK_ROWS, ComputedColumn, Field, Group, RowTable, row_chunks
-from runs.file_lock import lock
 from runs.journal import journal
-from runs.journal.append_only_file import ARCHIVE_TO_JOURNAL, NO_ROOM, JournalError
+from runs.journal.append_only_file import ARCHIVE_TO_JOURNAL, NO_ROOM, JournalError, lock
 
 SUFFIX = ".h5"
 PART = ".h5.part"

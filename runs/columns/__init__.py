@@ -7,13 +7,13 @@ row in `docs/reference/archive.md` (`python -m runs.archive.reference docs/refer
 
 from __future__ import annotations
 
-from runs.columns.adaptation import Adaptation
 from runs.columns.control_cycles import Auxiliary, Pressure, Timing, TriggerPulse
 from runs.columns.conversions import COUNT, SECONDS
 from runs.columns.declaration import Column, Table
 from runs.columns.observations import (
     BACKBONE_POINTS,
     DATAGRAM_COUNTS,
+    Adaptation,
     Backbone,
     DetectionStatus,
     Sections,

@@ -12,7 +12,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
-from runs.file_lock import lock
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 
 SYNC_S = 1.0
 RESERVE_BYTES = 32 << 20
@@ -40,6 +44,16 @@ class JournalExistsError(JournalError):
 
 class JournalFullError(JournalError):
     """The disk is full, or nearly. Earlier records are intact, and the journal can still be closed."""
+
+
+def lock(handle: int, *, wait: bool = False) -> None:
+    """Lock an open file for this process; the kernel releases it when the process dies.
+
+    Experiments run on Linux. Where the system has no such locks (Windows), no process writes a journal, and none is
+    held. Raises BlockingIOError if another process has the lock and `wait` is false.
+    """
+    if fcntl is not None:
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
 
 
 class AppendOnlyFile(Protocol):

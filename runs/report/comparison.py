@@ -12,10 +12,9 @@ from matplotlib.figure import Figure
 from runs.report import differences, overlay, repeats
 from runs.report.drawing import FigureSpecification, decimated, legend, path_indices, svg
 from runs.report.figures import across
+from runs.report.further_figures import distance_mm
 from runs.report.gaps import tip_with_gaps
-from runs.report.html_table import html_table
-from runs.report.numbers import listed, plain, three
-from runs.report.reference_figure import distance_mm
+from runs.report.html_table import html_table, listed, plain, three
 from runs.run import Run
 from runs.summary import Summary
 

@@ -12,7 +12,7 @@ from runs.arrays import Array
 from runs.records import DetectionStatus
 from runs.report import overlay
 from runs.report.drawing import decimated
-from runs.report.numbers import DASH
+from runs.report.html_table import DASH
 from runs.report.settings import differing
 from runs.run import Run
 

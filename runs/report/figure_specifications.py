@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from runs.report import auxiliary_figure, estimates_figure, figures, pictures, reference_figure, sections_figure
+from runs.report import figures, further_figures, pictures
 from runs.report.drawing import FigureSpecification
-from runs.report.numbers import listed, plain
+from runs.report.html_table import listed, plain
 from runs.run import Run
 from runs.summary import MOVED_MM, SETTLED_PART, Summary, settled_steps
 
@@ -43,8 +43,8 @@ def _pressures(run: Run, summary: Summary) -> FigureSpecification | None:
 def _auxiliary(run: Run, summary: Summary) -> FigureSpecification | None:
     if run.auxiliary is None or not summary.cycles:
         return None
-    size = auxiliary_figure.size(run.auxiliary)
-    return FigureSpecification("inputs", "Auxiliary inputs", auxiliary_figure.draw, size)
+    size = further_figures.auxiliary_size(run.auxiliary)
+    return FigureSpecification("inputs", "Auxiliary inputs", further_figures.auxiliary, size)
 
 
 def _trajectory(run: Run, summary: Summary) -> FigureSpecification | None:
@@ -107,8 +107,8 @@ def _error(run: Run, summary: Summary) -> FigureSpecification | None:
 def _sections(run: Run, summary: Summary) -> FigureSpecification | None:
     if run.sections is None or not summary.frames:
         return None
-    caption = f"{sections_figure.caption(run.sections)} {Z_DOWN}"
-    return FigureSpecification("sections", "Measured sections", sections_figure.draw, (9, 6.5), caption)
+    caption = f"{further_figures.sections_caption(run.sections)} {Z_DOWN}"
+    return FigureSpecification("sections", "Measured sections", further_figures.sections, (9, 6.5), caption)
 
 
 def _reference(run: Run, summary: Summary) -> FigureSpecification | None:
@@ -122,7 +122,7 @@ def _reference(run: Run, summary: Summary) -> FigureSpecification | None:
     )
     if len(periods) > 1:
         caption += f" Rms of each period: {listed(periods, 3)} mm."
-    return FigureSpecification("reference", "Tip and reference", reference_figure.draw, (9, 4.6), caption, beside=2)
+    return FigureSpecification("reference", "Tip and reference", further_figures.reference, (9, 4.6), caption, beside=2)
 
 
 def _adaptation(run: Run, summary: Summary) -> FigureSpecification | None:
@@ -132,8 +132,8 @@ def _adaptation(run: Run, summary: Summary) -> FigureSpecification | None:
         "Estimated during the run, with 95 % bands; dashed: the initial value. Each frame was predicted before it was "
         "used. Control did not use the estimates."
     )
-    size = estimates_figure.size(run.adaptation)
-    return FigureSpecification("adaptation", "Parameters estimated online", estimates_figure.draw, size, caption)
+    size = further_figures.estimates_size(run.adaptation)
+    return FigureSpecification("adaptation", "Parameters estimated online", further_figures.estimates, size, caption)
 
 
 def _timing(run: Run, summary: Summary) -> FigureSpecification | None:

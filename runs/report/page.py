@@ -17,8 +17,7 @@ from runs.report import comparison, pictures
 from runs.report.drawing import svg
 from runs.report.figure_processes import drawn
 from runs.report.figure_specifications import figure_specifications
-from runs.report.html_table import html_table
-from runs.report.numbers import DASH, listed, plain, significant, three, with_unit
+from runs.report.html_table import DASH, html_table, listed, plain, significant, three, with_unit
 from runs.run import Run, paths_of
 from runs.summary import BAND_BAR, Summary, summarise
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from runs.records import DetectionStatus
 from runs.report.colours import BOARD, MEASURED, MODEL
 from runs.report.drawing import narrow
-from runs.report.numbers import plain
+from runs.report.html_table import plain
 from runs.run import Run
 from runs.summary import Summary, settled_steps
 

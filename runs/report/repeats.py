@@ -12,8 +12,7 @@ import numpy as np
 from runs.arrays import Array
 from runs.records import DetectionStatus, Status
 from runs.report.differences import played_steps, tips_at_equal_times
-from runs.report.html_table import html_table
-from runs.report.numbers import DASH, plain
+from runs.report.html_table import DASH, html_table, plain
 from runs.report.settings import conditions, unequal
 from runs.run import Run
 

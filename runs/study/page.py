@@ -19,8 +19,7 @@ from runs.overwriting import refuse_existing, write_text
 from runs.printable_text import spreadsheet_text
 from runs.report.colours import MEASURED, MUTED, RUNS
 from runs.report.drawing import svg
-from runs.report.html_table import html_table
-from runs.report.numbers import DASH, significant
+from runs.report.html_table import DASH, html_table, significant
 from runs.report.page import html_document
 from runs.run import Run
 from runs.study.linear_model import BLOCK, CROSSED, ORDER, TIME, LinearModel, fit

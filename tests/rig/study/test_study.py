@@ -28,7 +28,7 @@ from rig.study.study import ASSUMED_OVERHEAD_S, OtherStudyError, Study, archived
 from runs.archive.writer import ArchiveError
 from runs.catalogue import Entry, catalogue, search
 from runs.export.exporters import export
-from runs.file_lock import lock
+from runs.journal.append_only_file import lock
 from runs.records import Status, StudyRole
 from runs.run import Run
 from tests.support.command_line import status_of

@@ -7,8 +7,8 @@ import pytest
 
 from rig.tip_control.monitor import TipControlMonitor
 from rig.tip_control.plan_follower import SetPointSource
-from runs.plan_counts import PlanCounts
 from runs.records import SolveStatus
+from runs.tip_plans import PlanCounts
 
 DIED = "the tip controller process died (exit status -9)"
 

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 import runs
 from runs.export.exporters import ExportError
-from runs.report import drawing, figure_export, figure_specifications, reference_figure
+from runs.report import drawing, figure_export, figure_specifications, further_figures
 from runs.report import page as report
 from runs.report.drawing import STYLE
 from runs.report.figures import pressures, steps, timing
@@ -173,7 +173,7 @@ def test_z_points_down_in_the_figure_of_a_path_in_a_vertical_plane(archive: Path
     path = SimpleNamespace(reference_mm=circle, predicted_mm=circle, period=np.ones(len(phase)), error_mm=0 * phase)
     figure = Figure()
     run: Any = SimpleNamespace(reference=path, tip=tip, simulated=None)
-    reference_figure.draw(figure, run, summarise(runs.open(archive)))
+    further_figures.reference(figure, run, summarise(runs.open(archive)))
     assert figure.axes[0].yaxis_inverted()
 
 
