@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from calibration.vision.board import PrintedCells
+from calibration.vision.checkerboard import SquareGrid
 from calibration.vision.marker_board import MarkerBoard, Markers, cells_of
 from calibration.vision.partial_corners import CornerKind
-from calibration.vision.square_grid import SquareGrid
 from model.arrays import Array
 
 

@@ -1,4 +1,4 @@
-"""The checkerboard: finding it in a whole picture, and checking its colours."""
+"""The checkerboard, and the grid of squares it shares with others: finding it in a picture, checking its colours."""
 
 from __future__ import annotations
 
@@ -12,11 +12,17 @@ from numpy.typing import NDArray
 
 from calibration.images import Image
 from calibration.vision import board, cell_reading
-from calibration.vision.board import MIN_CONTRAST_GREY, SIDE_MARGIN, SPOTS, FinestDetail, PrintedCells
-from calibration.vision.board_candidates import board_candidates
+from calibration.vision.board import (
+    MIN_CONTRAST_GREY,
+    QUIET_SQUARES,
+    SIDE_MARGIN,
+    SPOTS,
+    Board,
+    FinestDetail,
+    PrintedCells,
+)
 from calibration.vision.cell_reading import grey_at
-from calibration.vision.corners import Corners, refine_corners
-from calibration.vision.square_grid import SquareGrid
+from calibration.vision.corners import Corners, refine_corners, spacing
 from model.arrays import Array
 from model.kernels.jit import kernel
 
@@ -27,6 +33,63 @@ _QUIET_CHECK = 0.45
 # A place no larger than this holds squares so small that the detector sees them better magnified.
 _SMALL_PX = 240
 _LEAST_SQUARE_PX = 10.0
+Box = tuple[int, int, int, int]
+
+# The search runs on a picture of about this width: corners need no more.
+_WIDTH_PX = 960
+_SMOOTH_PX = 1.3
+# A saddle of less curvature [grey / px^2] than a faint board's, or than so many typical ones of the picture, is noise.
+_FAINT = 1.5
+_ABOVE_NOISE = 7.0
+# Saddles much flatter than the strongest ones belong to something else.
+_OF_STRONGEST = 0.3
+_MOST_SADDLES = 600
+# Saddles within so many typical distances belong together, and so many of the board's must be seen.
+_TOGETHER = 2.0
+_ENOUGH = 0.6
+_MOST_PLACES = 3
+
+
+@dataclass(frozen=True)
+class SquareGrid(Board):
+    """`squares_x` by `squares_y` squares of `square_m`, the one at the top left dark.
+
+    Corners are the inner corners, row by row from the top, left to right.
+    """
+
+    squares_x: int
+    squares_y: int
+    square_m: float
+
+    @property
+    def unit_m(self) -> float:
+        return self.square_m
+
+    @property
+    def extent(self) -> tuple[float, float]:
+        return self.squares_x, self.squares_y
+
+    @property
+    def pattern(self) -> tuple[int, int]:
+        """Inner corners per row and per column."""
+        return self.squares_x - 1, self.squares_y - 1
+
+    @cached_property
+    def corners_m(self) -> Array:
+        """Inner corners (n, 3) in the board's frame."""
+        columns, rows = self.pattern
+        return self.at(np.tile(np.arange(1, columns + 1), rows), np.repeat(np.arange(1, rows + 1), columns))
+
+    @cached_property
+    def squares(self) -> PrintedCells:
+        """The print of the squares alone."""
+        rows, columns = np.indices((self.squares_y, self.squares_x))
+        across, down = (np.arange(n + 1, dtype=np.float64) for n in self.extent)
+        return PrintedCells(across, down, (rows + columns) % 2 == 0, QUIET_SQUARES)
+
+    def spacing(self, corners_px: Array) -> float:
+        """Smallest distance [px] between neighbours of the corners (n, 2)."""
+        return spacing(corners_px, self.pattern)
 
 
 @dataclass(frozen=True)
@@ -169,3 +232,68 @@ def _find_in(image: Image, board: Checkerboard) -> Array | None:
         if board.agrees(image, np.asarray(check, dtype=np.float64)):
             return points
     return None
+
+
+def board_candidates(image: Image, corners: int) -> list[Box]:
+    """Boxes (x0, y0, x1, y1) in which a board of so many inner corners may be, the likeliest first.
+
+    They hold clusters of saddle points of the grey values. `cv2.findChessboardCorners` takes half a second to find
+    nothing in a noisy 640x480 picture and ten at 1920x1080, so it is only shown places that have the corners' look.
+    """
+    height, width = image.shape
+    scale = max(1, round(width / _WIDTH_PX))
+    small = image
+    if scale > 1:
+        small = np.asarray(
+            cv2.resize(image, (width // scale, height // scale), interpolation=cv2.INTER_AREA), dtype=np.uint8
+        )
+    saddles = _saddles(small, corners)
+    if len(saddles) < _ENOUGH * corners:
+        return []
+    apart = np.linalg.norm(saddles[:, None] - saddles, axis=2)
+    np.fill_diagonal(apart, np.inf)
+    nearest = apart.min(axis=1)
+    reach = _TOGETHER * np.maximum(nearest[:, None], nearest)
+    label = _connected((apart <= reach) & (apart <= reach.T))
+    sizes = np.bincount(label)
+    found = []
+    for group in np.argsort(-sizes)[:_MOST_PLACES]:
+        if sizes[group] < _ENOUGH * corners:
+            break
+        members = saddles[label == group]
+        margin = 3.0 * float(np.median(nearest[label == group])) + 8
+        low = np.maximum((members.min(axis=0) - margin) * scale, 0).astype(int)
+        high = np.minimum((members.max(axis=0) + margin) * scale + 1, (width, height)).astype(int)
+        found.append((int(low[0]), int(low[1]), int(high[0]), int(high[1])))
+    return found
+
+
+def _connected(linked: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Label (n,) of the cluster that each point is in, from which are linked (n, n, symmetric)."""
+    label = np.full(len(linked), -1)
+    for point in range(len(linked)):
+        reached = np.array([point]) if label[point] < 0 else np.empty(0, np.intp)
+        while reached.size:
+            label[reached] = label[point] if label[point] >= 0 else label.max() + 1
+            reached = np.flatnonzero(linked[reached].any(axis=0) & (label < 0))
+    return label
+
+
+def _saddles(image: Image, corners: int) -> Array:
+    """Saddle points (k, 2) [px], the strongest of the picture."""
+    smooth = cv2.GaussianBlur(image, (0, 0), _SMOOTH_PX).astype(np.float32)
+    xx = cv2.Sobel(smooth, cv2.CV_32F, 2, 0, ksize=3, scale=0.25)
+    yy = cv2.Sobel(smooth, cv2.CV_32F, 0, 2, ksize=3, scale=0.25)
+    xy = cv2.Sobel(smooth, cv2.CV_32F, 1, 1, ksize=3, scale=0.25)
+    # Minus the determinant of the Hessian: positive at a saddle, none at an edge, negative at a spot.
+    strength = cv2.subtract(cv2.multiply(xy, xy), cv2.multiply(xx, yy))
+    least = max(_FAINT, _ABOVE_NOISE * float(np.median(np.abs(xy[::4, ::4]))))
+    peaks = (strength >= cv2.dilate(strength, np.ones((5, 5), np.uint8))) & (strength > least**2)
+    y, x = np.nonzero(peaks)
+    found = strength[y, x]
+    order = np.argsort(-found)[:_MOST_SADDLES]
+    if len(order) == 0:
+        return np.empty((0, 2))
+    strong = found[order[min(len(order), corners) // 2]]
+    order = order[found[order] > _OF_STRONGEST**2 * strong]
+    return np.stack([x[order], y[order]], axis=-1).astype(np.float64)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calibration.dlt import DLT, DLTError
 from calibration.multiview_pose import board_pose
 from calibration.vision.corners import Corners
-from calibration.vision.tcp import tip_in_base
+from calibration.vision.pose import tip_in_base
 from calibration.vision.tracker import BoardTracker, Detection
 from calibration.vision.transforms import RigidTransform
 from model.arrays import Array

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
 from rig.hardware.runtime_folder import open_private
-from rig.simulator.converter import quantised_output
-from rig.simulator.registers import DIGITAL_OUTPUTS, Registers, path_of
+from rig.simulator.registers import DIGITAL_OUTPUTS, Registers, path_of, quantised_output
 
 
 class MockCard:

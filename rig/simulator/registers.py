@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import math
 import mmap
 import os
 import time
@@ -302,3 +303,15 @@ def _locked(path: Path, patience_s: float) -> int:
             time.sleep(0.05)
         else:
             return descriptor
+
+
+def quantised_output(value: float, low: float, high: float) -> float:
+    """The value of a 16-bit output for a requested value, both in the unit of the range `low` to `high`.
+
+    Raises:
+        CardError: the value is not a number.
+    """
+    if not math.isfinite(value):
+        raise CardError(f"{value} cannot be written")
+    code = round((min(max(value, low), high) - low) / (high - low) * 65535.0)
+    return low + code / 65535.0 * (high - low)

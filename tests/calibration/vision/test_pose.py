@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.vision.pose import refine, solutions
-from calibration.vision.tcp import tip_in_base
+from calibration.vision.pose import refine, solutions, tip_in_base
 from calibration.vision.transforms import RigidTransform
 from tests.support.budget import examples
 from tests.support.vision_bench import BOARD, LENS, facing
