@@ -19,7 +19,6 @@ from protocols import BadInputError
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.loader import recorded
 from rig.config.schema import RigConfig
-from rig.live.messages import Message
 from rig.live.packets import (
     EstimateView,
     PressureView,
@@ -37,6 +36,7 @@ from rig.live.packets import (
     path_error,
     sections,
 )
+from rig.live.stream import Message
 from rig.observation.overlay import arm_lines
 from rig.realtime.picture_rings import LINE_POINTS
 from runs.records import DetectionStatus

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from model.units import MM_PER_M, PA_PER_BAR
 from rig.execution.plan import StartError
 from rig.live.client_session import ClientSession, connect
-from rig.live.messages import Message
 from rig.live.packets import (
     EstimateView,
     History,
@@ -33,6 +32,7 @@ from rig.live.packets import (
     path_error,
     sections,
 )
+from rig.live.stream import Message
 from rig.realtime.shared_state import Stage
 from runs.columns.tip_control import reference_error_mm
 from runs.records import DetectionStatus, Event
@@ -40,6 +40,7 @@ from runs.records import DetectionStatus, Event
 CHART_DECIMATION = 10
 """Control cycles per row of the pressure chart."""
 EVENTS_KEPT = 500
+CONNECT_EVERY_S = 0.1
 WATCH_EVERY_S = 1.0
 IDLE_PACKET_S = 0.2
 """A packet is due after this time even without a new camera frame."""
@@ -47,15 +48,21 @@ FAR = float("-inf")
 
 
 class LiveRun:
-    """Data of a running experiment in the form that the page needs."""
+    """Data of a running experiment in the form that the page needs.
+
+    A run has a control socket once it begins; simulation and compilation may delay that.
+    """
 
     live = True
+    session: ClientSession
+    pressure: History
 
-    def __init__(self, session: ClientSession) -> None:
-        config = session.plan.config
-        self.session = session
+    def __init__(self, path: Path) -> None:
+        """Follow the run with this control socket."""
+        self._path = path
+        self._connected = False
+        self._last_attempt_s = 0.0
         self.viewers = 0
-        self.pressure = History(1 + 2 * config.actuators)
         self.track = History(12)
         self.events: list[Event] = []
         self.events_dropped = 0
@@ -66,7 +73,6 @@ class LiveRun:
         self.adaptation: NDArray[np.void] | None = None
         self.missed = self.dropped = self.cycles = 0
         self.view: tuple[NDArray[np.void], NDArray[np.uint8]] | None = None
-        self._lateness = np.zeros(lateness_cycles(config.control.rate_hz))
         self._mean = RunningMean()
         self._picture: tuple[int, bytes] = (-1, b"")
         self._watched = 0.0
@@ -75,7 +81,9 @@ class LiveRun:
     def finished(self) -> bool:
         return bool(self.ended)
 
-    def about(self) -> RunDescription:
+    def about(self) -> RunDescription | None:
+        if not self._connected:
+            return None
         plan = self.session.plan
         return RunDescription(
             title=f"{Path(plan.trajectory.source).stem} on {plan.config.name}",
@@ -90,12 +98,19 @@ class LiveRun:
         )
 
     def viewer(self) -> LiveRunViewer:
+        """Return a view for one more browser.
+
+        Raises:
+            StartError: the run has not started.
+        """
+        if not self._connected:
+            raise StartError("the run has not started")
         self.viewers += 1
         return LiveRunViewer(self)
 
     def update(self) -> None:
-        """Read the data that the run has written since the last call."""
-        if self.finished:
+        """Read the data that the run has written since the last call; connect to a run that has begun."""
+        if self.finished or not (self._connected or self._connect()):
             return
         memory = self.session.memory
         self.session.check_ended()
@@ -119,6 +134,21 @@ class LiveRun:
         if self.session.ended:
             message = memory.message("supervisor") if memory.stage("supervisor") is Stage.DONE else ""
             self.ended = message or "the supervisor died; the watchdog makes the valves safe"
+
+    def _connect(self) -> bool:
+        now = time.monotonic()
+        if now - self._last_attempt_s < CONNECT_EVERY_S:
+            return False
+        self._last_attempt_s = now
+        if (probe := connect(self._path)) is None:
+            return False
+        probe.close()
+        self.session = ClientSession(self._path)
+        config = self.session.plan.config
+        self.pressure = History(1 + 2 * config.actuators)
+        self._lateness = np.zeros(lateness_cycles(config.control.rate_hz))
+        self._connected = True
+        return True
 
     def seconds(self, t_ns: int) -> float:
         """Time since the start of the run."""
@@ -286,47 +316,3 @@ class LiveRunViewer:
         if memory.paused:
             return "paused"
         return "waiting" if waiting >= 0 else "running"
-
-
-CONNECT_EVERY_S = 0.1
-
-
-class PendingRun:
-    """Waits for a run's control socket, then delegates to `LiveRun`; simulation and compilation may delay the start."""
-
-    live = True
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._live_run: LiveRun | None = None
-        self._last_attempt_s = 0.0
-
-    @property
-    def finished(self) -> bool:
-        return self._live_run is not None and self._live_run.finished
-
-    def about(self) -> RunDescription | None:
-        return None if self._live_run is None else self._live_run.about()
-
-    def viewer(self) -> LiveRunViewer:
-        """Return a view for one more browser.
-
-        Raises:
-            StartError: the run has not started.
-        """
-        if self._live_run is None:
-            raise StartError("the run has not started")
-        return self._live_run.viewer()
-
-    def update(self) -> None:
-        """Try to connect, or read new data."""
-        if self._live_run is not None:
-            self._live_run.update()
-            return
-        now = time.monotonic()
-        if now - self._last_attempt_s < CONNECT_EVERY_S:
-            return
-        self._last_attempt_s = now
-        if path := connect(self._path):
-            path.close()
-            self._live_run = LiveRun(ClientSession(self._path))

@@ -92,10 +92,10 @@ def _source(configuration: PageConfiguration) -> RunSource:
         from rig.live.archived_run import ArchivedRun
 
         return ArchivedRun(configuration.archive)
-    from rig.live.live_run import PendingRun
+    from rig.live.live_run import LiveRun
 
     assert configuration.run is not None
-    return PendingRun(configuration.run)
+    return LiveRun(configuration.run)
 
 
 async def _feed(source: RunSource, server: uvicorn.Server, listening: socket.socket) -> None:

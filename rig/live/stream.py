@@ -1,8 +1,8 @@
 """The websocket stream to one browser. The browser requests each packet, so a slow or stalled one causes no backlog.
 
-`rig.live.messages` defines the browser's messages; any other message is refused. Packets are binary messages (see
-`rig.live.packets`), answers are text. Guests share a limited number of streams; an operator's streams are limited by
-their connections only.
+A browser sends a `Message`, a JSON object with exactly one field; any other is refused. Packets are binary messages
+(see `rig.live.packets`), answers are text. Guests share a limited number of streams; an operator's streams are limited
+by their connections only.
 """
 
 from __future__ import annotations
@@ -11,13 +11,60 @@ import asyncio
 import json
 from contextlib import suppress
 from dataclasses import asdict
-from typing import Any, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rig.live.authentication import SESSION, LoginSession
-from rig.live.messages import Message, MessageError, parse
 from rig.live.packets import RunDescription, plain
+from rig.realtime.operator_commands import CommandKind
+
+FASTEST = 100.0
+MOST_CHARACTERS = 1024
+MOST_REASON = 200
+FIELDS = ("more", "do", "seek", "speed", "play")
+
+
+class MessageError(ValueError):
+    """An invalid message; the text is the answer to its sender."""
+
+
+class Message(BaseModel):
+    """One message. Exactly one field is set: `more` requests the next packet, `do` an action on a running experiment;
+    `seek` [s], `speed` (times real time) and `play` control the playback of an archive."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+    more: Literal[1] | None = None
+    do: CommandKind | None = None
+    seek: FiniteFloat | None = None
+    speed: Annotated[FiniteFloat, Field(gt=0, le=FASTEST)] | None = None
+    play: bool | None = None
+
+    @model_validator(mode="after")
+    def _one_field(self) -> Message:
+        if sum(getattr(self, name) is not None for name in FIELDS) != 1:
+            raise ValueError(f"expected exactly one of {', '.join(FIELDS)}")
+        return self
+
+
+def parse(text: str) -> Message:
+    """Read a message.
+
+    Raises:
+        MessageError: the message is too long, not a JSON object, or has an invalid field.
+    """
+    if len(text) > MOST_CHARACTERS:
+        raise MessageError(f"refused: a message has at most {MOST_CHARACTERS} characters")
+    try:
+        return Message.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False)[0]
+        reason = first["msg"].removeprefix("Value error, ")
+        if first["loc"]:
+            reason = f"{first['loc'][0]!a}: {reason}, not {first['input']!a}"
+        raise MessageError(f"refused: {reason[:MOST_REASON]}") from None
 
 
 class Viewer(Protocol):

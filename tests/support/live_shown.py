@@ -18,7 +18,6 @@ import uvicorn
 
 from rig.live.authentication import AccessTokens
 from rig.live.launch import PageConfiguration
-from rig.live.messages import Message
 from rig.live.packets import (
     EstimateView,
     PressureView,
@@ -32,6 +31,7 @@ from rig.live.packets import (
     jpeg,
 )
 from rig.live.server import application
+from rig.live.stream import Message
 
 NAMES = (
     "law",

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from rig.live.messages import FASTEST, FIELDS, MOST_CHARACTERS, MOST_REASON, Message, MessageError, parse
+from rig.live.stream import FASTEST, FIELDS, MOST_CHARACTERS, MOST_REASON, Message, MessageError, parse
 from rig.realtime.operator_commands import CommandKind
 
 JSON = st.recursive(
