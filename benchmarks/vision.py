@@ -202,7 +202,9 @@ def _tip(
     if len(places) == 1:
         pose = sightings[0].pose
         assert pose is not None
-        return places[0].transport(*pose.point(TIP_IN_BOARD))
+        (camera,), (tip_m, covariance_m2) = places, pose.point(TIP_IN_BOARD)
+        own = camera.error_covariance(camera.rotation @ tip_m)[:3, :3]
+        return camera.apply(tip_m), camera.rotation @ covariance_m2 @ camera.rotation.T + own
     corners = [s.corners for s in sightings if s.corners is not None]
     together: Pose | None = board_pose(BOARD.corners_m, cameras, corners)
     return None if together is None else together.point(TIP_IN_BOARD)

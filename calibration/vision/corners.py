@@ -28,7 +28,7 @@ RADIUS_BOUNDS_PX = (2.2, LARGEST_RADIUS_PX)
 # Knots of the edges' own shape lie so many blurs apart, but not less than so many px.
 KNOT_BLURS = 0.25
 LEAST_KNOT_PX = 0.2
-COARSE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
+_COARSE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
 START_BLUR_PX = 0.8
 # What the corners before say of the blur, against what this corner's pixels say: its squared share of the step.
 BLUR_OPINION = 0.05
@@ -133,8 +133,8 @@ def refine_corners(image: Image, seeds_px: Array, pattern: tuple[int, int]) -> C
     smallest, largest = RADIUS_BOUNDS_PX
     room = _room(seeds_px.reshape(grid))
     radius = min(max(RADIUS_SHARE * room, smallest), largest)
-    coarse = _coarse(image, seeds_px, math.floor(radius))
-    if coarse is None:
+    kept, coarse = coarse_corners(image, seeds_px, math.floor(radius))
+    if len(kept) < len(seeds_px):
         return None
     # The first look moved the corners, so the directions are taken from where they are now.
     normals = _edge_normals(coarse.reshape(grid))
@@ -261,22 +261,25 @@ def light_gradient(px: Array, levels: Array, radius: float) -> Array:
     return light
 
 
-def _coarse(image: Image, seeds_px: Array, half: int) -> Array | None:
-    """To a tenth of a pixel by OpenCV; None where one diverges, does not move or lies too near the border."""
+def coarse_corners(image: Image, seeds_px: Array, half: int) -> tuple[NDArray[np.intp], Array]:
+    """To a tenth of a pixel by OpenCV: the corners that it moves, but not far, and that lie off the border."""
     height, width = image.shape
     margin = half + 3
-    if seeds_px.min() < margin or np.any(seeds_px.max(axis=0) > (width - 1 - margin, height - 1 - margin)):
-        return None
-    start = seeds_px.astype(np.float32).reshape(-1, 1, 2)
-    coarse = cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), COARSE)
+    limits = np.array([width - 1 - margin, height - 1 - margin])
+
+    def inside(px: Array) -> NDArray[np.bool_]:
+        return np.asarray(((px >= margin) & (px <= limits)).all(axis=1))
+
+    kept = np.flatnonzero(inside(seeds_px))
+    if not len(kept):
+        return kept, np.empty((0, 2))
+    start = seeds_px[kept].astype(np.float32).reshape(-1, 1, 2)
+    coarse = cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _COARSE)
     moved = np.abs(coarse - start).max(axis=(1, 2))
-    # Where the iteration diverges OpenCV returns its seed, to the last bit.
-    if moved.max() > half or moved.min() == 0.0:
-        return None
     found = np.asarray(coarse[:, 0, :], dtype=np.float64)
-    if found.min() < margin or np.any(found.max(axis=0) > (width - 1 - margin, height - 1 - margin)):
-        return None
-    return found
+    # Where the iteration diverges OpenCV returns its seed, to the last bit.
+    good = (moved <= half) & (moved > 0) & inside(found)
+    return kept[good], found[good]
 
 
 @exact_kernel

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from functools import partial
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +15,6 @@ from calibration.vision.corner_model import LEAST_VARIANCE, TAPER_PX, CornerFit,
 from calibration.vision.corners import (
     BLUR_CERTAIN,
     BLUR_OPINION,
-    COARSE,
     KNOT_BLURS,
     LEAST_KNOT_PX,
     MOVES_CORNERS,
@@ -24,6 +22,7 @@ from calibration.vision.corners import (
     START_BLUR_PX,
     TOLD_BY_CHANCE,
     Corners,
+    coarse_corners,
     column_medians,
     light_gradient,
     median,
@@ -76,7 +75,7 @@ def refine_seen_corners(
     smallest, largest = RADIUS_BOUNDS_PX
     clear_px = kind.clear_m * least_scale(homography, points_m)
     radius = min(max(clear_px - TAPER_PX / 2 - _CLEAR_OF_EDGES_PX, smallest), largest)
-    kept, px = _coarse(image, seeds_px, math.floor(radius))
+    kept, px = coarse_corners(image, seeds_px, math.floor(radius))
     if not len(kept):
         return None
     plain_px = mapped(homography, plain_m)
@@ -134,27 +133,6 @@ def _alike(found: CornerFit, good: Indices, bright: NDArray[np.bool_]) -> Indice
     if not len(good):
         return good
     return np.asarray(good[found.variance[good] <= _FOREIGN * median(found.variance[good])])
-
-
-def _coarse(image: Image, seeds_px: Array, half: int) -> tuple[Indices, Array]:
-    """To a tenth of a pixel by OpenCV: the corners that it moves, but not far, and that lie off the border."""
-    height, width = image.shape
-    margin = half + 3
-    limits = np.array([width - 1 - margin, height - 1 - margin])
-
-    def inside(px: Array) -> NDArray[np.bool_]:
-        return np.asarray(((px >= margin) & (px <= limits)).all(axis=1))
-
-    kept = np.flatnonzero(inside(seeds_px))
-    if not len(kept):
-        return kept, np.empty((0, 2))
-    start = seeds_px[kept].astype(np.float32).reshape(-1, 1, 2)
-    coarse = cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), COARSE)
-    moved = np.abs(coarse - start).max(axis=(1, 2))
-    found = np.asarray(coarse[:, 0, :], dtype=np.float64)
-    # Where the iteration diverges OpenCV returns its seed, to the last bit.
-    good = (moved <= half) & (moved > 0) & inside(found)
-    return kept[good], found[good]
 
 
 @exact_kernel

@@ -87,17 +87,6 @@ class PlaneOfMotion:
     board_in_tip: RigidTransform
     camera_in_base: RigidTransform
 
-    def departure(self, rotation_vector: Array, translation_m: Array) -> tuple[Array, Array]:
-        """Offset and two tilts (3,) of the tip out of the plane in standard uncertainties, and derivatives (3, 6).
-
-        By rotation vector and translation of the board in the camera frame. The uncertainties of camera and board poses
-        are included.
-        """
-        off, slopes = np.empty(DEPARTURES), np.empty((DEPARTURES, 6))
-        vector, place = (np.ascontiguousarray(one, np.float64) for one in (rotation_vector, translation_m))
-        depart(self.arguments, vector, place, off, slopes)
-        return off, slopes
-
     @cached_property
     def arguments(self) -> PlaneArguments:
         """The plane as the kernels take it."""

@@ -55,12 +55,6 @@ class RigidTransform:
         """Return `inner`'s frame in this frame's parent, without uncertainty."""
         return RigidTransform(self.rotation @ inner.rotation, self.apply(inner.translation_m))
 
-    def transport(self, point_m: Array, covariance_m2: Array) -> tuple[Array, Array]:
-        """Carry a point (3,) and its covariance (3, 3) into the parent, adding this transform's own uncertainty."""
-        arm = self.rotation @ point_m
-        covariance = self.rotation @ covariance_m2 @ self.rotation.T + self._own_covariance(arm)
-        return arm + self.translation_m, covariance
-
     def transport_pose(self, pose: RigidTransform, covariance: Array) -> tuple[RigidTransform, Array]:
         """Carry a pose and its covariance (6, 6) into the parent, adding this transform's own uncertainty.
 
@@ -78,8 +72,3 @@ class RigidTransform:
         covariance = self.rotation_std_rad**2 * lever @ np.swapaxes(lever, -1, -2)
         covariance[..., :3, :3] += self.translation_std_m**2 * _UNIT
         return np.asarray(covariance)
-
-    def _own_covariance(self, arm_m: Array) -> Array:
-        """Cross-product matrix [a] of the lever times its transpose is |a|^2 I - a a^T."""
-        lever = np.dot(arm_m, arm_m) * _UNIT - np.outer(arm_m, arm_m)
-        return np.asarray(self.translation_std_m**2 * _UNIT + self.rotation_std_rad**2 * lever)
