@@ -11,12 +11,8 @@ from protocols.expressions import PATTERN
 from protocols.parameters import ProtocolParameter
 from protocols.steps.base import MOST_SEGMENTS, LeafStep, StepPart, Text
 from protocols.steps.csv_file import Csv
-from protocols.steps.hold import Hold
+from protocols.steps.pressure import Hold, Ramp, Sine, Staircase, Stream
 from protocols.steps.prompt import PromptStep
-from protocols.steps.ramp import Ramp
-from protocols.steps.sine import Sine
-from protocols.steps.staircase import Staircase
-from protocols.steps.stream import Stream
 from protocols.steps.tip import TipStep
 from protocols.validation import ValidationFault, faults
 

@@ -1,1 +1,1 @@
-"""The kinds of steps of a protocol, one module for each."""
+"""The kinds of steps of a protocol."""

@@ -9,13 +9,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar, Protocol, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols.tip_paths import TipPath
-from protocols.validation import ValidationFault
+from protocols.validation import ValidationFault, faults
 from protocols.waveforms import Waveform
 
 MOST_SEGMENTS = 20_000
@@ -39,18 +39,14 @@ Actuator = Annotated[int, Field(ge=1, le=64, strict=True)]
 Actuators = Annotated[tuple[Actuator, ...], Field(min_length=1, description="numbers of the actuators it drives")]
 Text = Annotated[str, Field(min_length=1)]
 
-BarEach = Annotated[
-    Annotated[Bar, Tag("all")] | Annotated[tuple[Bar, ...], Tag("each")], Discriminator(_list_or_number)
+Value = TypeVar("Value")
+OneOrEach = Annotated[
+    Annotated[Value, Tag("all")] | Annotated[tuple[Value, ...], Tag("each")], Discriminator(_list_or_number)
 ]
-AmplitudeEach = Annotated[
-    Annotated[BarOrZero, Tag("all")] | Annotated[tuple[BarOrZero, ...], Tag("each")], Discriminator(_list_or_number)
-]
-NumberEach = Annotated[
-    Annotated[Number, Tag("all")] | Annotated[tuple[Number, ...], Tag("each")], Discriminator(_list_or_number)
-]
-PositiveEach = Annotated[
-    Annotated[Positive, Tag("all")] | Annotated[tuple[Positive, ...], Tag("each")], Discriminator(_list_or_number)
-]
+BarEach = OneOrEach[Bar]
+AmplitudeEach = OneOrEach[BarOrZero]
+NumberEach = OneOrEach[Number]
+PositiveEach = OneOrEach[Positive]
 
 
 class StepPart(BaseModel):
@@ -129,12 +125,27 @@ class MotionStep(LeafStep, ABC):
     label: Text | SkipJsonSchema[None] = Field(default=None, description="its name in reports")
 
 
+class PressureStep(MotionStep, ABC):
+    """A step of some actuators: what it lists beside them has one number for each."""
+
+    actuators: Actuators
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        faults(self.faults())
+        return self
+
+    def faults(self) -> list[ValidationFault]:
+        """What is wrong with the values of the step together."""
+        return fits(self.actuators, {name: value for name, value in self if name != "actuators"})
+
+
 def each(value: float | tuple[float, ...], count: int) -> tuple[float, ...]:
     """One value per actuator, from one for all or one for each."""
     return value if isinstance(value, tuple) else (value,) * count
 
 
-def fits(actuators: Sequence[int], values: dict[str, float | tuple[float, ...] | None]) -> list[ValidationFault]:
+def fits(actuators: Sequence[int], values: dict[str, Any]) -> list[ValidationFault]:
     found = []
     twice = sorted({number for number in actuators if list(actuators).count(number) > 1})
     if twice:

@@ -5,29 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from protocols.decimals import pa
-from protocols.steps.base import Actuators, MotionStep, SecondsOrNone, Text, TrajectoryBuilder, fits
+from protocols.steps.base import PressureStep, SecondsOrNone, Text, TrajectoryBuilder
 from protocols.steps.csv_samples import read_samples
-from protocols.validation import faults
 from protocols.waveforms import Samples, Smooth
 
 
-class Csv(MotionStep):
+class Csv(PressureStep):
     """Set-points from a CSV file beside the protocol: a column `time_s` and a column `actuator_N_bar` for each
     actuator. Time counts from the first row. With `lead_in_s` the first values are approached smoothly.
     """
 
     file: Text = Field(description="path, relative to the protocol's folder")
-    actuators: Actuators
     between: Literal["linear", "hold"] = Field(default="linear", description="what happens between the rows")
     lead_in_s: SecondsOrNone = 0.0
-
-    @model_validator(mode="after")
-    def _check(self) -> Csv:
-        faults(fits(self.actuators, {}))
-        return self
 
     def play(self, builder: TrajectoryBuilder) -> None:
         """A smooth transition to the first row, if it takes time, then the rows."""

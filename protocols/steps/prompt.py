@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
-from protocols.steps.base import LeafStep, Text, TrajectoryBuilder
+from protocols.steps.base import Grams, LeafStep, Text, TrajectoryBuilder
 
 PROMPT_S = 0.1
 """Duration of a prompt's segment, in which the set-points are constant."""
-
-Grams = Annotated[float, Field(ge=0, le=1e5, allow_inf_nan=False, strict=True)]
 
 
 class PromptStep(LeafStep):
