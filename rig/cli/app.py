@@ -10,45 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.cli import (
-    archives,
-    board,
-    calibrate,
-    completion,
-    design,
-    drivers,
-    identify,
-    init,
-    publish,
-    reproduce,
-    study,
-    workspace,
-)
+from rig.cli import archives, calibrate, completion, design, identify, options, publish, reproduce, rigs, study
 from rig.cli.address_space import EstimationCommand, NumericalCommand, PlottingCommand
 from rig.cli.command_groups import HelpFormatter
 from rig.cli.completion import DATA
 from rig.cli.exit_status import BAD_INPUT, DONE, FAULT
 from rig.cli.expected_errors import PlainErrors, fail
-from rig.cli.options import (
-    AsJson,
-    Controller,
-    ExistingRig,
-    Fast,
-    Folder,
-    Free,
-    LearnFrom,
-    Metadata,
-    Note,
-    Operator,
-    Parameters,
-    ProtocolName,
-    RigName,
-    Seed,
-    Settings,
-    Variant,
-    VentedRig,
-    Yes,
-)
 from rig.cli.printable_stream import printable_streams
 
 if TYPE_CHECKING:
@@ -93,27 +60,27 @@ Adapt = Annotated[bool, typer.Option("--adapt", help="Estimate the arm's paramet
 @app.command(cls=NumericalCommand)
 def run(
     ctx: typer.Context,
-    protocol: ProtocolName,
-    settings: Settings = None,
-    rig: RigName = None,
-    fast: Fast = False,
-    seed: Seed = 0,
-    out: Folder = DATA,
-    model: Variant = None,
-    parameters: Parameters = None,
-    operator: Operator = "",
-    note: Note = "",
-    meta: Metadata = None,
-    yes: Yes = False,
+    protocol: options.ProtocolName,
+    settings: options.Settings = None,
+    rig: options.RigName = None,
+    fast: options.Fast = False,
+    seed: options.Seed = 0,
+    out: options.Folder = DATA,
+    model: options.Variant = None,
+    parameters: options.Parameters = None,
+    operator: options.Operator = "",
+    note: options.Note = "",
+    meta: options.Metadata = None,
+    yes: options.Yes = False,
     no_report: NoReport = False,
     adapt: Adapt = False,
-    free: Free = "",
-    controller: Controller = None,
-    learn_from: LearnFrom = None,
+    free: options.Free = "",
+    controller: options.Controller = None,
+    learn_from: options.LearnFrom = None,
     live: Live = False,
     listen: Listen = LOCAL,
     port: Port = LIVE_PORT,
-    json: AsJson = False,
+    json: options.AsJson = False,
 ) -> None:
     """Run a protocol and leave an archive with a report."""
     from rig.experiment import report_process
@@ -180,7 +147,12 @@ def _live_page(listen: str, port: int, screen: Console) -> AbstractContextManage
 
 
 @app.command()
-def check(protocol: ProtocolName, settings: Settings = None, rig: RigName = None, json: AsJson = False) -> None:
+def check(
+    protocol: options.ProtocolName,
+    settings: options.Settings = None,
+    rig: options.RigName = None,
+    json: options.AsJson = False,
+) -> None:
     """Check a protocol against a rig, without touching hardware."""
     from rig.cli import assignments, run_output
     from rig.cli.output import console, print_json
@@ -210,28 +182,7 @@ def protocols() -> None:
 
 
 @app.command()
-def doctor(
-    rig: ExistingRig = None,
-    out: Folder = DATA,
-    json: AsJson = False,
-) -> None:
-    """Check this machine, and the cards of a rig; name a remedy for each missing part."""
-    from rig.cli import run_output
-    from rig.cli.output import console, print_json
-    from rig.config.loader import load, named_rig
-    from rig.doctor import examine
-
-    chosen = named_rig(rig)
-    findings = examine(out, load(chosen.name) if chosen else None)
-    if json:
-        print_json(findings)
-    else:
-        console().print(run_output.findings_table(findings))
-    raise typer.Exit(FAULT if any(f.verdict == "missing" for f in findings) else DONE)
-
-
-@app.command()
-def vent(rig: VentedRig = None) -> None:
+def vent(rig: options.VentedRig = None) -> None:
     """Vent every chamber of a rig, even if another process uses it; a running experiment ends.
 
     Without a rig, vent the rigs of this user's running experiments.
@@ -246,12 +197,12 @@ def vent(rig: VentedRig = None) -> None:
 
 @app.command(cls=NumericalCommand)
 def simulate(
-    protocol: ProtocolName,
-    settings: Settings = None,
-    rig: RigName = None,
-    model: Variant = None,
-    parameters: Parameters = None,
-    out: Folder = DATA,
+    protocol: options.ProtocolName,
+    settings: options.Settings = None,
+    rig: options.RigName = None,
+    model: options.Variant = None,
+    parameters: options.Parameters = None,
+    out: options.Folder = DATA,
 ) -> None:
     """Run the model alone, driven by the protocol's set-points; leaves an archive of the same layout."""
     from rig.cli import assignments
@@ -303,11 +254,12 @@ app.command()(publish.publish)
 app.command(cls=NumericalCommand)(archives.replay)
 app.command("import", cls=NumericalCommand)(archives.import_)
 app.command(cls=NumericalCommand)(reproduce.reproduce)
-app.command(cls=PlottingCommand)(workspace.workspace)
-app.command(cls=PlottingCommand)(board.board)
-app.command()(init.init)
-app.command()(drivers.drivers)
-app.command("test-driver")(drivers.check_drivers)
+app.command(cls=PlottingCommand)(rigs.workspace)
+app.command(cls=PlottingCommand)(rigs.board)
+app.command()(rigs.init)
+app.command()(rigs.drivers)
+app.command()(rigs.doctor)
+app.command("test-driver")(rigs.check_drivers)
 app.command(cls=EstimationCommand)(design.design)
 app.command(cls=NumericalCommand)(study.study)
 app.add_typer(identify.app, name="identify")

@@ -7,23 +7,8 @@ from typing import Annotated
 
 import typer
 
+from rig.cli import options
 from rig.cli.completion import DATA
-from rig.cli.options import (
-    Archive,
-    Archives,
-    AsJson,
-    Calibrations,
-    Folder,
-    Format,
-    Note,
-    Operator,
-    OptionalFolder,
-    Parameters,
-    RecordedRig,
-    Replace,
-    ReportFile,
-    Variant,
-)
 
 
 def runs(
@@ -34,7 +19,7 @@ def runs(
     tag: Annotated[str, typer.Option(help="Only those with this tag.")] = "",
     specimen: Annotated[str, typer.Option(help="Only those of this specimen, with the sum of pressure cycles.")] = "",
     study: Annotated[str, typer.Option(help="Only those of this study.")] = "",
-    json: AsJson = False,
+    json: options.AsJson = False,
 ) -> None:
     """List the archives of a folder, newest first."""
     from rig.cli import archive_output
@@ -50,7 +35,7 @@ def runs(
         archive_output.cycles(specimen, *specimen_cycles(entries, specimen))
 
 
-def show(archive: Archive, json: AsJson = False) -> None:
+def show(archive: options.Archive, json: options.AsJson = False) -> None:
     """Show the contents and the provenance of an archive."""
     from rig.cli import archive_output
 
@@ -58,13 +43,13 @@ def show(archive: Archive, json: AsJson = False) -> None:
 
 
 def report(
-    archives: Archives,
+    archives: options.Archives,
     figures: Annotated[bool, typer.Option("--figures", help="Write each figure as a file, for print.")] = False,
-    format_: Format = "pdf",
+    format_: options.Format = "pdf",
     width_mm: Annotated[float, typer.Option("--width-mm", help="Width of the figures [mm].")] = 88.0,
-    to: ReportFile = None,
-    out: OptionalFolder = None,
-    replace: Replace = False,
+    to: options.ReportFile = None,
+    out: options.OptionalFolder = None,
+    replace: options.Replace = False,
 ) -> None:
     """Write the report of one run, or what differs between several.
 
@@ -99,12 +84,12 @@ def report(
 
 
 def replay(
-    archive: Archive,
-    rig: RecordedRig = None,
-    model: Variant = None,
-    parameters: Parameters = None,
-    calibration: Calibrations = None,
-    out: Folder = DATA,
+    archive: options.Archive,
+    rig: options.RecordedRig = None,
+    model: options.Variant = None,
+    parameters: options.Parameters = None,
+    calibration: options.Calibrations = None,
+    out: options.Folder = DATA,
 ) -> None:
     """Run vision and model again on a run's stored pictures and pressures, also with another rig."""
     from rig.cli.run_names import resolve
@@ -118,10 +103,10 @@ def replay(
 
 
 def export(
-    archive: Archive,
-    format_: Format = "csv",
-    out: OptionalFolder = None,
-    replace: Replace = False,
+    archive: options.Archive,
+    format_: options.Format = "csv",
+    out: options.OptionalFolder = None,
+    replace: options.Replace = False,
 ) -> None:
     """Write an archive in another format: csv, mat, mcap, or yaml for the inputs of the run."""
     from rig.cli.run_names import resolve
@@ -137,9 +122,9 @@ def import_(
         Path,
         typer.Option("--mapping", metavar="FILE", help="YAML: which column is what; docs/reference/import-mapping.md"),
     ],
-    out: Folder = DATA,
-    operator: Operator = "",
-    note: Note = "",
+    out: options.Folder = DATA,
+    operator: options.Operator = "",
+    note: options.Note = "",
 ) -> None:
     """Convert foreign measurements to archives."""
     from rig.importing import import_table
@@ -160,7 +145,9 @@ def recover(
     archive_output.recover(folder)
 
 
-def note(archive: Archive, text: Annotated[str, typer.Argument(metavar="TEXT", help="The note, in quotes.")]) -> None:
+def note(
+    archive: options.Archive, text: Annotated[str, typer.Argument(metavar="TEXT", help="The note, in quotes.")]
+) -> None:
     """Add a note to a run; the archive stays as it is."""
     from rig.cli.run_names import resolve
     from runs.annotations import add_note
@@ -169,7 +156,7 @@ def note(archive: Archive, text: Annotated[str, typer.Argument(metavar="TEXT", h
 
 
 def tag(
-    archive: Archive,
+    archive: options.Archive,
     tags: Annotated[list[str], typer.Argument(metavar="TAG..", help="One or several words, as bad.")],
     remove: Annotated[bool, typer.Option("--remove", help="Remove these tags.")] = False,
 ) -> None:

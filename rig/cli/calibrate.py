@@ -7,25 +7,9 @@ from typing import Annotated
 
 import typer
 
+from rig.cli import options
 from rig.cli.address_space import NumericalCommand
 from rig.cli.command_groups import HelpGroup
-from rig.cli.options import (
-    AsJson,
-    Calibrations,
-    Camera,
-    Capture,
-    Corners,
-    DatedFile,
-    Every,
-    Fast,
-    Note,
-    Replace,
-    RigName,
-    Seed,
-    SquareMm,
-    ViewedRig,
-    Yes,
-)
 
 app = typer.Typer(
     cls=HelpGroup,
@@ -43,10 +27,10 @@ def dlt(
             metavar="CSV|NAME=VIEWS..", help="Control points, or each camera's simultaneous views of a board."
         ),
     ] = None,
-    corners: Corners = "",
-    square_mm: SquareMm = 0.0,
-    calibration: Calibrations = None,
-    rig: ViewedRig = None,
+    corners: options.Corners = "",
+    square_mm: options.SquareMm = 0.0,
+    calibration: options.Calibrations = None,
+    rig: options.ViewedRig = None,
     size: Annotated[str, typer.Option(help="Size of the pictures, as 640x480, if no other option gives it.")] = "",
     points_std_mm: Annotated[
         float, typer.Option(help="Standard uncertainty of the control points, for the bundle adjustment.")
@@ -58,11 +42,11 @@ def dlt(
             metavar="X,Y,Z,A,B,C", help="Pose of that board in the rod-base frame: mm, rotation vector in deg."
         ),
     ] = "",
-    every: Every = 1,
-    to: DatedFile = None,
-    replace: Replace = False,
-    note: Note = "",
-    json: AsJson = False,
+    every: options.Every = 1,
+    to: options.DatedFile = None,
+    replace: options.Replace = False,
+    note: options.Note = "",
+    json: options.AsJson = False,
 ) -> None:
     """Find cameras' 11 DLT coefficients and poses, from control points or from views of a board."""
     from rig.calibrate import dlt as procedure
@@ -93,24 +77,23 @@ def camera(
         list[str] | None,
         typer.Argument(metavar="[NAME=]VIEWS..", help="Folder, video or pattern ('views/left*.jpg') for each camera."),
     ] = None,
-    corners: Corners = "",
-    square_mm: SquareMm = 0.0,
-    capture: Capture = False,
-    rig: ViewedRig = None,
-    camera: Camera = None,
+    corners: options.Corners = "",
+    square_mm: options.SquareMm = 0.0,
+    capture: options.Capture = False,
+    rig: options.ViewedRig = None,
+    camera: options.Camera = None,
     count: Annotated[int, typer.Option(metavar="N", help="Views to capture.", min=4)] = 20,
-    every: Every = 1,
-    to: DatedFile = None,
-    replace: Replace = False,
-    note: Note = "",
-    seed: Seed = 0,
-    json: AsJson = False,
+    every: options.Every = 1,
+    to: options.DatedFile = None,
+    replace: options.Replace = False,
+    note: options.Note = "",
+    seed: options.Seed = 0,
+    json: options.AsJson = False,
 ) -> None:
     """Find cameras' intrinsics and distortion from views of a board."""
     from rig.calibrate import camera as procedure
     from rig.calibrate.file_sections import OutputFile
     from rig.cli import calibration_output
-    from rig.cli.terminal_operator import TerminalOperator
     from rig.config.loader import chosen_rig
 
     done = procedure.run(
@@ -126,37 +109,36 @@ def camera(
             seed=seed,
             output=OutputFile(to, replace, note),
         ),
-        TerminalOperator(),
+        calibration_output.TerminalOperator(),
     )
     calibration_output.cameras(done, of_a_rig=capture or rig is not None, as_json=json)
 
 
 @app.command(cls=NumericalCommand)
 def tool(
-    rig: RigName = None,
-    camera: Camera = None,
+    rig: options.RigName = None,
+    camera: options.Camera = None,
     straight: Annotated[Path | None, typer.Option(metavar="VIEWS", help="Views of the vented, straight arm.")] = None,
     turned: Annotated[
         Path | None, typer.Option(metavar="VIEWS", help="Views with the end cap turned about the arm's axis.")
     ] = None,
-    capture: Capture = False,
+    capture: options.Capture = False,
     tip_std_mm: Annotated[
         float, typer.Option(help="Standard uncertainty of the straight arm's tip position [mm].")
     ] = 0.1,
     tip_std_deg: Annotated[
         float, typer.Option(help="Standard uncertainty of the straight arm's tip direction [deg].")
     ] = 0.2,
-    to: DatedFile = None,
-    replace: Replace = False,
-    note: Note = "",
-    seed: Seed = 0,
-    json: AsJson = False,
+    to: options.DatedFile = None,
+    replace: options.Replace = False,
+    note: options.Note = "",
+    seed: options.Seed = 0,
+    json: options.AsJson = False,
 ) -> None:
     """Find the board's offset from the arm's central axis and its rotation."""
     from rig.calibrate import tool as procedure
     from rig.calibrate.file_sections import OutputFile
     from rig.cli import calibration_output
-    from rig.cli.terminal_operator import TerminalOperator
     from rig.config.loader import chosen_rig
 
     done = procedure.run(
@@ -171,20 +153,20 @@ def tool(
             seed=seed,
             output=OutputFile(to, replace, note),
         ),
-        TerminalOperator(),
+        calibration_output.TerminalOperator(),
     )
     calibration_output.tool(done, as_json=json)
 
 
 @app.command(cls=NumericalCommand)
 def pressure(
-    rig: RigName = None,
+    rig: options.RigName = None,
     readings: Annotated[
         Path | None, typer.Option(metavar="CSV", help="Existing readings: actuator,volts_V,gauge_bar.")
     ] = None,
     sensors: Annotated[bool, typer.Option(help="Scale the sensors against the gauge.")] = True,
     valves: Annotated[bool, typer.Option(help="Sweep the valves that meter flow.")] = True,
-    fast: Fast = False,
+    fast: options.Fast = False,
     gauge: Annotated[str, typer.Option(help="Name and number of the gauge; stored in the file.")] = "",
     gauge_std_bar: Annotated[float, typer.Option(help="Standard uncertainty of the gauge [bar].")] = 0.002,
     volume_ml: Annotated[
@@ -194,18 +176,17 @@ def pressure(
         float | None,
         typer.Option(help="Standard uncertainty of that volume [ml].", show_default="a tenth of the volume"),
     ] = None,
-    to: DatedFile = None,
-    replace: Replace = False,
-    note: Note = "",
-    yes: Yes = False,
-    seed: Seed = 0,
-    json: AsJson = False,
+    to: options.DatedFile = None,
+    replace: options.Replace = False,
+    note: options.Note = "",
+    yes: options.Yes = False,
+    seed: options.Seed = 0,
+    json: options.AsJson = False,
 ) -> None:
     """Find the sensors' scales against a gauge, and the valves' dead zone and flow curve by a sweep."""
     from rig.calibrate import pressure as procedure
     from rig.calibrate.file_sections import OutputFile
     from rig.cli import calibration_output
-    from rig.cli.terminal_operator import TerminalOperator
     from rig.config.loader import chosen_rig
 
     done = procedure.run(
@@ -223,6 +204,6 @@ def pressure(
             seed=seed,
             output=OutputFile(to, replace, note),
         ),
-        TerminalOperator(),
+        calibration_output.TerminalOperator(),
     )
     calibration_output.pressure(done, as_json=json)

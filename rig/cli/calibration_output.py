@@ -1,4 +1,4 @@
-"""What the calibration commands print."""
+"""A calibration in the terminal: its operator, and what is printed of its result."""
 
 from __future__ import annotations
 
@@ -17,12 +17,33 @@ from rig.calibrate.dlt import DLTCalibration
 from rig.calibrate.dlt_fit import DLTCalibrationResult
 from rig.calibrate.pressure import PressureCalibration
 from rig.calibrate.tool import ToolCalibration
+from rig.cli.keyboard import Keyboard
 from rig.cli.output import ColumnTable, console, print_json
+from rig.cli.run_output import confirm
 from rig.config import calibration_schema
 from rig.config.calibration_files import read
 from rig.config.optics import placement_of
 
 _WORST_SHOWN = 5
+
+
+class TerminalOperator:
+    """The operator of a calibration: instructions on standard error, keys from standard input."""
+
+    def __init__(self) -> None:
+        self._screen = console(stderr=True)
+
+    def tell(self, line: str) -> None:
+        self._screen.print(line, soft_wrap=True)
+
+    def confirm(self) -> bool:
+        return confirm(self._screen)
+
+    def wait(self, instruction: str) -> None:
+        typer.prompt(f"{instruction}; then Enter", default="", show_default=False, err=True)
+
+    def keys(self) -> Keyboard:
+        return Keyboard()
 
 
 def _print_file(file: Path, simulated: bool) -> None:

@@ -6,7 +6,6 @@ import os
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console, Group, RenderableType
@@ -26,11 +25,7 @@ from rig.realtime.timing_limits import has_real_valves, timing_sentence
 from runs.printable_text import printable
 from runs.records import Status
 
-if TYPE_CHECKING:
-    from rig.config.drivers import Finding
-
 _EXIT = {Status.FINISHED: DONE, Status.ABORTED: FAULT, Status.INTERRUPTED: INTERRUPTED}
-_VERDICT = {"ok": "green", "missing": "bold red", "note": "yellow"}
 _STATUS = {Status.FINISHED: "bold green", Status.ABORTED: "bold red", Status.INTERRUPTED: "bold yellow"}
 _PLOT_LINES = 10
 
@@ -250,12 +245,3 @@ def result_facts(result: RunResult) -> dict[str, object]:
 def exit_status(result: RunResult) -> int:
     """Return the exit status: 0 finished, 1 aborted, not archived or without its tip controller, 130 interrupted."""
     return _EXIT[result.outcome.status] or (FAULT if result.warnings or result.outcome.message else DONE)
-
-
-def findings_table(findings: tuple[Finding, ...]) -> Table:
-    """Return the findings of `rig doctor` as a table."""
-    table = ColumnTable("", "topic", "found", "what to do")
-    for finding in findings:
-        remedy = "" if finding.verdict == "ok" else finding.remedy
-        table.add_row(Text(finding.verdict, _VERDICT[finding.verdict]), finding.topic, finding.found, remedy)
-    return table

@@ -88,7 +88,7 @@ COUNTERPARTS = {
         {"rig": "name", "to": "path"},
         {"replace": "runs.overwriting:refuse_existing"},
     ),
-    "init": Counterpart("rig.cli.init:commented", {"like": "text"}, FILE),
+    "init": Counterpart("rig.cli.rigs:commented", {"like": "text"}, FILE),
     "drivers": Counterpart("rig.hardware.installed_drivers:installed_drivers"),
     "test-driver": Counterpart(
         "rig.driver_contract.runner:results",

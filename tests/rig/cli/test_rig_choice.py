@@ -13,7 +13,7 @@ import yaml
 import rig.cli.vent
 import rig.hardware.vent
 import runs
-from rig.cli.init import EXPLAINED, commented
+from rig.cli.rigs import EXPLAINED, commented
 from rig.config import loader
 from rig.config.loader import Source, chosen_rig, named_rig
 from rig.config.schema import RigConfig
