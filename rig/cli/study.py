@@ -35,11 +35,9 @@ def study(
     from rig.cli.output import console
     from rig.cli.progress import progress_bar
     from rig.cli.run_output import confirm
-    from rig.cli.study_output import StudyTerminal
     from rig.config.loader import chosen_rig
     from rig.study import execution
     from rig.study.study import archived, finished, load, recovered
-    from runs.study.page import write
 
     if scheduler and not fast:
         raise bad_input("--scheduler", scheduler, "--fast: only runs in virtual time are spread over a cluster")
@@ -68,13 +66,11 @@ def study(
                 with progress_bar("runs") as progress:
                     execution.run_virtual(found, scratch, scheduler=scheduler, progress=progress)
             elif len(done) < len(found.runs):
-                execution.run_real(found, StudyTerminal(screen))
+                execution.run_real(found, study_output.StudyTerminal(screen))
         finally:
-            entries = finished(archived(found))
-            if entries:
-                files = [out / entries[number].file for number in sorted(entries)]
-                page, table = write(found.name, found.plan.title, len(found.runs), files, out)
-                study_output.written(screen, found, entries, page, table, as_json=json)
-        if len(entries) < len(found.runs):
-            screen.print(f"repeat the command for the {len(found.runs) - len(entries)} runs that are missing")
+            if results := execution.write_results(found):
+                study_output.written(screen, found, results, as_json=json)
+        missing = len(found.runs) - len(results.runs if results else ())
+        if missing:
+            screen.print(f"repeat the command for the {missing} runs that are missing")
             raise typer.Exit(FAULT)

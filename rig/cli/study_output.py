@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from pathlib import Path
 
 from rich.console import Console
 
@@ -15,6 +13,7 @@ from rig.execution.plan import RunPlan
 from rig.execution.stop_signals import StopSignals
 from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest
+from rig.study.execution import StudyResults
 from rig.study.study import ASSUMED_OVERHEAD_S, Study, finished, overhead_s
 from runs.catalogue import Entry
 from runs.records import Status
@@ -62,18 +61,16 @@ def _time(seconds: float) -> str:
     return f"{seconds:.1f} s" if seconds < 600 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-def written(
-    screen: Console, study: Study, done: Mapping[int, Entry], page: Path, table: Path, *, as_json: bool = False
-) -> None:
+def written(screen: Console, study: Study, results: StudyResults, *, as_json: bool = False) -> None:
     """Print what was written."""
     if as_json:
-        runs = {number: done[number].run_id for number in sorted(done)}
-        files = {"page": str(page), "table": str(table)}
+        runs = {number: entry.run_id for number, entry in results.runs.items()}
+        files = {"page": str(results.page), "table": str(results.table)}
         print_json({"study": study.name, "planned": len(study.runs), "runs": runs, **files})
         return
-    screen.print(f"{len(done)} of {len(study.runs)} runs of study {study.name} are finished")
-    screen.print(f"table   {table}", soft_wrap=True)
-    screen.print(f"report  {page}", soft_wrap=True)
+    screen.print(f"{len(results.runs)} of {len(study.runs)} runs of study {study.name} are finished")
+    screen.print(f"table   {results.table}", soft_wrap=True)
+    screen.print(f"report  {results.page}", soft_wrap=True)
 
 
 class StudyTerminal:

@@ -20,9 +20,10 @@ from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest, RunResult
 from rig.experiment.simulate import simulate
 from rig.realtime.timing_limits import has_real_valves
-from rig.session.prompts import Answer, FunctionOperator
-from rig.session.study import FunctionStudyOperator, run_study
+from rig.session.operators import Answer, FunctionOperator, FunctionStudyOperator
+from rig.study import execution
 from rig.study.study import load as load_study
+from rig.study.study import recovered
 from runs.records import Status
 from runs.run import Run, paths_of
 from runs.run_names import DATA
@@ -194,7 +195,17 @@ class Session:
         if not fast and study.plan.block_prompt and answer is None:
             expected = "a function for the prompts before the blocks, such as answer=input"
             raise bad_input("answer", "None", expected)
-        return run_study(study, FunctionStudyOperator(partial(_run, answer=answer), answer), workers, scheduler)
+        with execution.locked(study) as scratch:
+            for sentence in recovered(study.folder):
+                warnings.warn(sentence, stacklevel=2)
+            try:
+                if fast:
+                    execution.run_virtual(study, scratch, workers, scheduler)
+                else:
+                    execution.run_real(study, FunctionStudyOperator(partial(_run, answer=answer), answer))
+            finally:
+                results = execution.write_results(study)
+        return () if results is None else tuple(Run(folder / entry.file) for entry in results.runs.values())
 
     def _require_entered(self) -> None:
         if not self._entered:

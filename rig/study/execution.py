@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from calibration.parallel_map import parallel_results
 from rig.execution.plan import NullOperator, RunPlan, StartError
@@ -26,6 +26,7 @@ from runs.journal.append_only_file import lock
 from runs.overwriting import naming
 from runs.records import Status, StudyRole
 from runs.recovery import move_unused
+from runs.study.page import write
 
 
 class StudyBusyError(StartError):
@@ -69,6 +70,23 @@ def locked(study: Study) -> Iterator[Path]:
             if left.is_dir():
                 move_unused(left, study.folder)
         yield scratch
+
+
+class StudyResults(NamedTuple):
+    """The finished runs of a study by number, in their order, and the page and the table of them."""
+
+    runs: dict[int, Entry]
+    page: Path
+    table: Path
+
+
+def write_results(study: Study) -> StudyResults | None:
+    """Write page and table of the runs that are finished; None without any."""
+    runs = dict(sorted(finished(archived(study)).items()))
+    if not runs:
+        return None
+    files = [study.folder / entry.file for entry in runs.values()]
+    return StudyResults(runs, *write(study.name, study.plan.title, len(study.runs), files, study.folder))
 
 
 def run_virtual(

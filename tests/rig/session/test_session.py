@@ -18,7 +18,7 @@ import runs
 from protocols import BadInputError
 from rig.execution.plan import Progress
 from rig.identify import identify
-from rig.session.prompts import FunctionOperator
+from rig.session.operators import FunctionOperator
 from rig.session.session import RunEndedError, RunInterruptedError, Session
 from runs.archive.checked import ArchiveError
 from runs.records import Event

@@ -21,7 +21,7 @@ from rig.config.loader import RigChoice, Source
 from rig.execution.plan import RunPlan, StartError
 from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest
-from rig.session.prompts import FunctionOperator
+from rig.session.operators import FunctionOperator
 from rig.study.execution import StudyBusyError, locked, run_real, run_virtual, stop_reason
 from rig.study.plan import StopRules, StudyPlan, planned_runs
 from rig.study.study import ASSUMED_OVERHEAD_S, OtherStudyError, Study, archived, finished, load, overhead_s

@@ -1,12 +1,14 @@
-"""The operator of a run that a Python program started: stop signals, and prompts answered by a function."""
+"""The operators of a run and of a study that a Python program started: prompts are answered by a function."""
 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 
-from rig.execution.plan import NullOperator, Progress
-from runs.records import Event
+from rig.execution.plan import NullOperator, Progress, RunPlan
+from rig.experiment.run import RunRequest, RunResult
+from runs.records import Event, Status
 
 Answer = Callable[[str], object]
 """Called with the message of a prompt; the run continues when it returns."""
@@ -50,3 +52,24 @@ class FunctionOperator(NullOperator):
             self._failure = f"the prompt was not answered: {type(error).__name__}: {error}"
         else:
             self._answered.set()
+
+
+class FunctionStudyOperator:
+    """Performs runs by `perform`, rests by sleeping, and passes each prompt to `answer`."""
+
+    def __init__(self, perform: Callable[[RunRequest, RunPlan], RunResult], answer: Answer | None) -> None:
+        self._perform = perform
+        self._answer = answer
+
+    def run(self, request: RunRequest, plan: RunPlan) -> Status:
+        """Perform a run; return how it ended."""
+        return self._perform(request, plan).outcome.status
+
+    def rest(self, seconds: float) -> None:
+        """Wait."""
+        time.sleep(seconds)
+
+    def confirm(self, prompt: str) -> None:
+        """Return when the function has returned."""
+        if self._answer is not None:
+            self._answer(prompt)
