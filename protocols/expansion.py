@@ -11,7 +11,7 @@ import numpy as np
 from protocols.arrays import Array
 from protocols.problems import BadInputError, Problem, raise_all
 from protocols.schema import InnerSteps, Step
-from protocols.source_positions import Document, path_text
+from protocols.source_positions import Document
 from protocols.steps.base import MOST_SEGMENTS, LeafStep
 from protocols.tip_inverse import HISTORY_S, HISTORY_STEP_S, TipInverse, TipRefusedError, TipRequest
 from protocols.tip_paths import TipPath, fade
@@ -44,10 +44,12 @@ def _count(steps: Sequence[Step], base: Path, document: Document, found: list[Pr
             count, decisive = body.most_segments
             at = (*at, *decisive)
         if count > MOST_SEGMENTS and not found:
-            found.append(_problem(document, at, f"less: at most {MOST_SEGMENTS} segments in all, and this makes more"))
+            found.append(document.problem(at, f"less: at most {MOST_SEGMENTS} segments in all, and this makes more"))
         total += count
     if total > MOST_SEGMENTS and not found:
-        found.append(_problem(document, base, f"at most {MOST_SEGMENTS} segments in all; these make {total}", ""))
+        found.append(
+            document.problem(base, f"at most {MOST_SEGMENTS} segments in all; these make {total}", "", at_key=True)
+        )
     return total
 
 
@@ -67,7 +69,7 @@ def expand(
     raise_all(expander.problems)
     segments = tuple(expander.segments)
     if not segments:
-        raise BadInputError([_problem(document, ("steps",), "at least one step that takes time", "")])
+        raise BadInputError([document.problem(("steps",), "at least one step that takes time", "", at_key=True)])
     return SetPointTrajectory(
         expander.now_s,
         actuators,
@@ -147,18 +149,18 @@ class _Expander:
             return
         if fault := _time_fault(path, lead_in_s):
             found, expected = fault
-            self.problems.append(_problem(self._document, self._path, expected, found))
+            self.problems.append(self._document.problem(self._path, expected, found))
             return
         if self._inverse is None:
             self.problems.append(
-                _problem(self._document, self._path, "a rig: set-points of a tip path need its arm", "")
+                self._document.problem(self._path, "a rig: set-points of a tip path need its arm", "", at_key=True)
             )
             return
         request = TipRequest(path, lead_in_s, coordinates, tolerance_m, self.now_s, self._history(), self._weight_kg())
         try:
             solution = self._inverse.solve(request)
         except TipRefusedError as refused:
-            self.problems.append(_problem(self._document, self._path, refused.expected, refused.found))
+            self.problems.append(self._document.problem(self._path, refused.expected, refused.found))
             return
         begin_s, actuators = self.now_s, tuple(range(1, len(self._level_pa) + 1))
         for kind, words, from_s, to_s in (
@@ -211,7 +213,7 @@ class _Expander:
                 lacking = True
                 have = len(self._level_pa)
                 expected = f"an actuator that the rig has: {'1' if have == 1 else f'1 to {have}'}"
-                problem = _problem(self._document, (*here, "actuators", index), expected)
+                problem = self._document.problem((*here, "actuators", index), expected)
                 if problem not in self.problems:
                     self.problems.append(problem)
         return lacking
@@ -255,14 +257,3 @@ def _part(times_s: Array, pressure_pa: Array, from_s: float, to_s: float) -> lis
 def _interpolated(times_s: Array, at_s: Array, values: Array) -> Array:
     """Columns of values (n, m), interpolated linearly at times (k,)."""
     return np.column_stack([np.interp(times_s, at_s, column) for column in values.T])
-
-
-def _problem(document: Document, path: Path, expected: str, value: str | None = None) -> Problem:
-    position = document.position(path)
-    line, column = (
-        (position.key_line, position.key_column)
-        if value == "" and position.key_line
-        else (position.line, position.column)
-    )
-    found = position.source if value is None else value
-    return Problem(document.file, line, column, path_text(path), found, expected)

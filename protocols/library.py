@@ -193,6 +193,4 @@ def _named_by(problem: Problem, document: Document, path: tuple[str | int, ...])
     """Place a problem of a whole CSV file at the line that names the file."""
     if problem.line:
         return problem
-    position = document.position(path)
-    expected = f"a CSV file that can be used; {problem.expected}"
-    return Problem(document.file, position.line, position.column, path_text(path), position.source, expected)
+    return document.problem(path, f"a CSV file that can be used; {problem.expected}")

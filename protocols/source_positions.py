@@ -74,12 +74,24 @@ class Document:
         return position
 
     def problem(
-        self, path: tuple[str | int, ...], expected: str, value: str | None = None, suggestion: str = ""
+        self,
+        path: tuple[str | int, ...],
+        expected: str,
+        value: str | None = None,
+        suggestion: str = "",
+        *,
+        at_key: bool = False,
     ) -> Problem:
-        """The problem of the value at `path`, which is quoted as the file has it unless `value` states it."""
+        """The problem of the value at `path`, which is quoted as the file has it unless `value` states it.
+
+        at_key: its place is that of the key, where there is one.
+        """
         position = self.position(path)
+        place = position.line, position.column
+        if at_key and position.key_line:
+            place = position.key_line, position.key_column
         found = position.source if value is None else value
-        return Problem(self.file, position.line, position.column, path_text(path), found, expected, suggestion)
+        return Problem(self.file, *place, path_text(path), found, expected, suggestion)
 
 
 def path_text(path: tuple[str | int, ...]) -> str:

@@ -14,7 +14,7 @@ from protocols.expectations import Expectation, Schema, unit_of, wants_number
 from protocols.expressions import NAME, Expression, parsed, remedy
 from protocols.parameters import ParameterValue, ProtocolParameter, declared, unit_in
 from protocols.problems import Problem, closest
-from protocols.source_positions import Document, SourcePosition, path_text, shortened
+from protocols.source_positions import Document, SourcePosition, shortened
 
 Path = tuple[str | int, ...]
 KEY = "parameters"
@@ -97,7 +97,8 @@ class _Substituter:
         """A problem for each parameter that no step uses."""
         for name, parameter in self._declared.items():
             if parameter is not None and name not in self._used:
-                yield self._problem_at_key((KEY, name), name, "a parameter that a step uses; none uses this one", "")
+                expected = "a parameter that a step uses; none uses this one"
+                yield self._document.problem((KEY, name), expected, shortened(name), at_key=True)
 
     def _set(self, name: str, parameter: ProtocolParameter, settings: Mapping[str, float]) -> None:
         value, unit = settings.get(name, parameter.default), unit_in(name, parameter)
@@ -115,17 +116,14 @@ class _Substituter:
         elif name in reserved:
             self._add_at_key(path, name, "another name: this is a key of protocols")
         elif parameter is not None and parameter.unit is not None and ending not in ("", parameter.unit):
-            position = self._document.position((*path, "unit"))
-            expected = f"{ending}, in which the name {name} ends, or another name"
-            self._add(position.line, position.column, (*path, "unit"), position.source, expected)
+            self._add((*path, "unit"), f"{ending}, in which the name {name} ends, or another name")
 
     def _check_remedy(self, text: str, position: SourcePosition, path: Path) -> None:
         """Say what a text with the name of a parameter lacks to be an expression."""
         if names := set(re.findall(NAME, text)) & set(self._declared):
             self._used |= names
             words = "this text without quotes" if position.quoted and parsed(text) else remedy(text)
-            expected = f"{self._expectation.words(path, self._document.data)}, or {words}"
-            self._add(position.line, position.column, path, position.source, expected)
+            self._add(path, f"{self._expectation.words(path, self._document.data)}, or {words}")
 
     def _usable(self, expression: Expression, position: SourcePosition, path: Path) -> bool:
         """True if every name is a valid parameter in the unit of the place."""
@@ -137,31 +135,25 @@ class _Substituter:
                 known = f", or a parameter in {unit}" if unit else ", or a parameter without a unit"
                 known += f": {', '.join(fitting)}" if fitting else ", of which there is none"
                 expected = self._expectation.words(path, self._document.data) + known
-                self._add(
-                    position.line, position.column, path, position.source, expected, closest(name, self._declared)
-                )
+                self._add(path, expected, closest(name, self._declared))
             elif (value := self.values.get(name)) is None:
                 self.unresolved.add((position.line, position.column))
             elif value.unit != unit:
                 wanted = f"a parameter in {unit}" if unit else "a parameter without a unit"
                 has = f"is in {value.unit}" if value.unit else "has no unit"
-                self._add(position.line, position.column, path, position.source, f"{wanted}; {name} {has}")
+                self._add(path, f"{wanted}; {name} {has}")
             else:
                 continue
             usable = False
         return usable
 
-    def _add(self, line: int, column: int, path: Path, value: str, expected: str, suggestion: str = "") -> None:
-        file = self._document.file
-        self.problems.append(Problem(file, line, column, path_text(path), shortened(value), expected, suggestion))
+    def _add(self, path: Path, expected: str, suggestion: str = "") -> None:
+        """Add the problem of the value at a path of the document."""
+        found = shortened(self._document.position(path).source)
+        self.problems.append(self._document.problem(path, expected, found, suggestion))
 
     def _add_at_key(self, path: Path, value: str, expected: str, suggestion: str = "") -> None:
-        self.problems.append(self._problem_at_key(path, value, expected, suggestion))
-
-    def _problem_at_key(self, path: Path, value: str, expected: str, suggestion: str) -> Problem:
-        position = self._document.position(path)
-        line, column = position.key_line, position.key_column
-        return Problem(self._document.file, line, column, path_text(path), shortened(value), expected, suggestion)
+        self.problems.append(self._document.problem(path, expected, shortened(value), suggestion, at_key=True))
 
 
 def _reserved(schema: Schema) -> frozenset[str]:

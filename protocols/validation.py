@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from decimal import Decimal
 from functools import cache
 from typing import Any, TypeVar, get_args, get_origin
@@ -170,10 +170,10 @@ class _Translator:
     def fault(self, base: tuple[str | int, ...], fault: ValidationFault) -> Problem:
         """The problem of a fault inside the value at `base`."""
         path = (*base, *fault.path)
-        position = self._document.position(path)
         if not fault.path or not self._exists(path):
-            return self._problem(_key_of(position), path, "", fault.expected, fault.suggestion)
-        return self._problem(position, path, position.source, fault.expected, fault.suggestion)
+            return self._document.problem(path, fault.expected, "", fault.suggestion, at_key=True)
+        found = shortened(self._document.position(path).source)
+        return self._document.problem(path, fault.expected, found, fault.suggestion)
 
     def _several(self, error: ErrorDetails, path: tuple[str | int, ...]) -> list[Problem]:
         kind = error["type"]
@@ -196,19 +196,18 @@ class _Translator:
             expected = self._expectation.words(path, self._document.data)
         if position.hint:
             expected += f"; {position.hint}"
-        return [self._problem(position, path, position.source or "nothing", expected, self._suggestion(path, position))]
+        found = shortened(position.source) or "nothing"
+        return [self._document.problem(path, expected, found, self._suggestion(path, position))]
 
     def _missing(self, path: tuple[str | int, ...]) -> Problem:
         expected = f"is missing: {self._expectation.words(path, self._document.data)}"
-        return self._problem(_key_of(self._document.position(path[:-1])), path, "", expected, "")
+        return self._document.problem(path, expected, "", at_key=True)
 
     def _unknown(self, path: tuple[str | int, ...]) -> Problem:
-        position = self._document.position(path)
         known = self._expectation.keys(path[:-1], self._document.data)
         expected = f"one of {', '.join(known)}" if known else "no such key"
-        return self._problem(
-            _key_of(position), path, f"the unknown key '{path[-1]}'", expected, self._closest_key(path)
-        )
+        found = shortened(f"the unknown key '{path[-1]}'")
+        return self._document.problem(path, expected, found, self._closest_key(path), at_key=True)
 
     def _closest_key(self, path: tuple[str | int, ...]) -> str:
         known = self._expectation.keys(path[:-1], self._document.data)
@@ -266,18 +265,6 @@ class _Translator:
             else:
                 return None
         return data
-
-    def _problem(
-        self, position: SourcePosition, path: tuple[str | int, ...], value: str, expected: str, suggestion: str
-    ) -> Problem:
-        return Problem(
-            self._document.file, position.line, position.column, path_text(path), shortened(value), expected, suggestion
-        )
-
-
-def _key_of(position: SourcePosition) -> SourcePosition:
-    """The position of a value's key, or of the value if it has no key."""
-    return replace(position, line=position.key_line, column=position.key_column) if position.key_line else position
 
 
 def _corrected_number(text: str, unit: str, schema: Schema, quoted: bool) -> str:

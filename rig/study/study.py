@@ -19,7 +19,7 @@ from protocols import BadInputError, Problem, document
 from protocols.library import FOLDER, find
 from protocols.parameters import declared, unit_in
 from protocols.problems import bad_input, closest
-from protocols.source_positions import Document, path_text
+from protocols.source_positions import Document
 from protocols.substitution import KEY
 from rig.config.loader import RigChoice, read
 from rig.execution.plan import RunPlan
@@ -195,10 +195,8 @@ def _setting_problems(source: Document, plan: StudyPlan, protocol: Path) -> Iter
         parameter = known.get(name)
         if name not in known and name not in unknown:
             unknown.add(name)
-            key = source.position(path[: path.index(name) + 1])
             expected = f"a parameter of {protocol.stem}: {', '.join(known) or 'it has none'}"
-            where = path_text(path[: path.index(name) + 1])
-            yield Problem(source.file, key.key_line, key.key_column, where, name, expected, closest(name, known))
+            yield source.problem(path[: path.index(name) + 1], expected, name, closest(name, known), at_key=True)
         elif parameter is not None and not parameter.admits(value):
             expected = parameter.expected(unit_in(name, parameter))
             yield source.problem(path, expected)
