@@ -4,37 +4,32 @@ from __future__ import annotations
 
 import os
 import threading
-from collections import deque
+from contextlib import suppress
+from queue import Full, Queue
 from typing import TextIO
 
-MOST_BYTES = 1 << 18
+MOST_TEXTS = 1024
+"""Texts that wait at most; one is a line, or a whole screen."""
 CLOSE_TIMEOUT_S = 1.0
 
 
 class NonBlockingWriter:
-    """Buffers a stream. A thread of its own writes, so only it blocks on Ctrl-S, a full pipe or a hung terminal."""
+    """Queues a stream. A thread of its own writes, so only it blocks on Ctrl-S, a full pipe or a hung terminal."""
 
     def __init__(self, stream: TextIO) -> None:
-        """Write to the file of `stream` until `close`."""
+        """Write to the file of `stream` until `close`; raises OSError for a stream without one."""
         stream.flush()
         self.encoding = stream.encoding
         self._stream = stream
         self._fd = stream.fileno()
-        self._queue: deque[bytes] = deque()
-        self._bytes = 0
-        self._ready = threading.Condition()
-        self._open = True
+        self._queue: Queue[bytes | None] = Queue(MOST_TEXTS)
         self._thread = threading.Thread(target=self._write_queue, name="writer", daemon=True)
         self._thread.start()
 
     def write(self, text: str) -> int:
         """Queue a text without blocking."""
-        data = text.encode(self.encoding, "replace")
-        with self._ready:
-            if self._open and self._bytes + len(data) <= MOST_BYTES:
-                self._queue.append(data)
-                self._bytes += len(data)
-                self._ready.notify()
+        with suppress(Full):
+            self._queue.put_nowait(text.encode(self.encoding, "replace"))
         return len(text)
 
     def flush(self) -> None:
@@ -48,28 +43,13 @@ class NonBlockingWriter:
         return self._fd
 
     def close(self) -> None:
-        """Wait up to `CLOSE_TIMEOUT_S` for queued output, then stop."""
-        with self._ready:
-            self._open = False
-            self._ready.notify()
+        """Wait up to twice `CLOSE_TIMEOUT_S` for queued output, then stop."""
+        with suppress(Full):
+            self._queue.put(None, timeout=CLOSE_TIMEOUT_S)
         self._thread.join(CLOSE_TIMEOUT_S)
 
     def _write_queue(self) -> None:
-        while True:
-            with self._ready:
-                while not self._queue and self._open:
-                    self._ready.wait()
-                if not self._queue:
-                    return
-                data = self._queue.popleft()
-            try:
+        with suppress(OSError):  # the terminal was closed: discard the remaining output
+            while (data := self._queue.get()) is not None:
                 while data:
                     data = data[os.write(self._fd, data) :]
-            except OSError:
-                # The terminal was closed: discard the remaining output.
-                with self._ready:
-                    self._open = False
-                    self._queue.clear()
-                return
-            with self._ready:
-                self._bytes = sum(map(len, self._queue))

@@ -7,20 +7,18 @@ streams; the console of every screen (`rig.cli.output.console`) bypasses it and 
 
 from __future__ import annotations
 
-import io
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import Any, TextIO, cast
 
 from runs.printable_text import printable
 
 
-class PrintableStream(io.TextIOBase):
+class PrintableStream:
     """A text stream that escapes and forwards. Consoles bypass it through `rich_proxied_file`."""
 
     def __init__(self, stream: TextIO) -> None:
-        super().__init__()
         self.rich_proxied_file = stream
 
     def write(self, text: str) -> int:
@@ -29,36 +27,25 @@ class PrintableStream(io.TextIOBase):
         self.rich_proxied_file.write(printable(text))
         return len(text)
 
-    def flush(self) -> None:
-        self.rich_proxied_file.flush()
+    def writelines(self, lines: Iterable[str]) -> None:
+        for line in lines:
+            self.write(line)
 
     def close(self) -> None:
         """Leave the underlying stream open."""
 
-    def isatty(self) -> bool:
-        """Tell whether the stream below is a terminal."""
-        return self.rich_proxied_file.isatty()
-
-    def fileno(self) -> int:
-        return self.rich_proxied_file.fileno()
-
-    @property
-    def encoding(self) -> str:  # type: ignore[override]
-        """Delegate to the underlying stream."""
-        return self.rich_proxied_file.encoding
-
-    @property
-    def errors(self) -> str | None:  # type: ignore[override]
-        """Delegate to the underlying stream."""
-        return self.rich_proxied_file.errors
+    def __getattr__(self, name: str) -> Any:
+        """Everything else is that of the stream below, but for its bytes, which would be written as they are."""
+        if name == "buffer":
+            raise AttributeError(name)
+        return getattr(self.rich_proxied_file, name)
 
 
 @contextmanager
 def printable_streams() -> Iterator[None]:
     """Replace standard output and standard error by a `PrintableStream` each."""
     out, err = sys.stdout, sys.stderr
-    wrapped = PrintableStream(out), PrintableStream(err)
-    sys.stdout, sys.stderr = wrapped
+    sys.stdout, sys.stderr = wrapped = [cast(TextIO, PrintableStream(stream)) for stream in (out, err)]
     try:
         yield
     finally:

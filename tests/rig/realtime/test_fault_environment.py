@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 import rig
 import rig.config.loader
-from rig.cli.nonblocking_writer import CLOSE_TIMEOUT_S, MOST_BYTES, NonBlockingWriter
+from rig.cli.nonblocking_writer import CLOSE_TIMEOUT_S, MOST_TEXTS, NonBlockingWriter
 from rig.control import step as control
 from rig.hardware.bench import Bench
 from rig.simulator.plant import Plant
@@ -50,7 +50,7 @@ def test_a_reader_that_stops_reading_does_not_block_the_writer() -> None:
     read_end, write_end = os.pipe()
     with os.fdopen(write_end, "w") as stream:
         outlet = NonBlockingWriter(stream)
-        for _ in range(3 * MOST_BYTES // 1000):
+        for _ in range(3 * MOST_TEXTS):
             outlet.write("x" * 1000)
         before = time.monotonic()
         outlet.close()
