@@ -1,24 +1,31 @@
-"""Output of `rig identify`."""
+"""`rig identify` in the terminal: reads and refits with progress bars, and prints the results."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
+import typer
 from rich.text import Text
 
-from calibration.identify.bootstrap import Bootstrap
+from calibration.identify import Poses, Prior
+from calibration.identify.bootstrap import Bootstrap, bootstrap
 from calibration.identify.findings import Findings, findings
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.model_comparison import ComparisonRow
 from calibration.identify.notation import Scale, interval, quantity, rounded, units_note
 from calibration.identify.parameters_document import Baseline, content, section_facts
-from calibration.identify.profile_likelihood import LikelihoodProfile
+from calibration.identify.profile_likelihood import LikelihoodProfile, profiles
 from calibration.identify.residual_dependence import Dependence
 from calibration.identify.results import Estimate, Fit, RunFit, SectionFit
 from rig.cli.output import ColumnTable, console, print_json
-from rig.identify.from_archives import Identification
+from rig.cli.progress import progress_bar
+from rig.cli.run_names import resolve
+from rig.identify.estimation import read_poses
+from rig.identify.from_archives import Identification, OpenedRuns, open_runs
 from rig.identify.model_comparison import RunComparison
+from runs.run import Run
 
 # A source that gives more than this share of the variance of an estimate is named beside it.
 _MOST = 0.5
@@ -29,6 +36,41 @@ def results(lines: Iterable[str], beside_json: bool) -> None:
     screen = console(stderr=beside_json)
     for line in lines:
         screen.print(line, soft_wrap=True)
+
+
+def priors_of(items: Sequence[str]) -> dict[str, Prior]:
+    """Return the priors of `--prior`, as NAME=MEAN+-STD."""
+    priors: dict[str, Prior] = {}
+    for item in items:
+        name, _, numbers = item.partition("=")
+        mean, _, std = numbers.partition("+-")
+        if name in priors:
+            raise typer.BadParameter(f"{name} is given twice", param_hint="--prior")
+        try:
+            known = float(mean), float(std)
+        except ValueError as fault:
+            raise typer.BadParameter(f"'{item}' is not of the form NAME=MEAN+-STD", param_hint="--prior") from fault
+        try:
+            priors[name] = Prior(*known)
+        except ValueError as fault:
+            raise typer.BadParameter(f"'{item}': {fault}", param_hint="--prior") from fault
+    return priors
+
+
+def opened(archives: Sequence[Path], leave_out: Sequence[Path] = (), *, one_arm: bool = False) -> OpenedRuns:
+    """Open the runs to identify from, and those left out; print notes on them."""
+    unseen = [resolve(name) for name in leave_out]
+    found = open_runs([resolve(name) for name in archives], unseen, one_arm=one_arm)
+    results(found.notes, beside_json=True)
+    return found
+
+
+def read(archives: Sequence[Run], quasi_static: bool) -> list[Poses]:
+    """Read runs, with a progress bar."""
+    if not archives:
+        return []
+    with progress_bar("reading") as progress:
+        return read_poses(archives, quasi_static, progress)
 
 
 def identification(
@@ -238,16 +280,21 @@ def failure(fit: Fit) -> None:
     )
 
 
-def profile_intervals(found: Iterable[LikelihoodProfile], beside_json: bool) -> None:
-    """Print the intervals of profile likelihoods."""
+def profiled(best: Fit, beside_json: bool) -> tuple[LikelihoodProfile, ...]:
+    """Compute profile likelihoods and print their intervals."""
+    with progress_bar("profiles") as progress:
+        found = profiles(best, progress=progress)
     for one in found:
         ends = "flat: not bounded by the data" if one.flat else interval(one.name, one.unit, one.interval)
         results([f"{one.name}: 95 % by profile {ends}"], beside_json)
+    return found
 
 
-def bootstrap_errors(fit: Fit, found: Bootstrap, samples: int, beside_json: bool) -> None:
-    """Print bootstrap errors beside those of the likelihood."""
-    bars = {(e.name, e.run): (e.std, e.unit) for e in fit.estimates if not e.nuisance}
+def bootstrapped(best: Fit, samples: int, scheduler: str | None, store: Path | None, beside_json: bool) -> Bootstrap:
+    """Compute bootstrap errors and print them beside those of the likelihood."""
+    with progress_bar("refitting") as progress:
+        found = bootstrap(best, samples, scheduler=scheduler, store=store, progress=progress)
+    bars = {(e.name, e.run): (e.std, e.unit) for e in best.estimates if not e.nuisance}
     lines = []
     for name, run, std in zip(found.names, found.runs, found.std, strict=True):
         if (name, run) in bars:
@@ -255,6 +302,7 @@ def bootstrap_errors(fit: Fit, found: Bootstrap, samples: int, beside_json: bool
             by_refits, by_likelihood = (rounded(name, unit, x, 2) for x in (std, own or 0.0))
             lines.append(f"{name} {run}: +- {by_refits} by {samples} refits, {by_likelihood} by the likelihood")
     results(lines, beside_json)
+    return found
 
 
 def _prediction_errors(found: Sequence[Prediction], beside_json: bool) -> None:

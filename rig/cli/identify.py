@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -13,14 +13,6 @@ from rig.cli.address_space import EstimationCommand
 from rig.cli.command_groups import DefaultCommandGroup
 from rig.cli.exit_status import FAULT
 from rig.cli.options import Archives, AsJson, Every, Free, ParametersFile, Replace, Scheduler
-
-if TYPE_CHECKING:
-    from calibration.identify import Poses, Prior
-    from calibration.identify.bootstrap import Bootstrap
-    from calibration.identify.profile_likelihood import LikelihoodProfile
-    from calibration.identify.results import Fit
-    from rig.identify.from_archives import Identification, OpenedRuns
-    from runs.run import Run
 
 app = typer.Typer(
     cls=DefaultCommandGroup,
@@ -125,14 +117,16 @@ def fit(
 
     Without --free, these are free: law, rpe_per_bar, base, sensor_offsets, and damping_s for dynamic runs.
     """
+    from calibration.identify.parameters_document import write
     from calibration.identify.report import write as write_report
     from calibration.identify.residual_dependence import residual_dependence
     from rig.cli import identification_output as output
     from rig.cli.assignments import names
     from rig.cli.progress import state_of
+    from rig.identify.estimation import rig_with
     from rig.identify.from_archives import from_data, read_data
     from rig.identify.initial_setup import truth_of
-    from runs.overwriting import refuse_existing
+    from runs.overwriting import refuse_existing, write_text
 
     if not quasi_static:
         _refuse("needs --quasi-static", {"--every": every > 1})
@@ -140,9 +134,9 @@ def fit(
     if rig_file is not None and to is None:
         to = rig_file.with_suffix(".parameters.yaml")
     refuse_existing(filter(None, (report, to, rig_file)), replace=replace)
-    priors = _priors(prior or [])
-    opened = _opened(archives, leave_out or [], one_arm=start is not None)
-    data = read_data(opened, start=start, quasi_static=quasi_static, every=every, split_s=split_s, read=_read)
+    priors = output.priors_of(prior or [])
+    opened = output.opened(archives, leave_out or [], one_arm=start is not None)
+    data = read_data(opened, start=start, quasi_static=quasi_static, every=every, split_s=split_s, read=output.read)
     with state_of("searching") as show:
         done = from_data(data, free=names(free), priors=priors, per_run=names(per_run), starts=starts, progress=show)
     if done.fit.worse_than_start:
@@ -150,13 +144,17 @@ def fit(
         raise typer.Exit(FAULT)
     predictions, dependences = done.predictions(), residual_dependence(done.fit)
     output.identification(done, predictions, dependences, json)
-    intervals = _profiles(done.fit, json) if profile else ()
-    refits = _bootstrap(done.fit, bootstrap, scheduler, store, json) if bootstrap else None
+    intervals = output.profiled(done.fit, json) if profile else ()
+    refits = output.bootstrapped(done.fit, bootstrap, scheduler, store, json) if bootstrap else None
     if report is not None:
         truth = truth_of(opened.seen[0])
         typer.echo(write_report(done.fit, report, dependences, intervals, refits, predictions, truth), err=json)
     if to is not None:
-        _write_parameters(done, to, rig_file, intervals, json)
+        written = write(done.fit, to, intervals, done.baseline)
+        typer.echo(written, err=json)
+        if rig_file is not None:
+            write_text(rig_file, rig_with(done.rig, written))
+            typer.echo(rig_file, err=json)
 
 
 def _check_bootstrap(refits: int, scheduler: str | None, store: Path | None) -> None:
@@ -165,43 +163,6 @@ def _check_bootstrap(refits: int, scheduler: str | None, store: Path | None) -> 
         _refuse("nothing runs in parallel: add --bootstrap", {"--scheduler": scheduler, "--store": store})
     if refits == 1:
         _refuse("at least two refits are needed", {"--bootstrap": refits})
-
-
-def _profiles(best: Fit, json: bool) -> tuple[LikelihoodProfile, ...]:
-    from calibration.identify.profile_likelihood import profiles
-    from rig.cli import identification_output as output
-    from rig.cli.progress import progress_bar
-
-    with progress_bar("profiles") as progress:
-        found = profiles(best, progress=progress)
-    output.profile_intervals(found, json)
-    return found
-
-
-def _bootstrap(best: Fit, count: int, scheduler: str | None, store: Path | None, json: bool) -> Bootstrap:
-    from calibration.identify.bootstrap import bootstrap
-    from rig.cli import identification_output as output
-    from rig.cli.progress import progress_bar
-
-    with progress_bar("refitting") as progress:
-        found = bootstrap(best, count, scheduler=scheduler, store=store, progress=progress)
-    output.bootstrap_errors(best, found, count, json)
-    return found
-
-
-def _write_parameters(
-    done: Identification, to: Path, rig_file: Path | None, intervals: Sequence[LikelihoodProfile], json: bool
-) -> None:
-    """Write the parameters and, to `rig_file`, the initial rig with them applied; print the names of the files."""
-    from calibration.identify.parameters_document import write
-    from rig.identify.estimation import rig_with
-    from runs.overwriting import write_text
-
-    written = write(done.fit, to, intervals, done.baseline)
-    typer.echo(written, err=json)
-    if rig_file is not None:
-        write_text(rig_file, rig_with(done.rig, written))
-        typer.echo(rig_file, err=json)
 
 
 @app.command(cls=EstimationCommand)
@@ -225,58 +186,16 @@ def compare(
     from rig.cli.progress import progress_bar
     from rig.identify import initial_setup, model_comparison
 
-    priors = _priors(prior or [])
-    seen = _opened(archives).seen
-    start, data = initial_setup.setup_of(seen[0]), _read(seen, quasi_static)
+    priors = output.priors_of(prior or [])
+    seen = output.opened(archives).seen
+    start, data = initial_setup.setup_of(seen[0]), output.read(seen, quasi_static)
     with progress_bar("fitting") as progress:
         config = initial_setup.rig_of(seen[0]) if between else None
         found = model_comparison.compare(start, data, names(free), priors, scheduler, store, progress, between, config)
     output.comparison(found, json)
 
 
-def _opened(archives: Sequence[Path], leave_out: Sequence[Path] = (), *, one_arm: bool = False) -> OpenedRuns:
-    """Open the runs to identify from, and those left out; print notes on them."""
-    from rig.cli import identification_output as output
-    from rig.cli.run_names import resolve
-    from rig.identify.from_archives import open_runs
-
-    unseen = [resolve(name) for name in leave_out]
-    opened = open_runs([resolve(name) for name in archives], unseen, one_arm=one_arm)
-    output.results(opened.notes, beside_json=True)
-    return opened
-
-
-def _read(archives: Sequence[Run], quasi_static: bool) -> list[Poses]:
-    from rig.cli.progress import progress_bar
-    from rig.identify.estimation import read_poses
-
-    if not archives:
-        return []
-    with progress_bar("reading") as progress:
-        return read_poses(archives, quasi_static, progress)
-
-
 def _refuse(why: str, options: Mapping[str, object]) -> None:
     """Raise an error for those of the options that are set."""
     if given := [name for name, value in options.items() if value]:
         raise typer.BadParameter(why, param_hint=", ".join(given))
-
-
-def _priors(items: Sequence[str]) -> dict[str, Prior]:
-    from calibration.identify import Prior
-
-    priors: dict[str, Prior] = {}
-    for item in items:
-        name, _, numbers = item.partition("=")
-        mean, _, std = numbers.partition("+-")
-        if name in priors:
-            raise typer.BadParameter(f"{name} is given twice", param_hint="--prior")
-        try:
-            known = float(mean), float(std)
-        except ValueError as fault:
-            raise typer.BadParameter(f"'{item}' is not of the form NAME=MEAN+-STD", param_hint="--prior") from fault
-        try:
-            priors[name] = Prior(*known)
-        except ValueError as fault:
-            raise typer.BadParameter(f"'{item}': {fault}", param_hint="--prior") from fault
-    return priors
