@@ -7,8 +7,7 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
-from protocols.expressions import PATTERN
-from protocols.parameters import ProtocolParameter
+from protocols.parameters import PATTERN, ProtocolParameter
 from protocols.steps.base import MOST_SEGMENTS, LeafStep, StepPart, Text
 from protocols.steps.csv_file import Csv
 from protocols.steps.pressure import Hold, Ramp, Sine, Staircase, Stream

@@ -11,8 +11,7 @@ import yaml
 from yaml.resolver import Resolver
 
 from protocols.expectations import Expectation, Schema, unit_of, wants_number
-from protocols.expressions import NAME, Expression, parsed, remedy
-from protocols.parameters import ParameterValue, ProtocolParameter, declared, unit_in
+from protocols.parameters import NAME, Expression, ParameterValue, ProtocolParameter, declared, parsed, remedy, unit_in
 from protocols.problems import Problem, closest
 from protocols.source_positions import Document, SourcePosition, shortened
 

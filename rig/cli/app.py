@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.cli import archives, calibrate, completion, design, identify, options, publish, reproduce, rigs, study
-from rig.cli.address_space import EstimationCommand, NumericalCommand, PlottingCommand
-from rig.cli.command_groups import HelpFormatter
+from rig.cli import archives, calibrate, completion, design, identify, options, reproduce, rigs, study
+from rig.cli.commands import EstimationCommand, HelpFormatter, NumericalCommand, PlottingCommand
 from rig.cli.completion import DATA
 from rig.cli.exit_status import BAD_INPUT, DONE, FAULT
 from rig.cli.expected_errors import PlainErrors, fail
@@ -250,7 +249,7 @@ def live(
 for command in (archives.note, archives.tag, archives.runs, archives.show, archives.export, archives.recover):
     app.command()(command)
 app.command(cls=PlottingCommand)(archives.report)
-app.command()(publish.publish)
+app.command()(archives.publish)
 app.command(cls=NumericalCommand)(archives.replay)
 app.command("import", cls=NumericalCommand)(archives.import_)
 app.command(cls=NumericalCommand)(reproduce.reproduce)

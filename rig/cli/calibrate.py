@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from rig.cli import options
-from rig.cli.address_space import NumericalCommand
-from rig.cli.command_groups import HelpGroup
+from rig.cli.commands import HelpGroup, NumericalCommand
 
 app = typer.Typer(
     cls=HelpGroup,

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from rig.cli.command_groups import HelpGroup
+from rig.cli.commands import HelpGroup
 from rig.cli.exit_status import BAD_INPUT, FAULT, INTERRUPTED
 
 

@@ -9,8 +9,7 @@ from typing import Annotated
 import typer
 
 from rig.cli import completion
-from rig.cli.address_space import EstimationCommand
-from rig.cli.command_groups import DefaultCommandGroup
+from rig.cli.commands import DefaultCommandGroup, EstimationCommand
 from rig.cli.exit_status import FAULT
 from rig.cli.options import Archives, AsJson, Every, Free, ParametersFile, Replace, Scheduler
 

@@ -13,7 +13,7 @@ import pytest
 import typer
 
 from rig.cli.app import app
-from rig.cli.command_groups import DefaultCommandGroup
+from rig.cli.commands import DefaultCommandGroup
 from tests.support.command_line import status_of
 
 ROOT = Path(__file__).parents[2]

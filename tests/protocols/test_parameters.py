@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import protocols
 from protocols import BadInputError, Problem, SetPointTrajectory
-from protocols.expressions import PATTERN, parsed
+from protocols.parameters import PATTERN, parsed
 from protocols.schema import ProtocolFile, editor_schema
 
 STEPS = """title: t

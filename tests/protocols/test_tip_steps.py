@@ -9,7 +9,7 @@ import pytest
 
 import protocols
 from protocols import BadInputError, Problem, SetPointTrajectory
-from protocols.steps.tip_shapes import Circle, FigureEight, Points, Star, TipShape
+from protocols.steps.tip import Circle, FigureEight, Points, Star, TipShape
 from protocols.tip_inverse import TipRefusedError, TipRequest, TipSolution
 from protocols.tip_paths import ScaledPath, TipPath, TipStart, fade, length_m
 
