@@ -18,14 +18,10 @@ from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
 from rig.config.sections import ActuationConfig, GeometryConfig, MaterialConfig, Placement, Variant
 from rig.sections.base import Section
-from rig.sections.quantities import Count, Flag, NonNegative, Number, Positive, Triple, Word
+from rig.sections.quantities import NonNegative, Number, Positive, Triple
 
 _SAME = 1e-6
 """Relative tolerance for equal lengths and angles."""
-
-
-End = Number | Literal["open"]
-"""End of a profile-likelihood interval; 'open' where the data do not bound it."""
 
 
 class Origin(Section):
@@ -61,73 +57,25 @@ class Sensing(Section):
     lag_s: Number
 
 
-class PriorSection(Section):
-    """Value and standard uncertainty before identification."""
-
-    mean: Number
-    std: Positive
-
-
-class EstimateSection(Section):
-    """One estimated parameter; a held one was not free, but estimated with its stated value as prior."""
-
-    name: Word
-    unit: str
-    run: str = ""
-    verdict: Word
-    value: Number | None = None
-    std: Number | None = None
-    interval_95: tuple[Number, Number] | None = None
-    profile_95: tuple[End, End] | None = None
-    used: Number
-    exchangeable_with: tuple[str, ...] = ()
-    held: Flag = False
-    prior: PriorSection | None = None
-    stated: PriorSection | None = None
-
-
-class Residuals(Section):
-    """Residuals over all runs, and the model discrepancy beyond the stated errors."""
-
-    rms_mm: NonNegative
-    discrepancy_mm: NonNegative
-
-
-class Data(Section):
-    """One run of the data: its archive's id and hash, and its residuals."""
-
-    run: Word
-    sha256: str
-    used_as: Literal["plateaus", "motion"]
-    frames: Count
-    outliers: int
-    rms_before_mm: NonNegative
-    rms_mm: NonNegative
-    oriented_frames: Count | None = None
-    rms_deg: NonNegative | None = None
-    residual_mm: tuple[Triple, ...]
-
-
-class ReferenceRigSection(Section):
-    """The overlay of the runs' rig, to which the estimates are relative."""
-
-    mounting: MountingSection
-    gain: tuple[Positive, ...]
+Facts = dict[str, Any]
 
 
 class ParametersFile(Section):
-    """The file that `rig identify --to FILE` writes and `--parameters FILE` reads."""
+    """The file that `rig identify --to FILE` writes and `--parameters FILE` reads.
+
+    Estimates, residuals and data are for people and other programs: the overlay needs none of them.
+    """
 
     softrig_parameters: Literal[2] = Field(description="version of this format")
     identified: Origin
     arm: IdentifiedArm
     mounting: MountingSection
     sensing: Sensing
-    estimates_count_from: ReferenceRigSection | None = None
-    estimates: tuple[EstimateSection, ...]
+    estimates_count_from: Facts | None = None
+    estimates: tuple[Facts, ...]
     covariance: tuple[tuple[Number, ...], ...]
-    residuals: Residuals
-    data: tuple[Data, ...]
+    residuals: Facts
+    data: tuple[Facts, ...]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 import runs
 import tests.support.synthetic_runs as made_up
 from calibration.identify import Setup, identify
-from calibration.identify.parameters_document import write
+from calibration.identify.parameters_document import section_facts, write
+from calibration.identify.results import SectionFit
 from calibration.identify.simulated_experiments import perform, plan
 from model.statics import statics
 from protocols import BadInputError
@@ -145,6 +146,14 @@ def test_identified_values_are_found_in_the_rig(found: Path) -> None:
     plain = next(s for s in load("mock").sensors if s.actuator == 1)
     volts = np.array([1.0])
     assert sensor.pressure_pa(volts) * 1.02 == pytest.approx(plain.pressure_pa(volts))
+
+
+def test_parameters_from_a_run_with_measured_sections_apply(found: Path, tmp_path: Path) -> None:
+    document = yaml.safe_load(found.read_text())
+    document["data"][0]["sections"] = [section_facts(SectionFit("middle", 0.08, 30, 12, 1e-4, 2e-3))]
+    file = tmp_path / "sections.yaml"
+    file.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    assert loader.read("mock").identified(read(file)).config == loader.read("mock").identified(read(found)).config
 
 
 def refusal(found: Path, changed: dict[str, object], folder: Path, **rig_changes: str) -> str:

@@ -203,8 +203,8 @@ def test_the_orientation_of_the_board_is_used_and_reported(
     # The simulated arm obeys the model: what is left is the error of the pictures.
     assert float(rms_deg) < 0.05
     (data,) = read(found).found.data
-    assert data.oriented_frames == int(used)
-    assert data.rms_deg == pytest.approx(float(rms_deg), abs=0.01)
+    assert data["oriented_frames"] == int(used)
+    assert data["rms_deg"] == pytest.approx(float(rms_deg), abs=0.01)
     assert "rms angle, measured to model orientation" in page.read_text()
 
 

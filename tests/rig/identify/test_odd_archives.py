@@ -19,7 +19,7 @@ from calibration.identify.tip_predictor import Predictor
 from rig.config import loader
 from rig.config.arm_model import model_arm
 from rig.config.loader import load, parse, text
-from rig.config.parameters_overlay import read
+from rig.config.parameters_overlay import MountingSection, read
 from rig.identify.initial_setup import truth_of
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
@@ -193,7 +193,7 @@ def test_results_of_runs_with_a_parameter_overlay_apply_to_the_rig_without_it(
     told = identify(capsys, moved, "--free", "a1_per_n,base_x_m", AT_REST, "--to", file, "--rig-file", rig, status=0)
     assert "relative to them" in told
     second = read(file).found
-    used = {e.name: e.used for e in second.estimates}
+    used = {e["name"]: e["used"] for e in second.estimates}
     shift, side, up = (1e3 * used[f"base_{axis}_m"] for axis in "xyz")
     assert abs(shift) > 1e-3
     # The base that the first parameters turned by a quarter: its x is the plain rig's y.
@@ -204,7 +204,7 @@ def test_results_of_runs_with_a_parameter_overlay_apply_to_the_rig_without_it(
     gains = [used[f"sensor_{n}_gain"] for n in (1, 2, 3)]
     assert second.sensing.gain == pytest.approx(np.multiply((1.02, 1.0, 1.0), gains))
     assert second.estimates_count_from is not None
-    assert second.estimates_count_from.mounting == read(first).found.mounting
+    assert MountingSection(**second.estimates_count_from["mounting"]) == read(first).found.mounting
 
     plain = loader.read("mock")
     wanted = plain.identified(read(file)).config

@@ -79,8 +79,8 @@ def test_estimates_are_within_their_own_bounds_of_the_simulated_arm(runs: list[R
 def test_the_estimates_can_be_used_for_the_next_run(runs: list[Run], tmp_path: Path) -> None:
     file = runs[0].path.with_suffix(".parameters.yaml")
     found = parameter_files.read(file).found
-    assert [e.name for e in found.estimates] == [parameter.name for parameter in named(DEFAULT_PARAMETERS, 3)]
-    assert found.data[0].run == runs[0].header.run_id
+    assert [e["name"] for e in found.estimates] == [parameter.name for parameter in named(DEFAULT_PARAMETERS, 3)]
+    assert found.data[0]["run"] == runs[0].header.run_id
     again = ran(tmp_path, 3, "--parameters", str(file), periods=0.4)
     without = np.linalg.norm(runs[0].tip.measured_mm - runs[0].adaptation.start_model_mm, axis=1)  # type: ignore[union-attr]
     assert again.tip.error_mm.mean() < 0.5 * without[: len(again.tip.time_s)].mean()
