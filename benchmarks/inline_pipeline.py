@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rig.simulator.mock_camera import Exposure
-    from rig.virtual.frame_pipeline import FrameResult, FrameSamples, FrameStages
+    from rig.virtual.frame_pipeline import FrameRequest, FrameResult, FrameStages
 
 
 class InlinePipeline:
     """A frame pipeline that renders and measures at once in the process of control."""
 
-    def __init__(self, stages: FrameStages, cameras: int, shape: tuple[int, int]) -> None:
+    def __init__(self, stages: FrameStages) -> None:
         self._stages = stages
         self._results: deque[FrameResult] = deque()
 
@@ -29,9 +27,9 @@ class InlinePipeline:
         """Frame sets whose results have not been returned."""
         return len(self._results)
 
-    def submit(self, index: int, due_ns: int, exposures: Sequence[Exposure | None], samples: FrameSamples) -> None:
+    def submit(self, request: FrameRequest) -> None:
         """Measure a frame set."""
-        self._results.append(self._stages.measure(self._stages.render(index, due_ns, exposures), samples))
+        self._results.append(self._stages.measure(request))
 
     def result(self) -> FrameResult:
         """The result of the oldest frame set."""

@@ -4,8 +4,8 @@
 
 The command is run as a process of its own and timed from outside, several times; best and median are reported. With
 `--parts` it is run once more in this process with a stopwatch at every part. Processor time is printed beside: on a
-busy machine it is the steadier of the two. Frames are rendered in one process and measured in another beside control,
-and the report's process loads its libraries meanwhile, so the parts add up to more than the run.
+busy machine it is the steadier of the two. Frames are rendered and measured in a process beside control, and the
+report's process loads its libraries meanwhile, so the parts add up to more than the run.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""The virtual-time executor: plant and control in this process, rendering and vision in two child processes."""
+"""The virtual-time executor: plant and control in this process, rendering and vision in a child process."""

@@ -10,14 +10,13 @@ import itertools
 import time
 import traceback
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config.schema import RigConfig
 from rig.control.control_loop import ControlLoop
 from rig.execution.plan import OpenRecord, OperatorInterface, Progress, Recorder, RunPlan, StartError
 from rig.hardware.bench import Bench
@@ -25,6 +24,7 @@ from rig.hardware.cameras.base import CameraError, FrameSet
 from rig.hardware.cards.base import CardError
 from rig.hardware.driver_calls import TipSourceError
 from rig.hardware.safe_state import armed_sentence, failure_of, followed_by
+from rig.hardware.trackers.base import TrackerReading
 from rig.hardware.vent_verification import VentOutcome, VentVerification
 from rig.observation.observer import Observer, observations_of
 from rig.observation.picture_recorder import PictureRecorder
@@ -36,7 +36,7 @@ from rig.simulator.mock_tracker import LEAD_S, MockTracker
 from rig.simulator.plant import Plant
 from rig.tip_control.monitor import SOURCE, TipControlMonitor, failure_message
 from rig.virtual import time_limit
-from rig.virtual.frame_pipeline import MOST_IN_FLIGHT, FramePipeline, FrameProcessError, FrameSamples, FrameStages
+from rig.virtual.frame_pipeline import FramePipeline, FrameProcessError, FrameRequest, FrameStages
 from rig.virtual.recent_rows import RecentRows
 from rig.virtual.triggered_exposures import FrameExposures, TriggeredExposures
 from runs.records import (
@@ -66,11 +66,10 @@ SHOW_S = 0.1
 
 def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> RunFooter:
     """Run one plan of a rig of mocks in virtual time; return once the (simulated) valves are safe."""
-    config = plan.config
     virtual = _VirtualRun(plan, operator)
     gc.freeze()  # imported objects are not scanned by the garbage collector
     try:
-        with FramePipeline(virtual.stages(), len(config.cameras), _largest_picture(config)) as pipeline:
+        with FramePipeline(virtual.stages()) as pipeline:
             return virtual.run(pipeline, open_record)
     finally:
         gc.unfreeze()
@@ -159,7 +158,7 @@ class _VirtualRun:
             ending = Status.ABORTED, str(error)
         except FrameProcessError as error:
             self._event(now, Level.FAULT, "observer", str(error))
-            for traceback in error.__notes__:
+            for traceback in getattr(error, "__notes__", ()):
                 self._recorder.event(Event(now, Level.FAULT, "observer", traceback))
             ending = Status.ABORTED, str(error)
         finally:
@@ -246,21 +245,28 @@ class _VirtualRun:
 
     def _submit_reading(self, frame_set: FrameSet) -> None:
         """Pass a frame set of the tracker to the pipeline, with the protocol time of the cycle before it."""
-        dropped = max(0, frame_set.index - self._frame - 1)
-        self._dropped += dropped
-        self._frame = frame_set.index
         history = self._samples.recent(self._history_cycles)
         latest = history[max(0, int(history["t_ns"].searchsorted(frame_set.t_ns, side="right")) - 1)]
-        protocol_s = float(latest["protocol_s"])
-        while self._pipeline.in_flight >= MOST_IN_FLIGHT:
-            self._receive()
-        cycles, self._unseen = self._samples.recent(self._unseen), 0
-        weight_kg = self._plan.trajectory.weight_kg(protocol_s)
-        samples = FrameSamples(cycles.tobytes(), protocol_s, weight_kg, frame_set.reading, dropped)
-        self._pipeline.submit(frame_set.index, frame_set.t_ns, (), samples)
+        self._submit(frame_set.index, frame_set.t_ns, float(latest["protocol_s"]), reading=frame_set.reading)
         if self._tip_control is not None:
             since_s = (history["t_ns"] - frame_set.t_ns) * 1e-9
             self._exposed.append((frame_set.t_ns, float(np.interp(0.0, since_s, history["protocol_s"]))))
+
+    def _submit(
+        self,
+        index: int,
+        t_ns: int,
+        protocol_s: float,
+        exposures: Sequence[Exposure | None] = (),
+        reading: TrackerReading | None = None,
+    ) -> None:
+        """Pass a frame set to the pipeline, with the samples since the last one."""
+        dropped = max(0, index - self._frame - 1) if self._frame >= 0 else 0
+        self._dropped += dropped
+        self._frame = index
+        rows, self._unseen = self._samples.recent(self._unseen).tobytes(), 0
+        weight_kg = self._plan.trajectory.weight_kg(protocol_s)
+        self._pipeline.submit(FrameRequest(index, t_ns, rows, protocol_s, weight_kg, dropped, exposures, reading))
 
     def _exposures(self, now: int) -> Iterator[FrameExposures]:
         """Expose the frames that are due, in the order of cycles."""
@@ -284,13 +290,7 @@ class _VirtualRun:
         failures = exposed.failures
         if failures and len(exposed.exposures) - len(failures) < self._plan.config.limits.least_cameras:
             raise failures[0]
-        dropped = max(0, exposed.index - self._frame - 1) if self._frame >= 0 else 0
-        self._dropped += dropped
-        self._frame = exposed.index
-        cycles, self._unseen = self._samples.recent(self._unseen), 0
-        weight_kg = self._plan.trajectory.weight_kg(protocol_s)
-        samples = FrameSamples(cycles.tobytes(), protocol_s, weight_kg, dropped=dropped)
-        self._pipeline.submit(exposed.index, exposed.t_ns, exposed.exposures, samples)
+        self._submit(exposed.index, exposed.t_ns, protocol_s, exposures=exposed.exposures)
 
     def _steer(self, controller: TipControlSession, now: int) -> None:
         """Give the controller each frame once its delay has passed, and the control loop the plan."""
@@ -381,9 +381,3 @@ def _tip_control(plan: RunPlan) -> TipControlSession | None:
     except (Exception, SystemExit) as error:
         raise StartError(failure_message(error)) from error
     return session
-
-
-def _largest_picture(config: RigConfig) -> tuple[int, int]:
-    """Height and width [px] that hold a picture of every camera."""
-    cameras = config.cameras.values()
-    return max((c.height_px for c in cameras), default=0), max((c.width_px for c in cameras), default=0)
