@@ -16,11 +16,11 @@ from rig.control import step as control
 from rig.control.interlocks.base import Sample, Trip
 from rig.control.protocol_position import ProtocolPosition, advance, skip
 from rig.control.stream_follower import StreamFollower
-from rig.execution.plan import RunPlan
+from rig.execution.plan import RunPlan, sample_rows
 from rig.hardware.bench import BenchScans
 from rig.tip_control.plan_follower import PlanFollower, SetPointSource
 from rig.tip_control.plan_record import StampedPlan
-from runs.records import SolveStatus, blank, sample_dtype
+from runs.records import SolveStatus, blank
 
 
 class ValveOutputs(Protocol):
@@ -49,7 +49,7 @@ class ControlLoop:
         self._starts_s = tuple(segment.start_s for segment in plan.trajectory.segments)
         self._prepared = control.prepare(config)
         self._state = control.initial(self._prepared)
-        self._row = blank((), sample_dtype(config.actuators, len(config.valves), len(config.inputs)))
+        self._row = blank((), sample_rows(config))
         self._auxiliary = _AuxiliaryMeans(config) if config.inputs else None
         self._stops_closed = (True,) * len(config.emergency_stops)
         self._follower: PlanFollower | None = None

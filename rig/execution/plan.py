@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,25 @@ from protocols import SetPointTrajectory
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from rig.config.tip_controllers import FEED_FORWARD
-from runs.records import AuxiliaryChannel, Event, Picture, Quantity
+from runs.records import AuxiliaryChannel, Event, Quantity, observation_dtype, sample_dtype
+
+if TYPE_CHECKING:
+    from runs.journal.journal import JournalWriter
 
 UNRECORDED = "the record could not be written"
 """Begin of the message of a run that ends because its journal fails."""
+
+
+def sample_rows(config: RigConfig) -> np.dtype[np.void]:
+    """The dtype of the rows of the control cycles of a rig."""
+    return sample_dtype(config.actuators, len(config.valves), len(config.inputs))
+
+
+def observation_rows(config: RigConfig) -> np.dtype[np.void]:
+    """The dtype of the rows of the observer of a rig."""
+    return observation_dtype(
+        config.actuators, len(config.cameras), bool(config.trackers), config.triggered, len(config.sections)
+    )
 
 
 @dataclass(frozen=True)
@@ -69,77 +84,32 @@ class Progress:
     """The auxiliary inputs, in the order of the sample's column `aux`."""
 
 
-class Recorder(Protocol):
-    """Recorder of the rows: the journal."""
-
-    @property
-    def stalled_s(self) -> float:
-        """For how long writes to the disk have been blocked [s]."""
-
-    def samples(self, rows: NDArray[np.void]) -> None:
-        """Record control cycles."""
-
-    def observations(self, rows: NDArray[np.void]) -> None:
-        """Record camera frames."""
-
-    def adaptations(self, rows: NDArray[np.void]) -> None:
-        """Record rows of the recursive estimator."""
-
-    def plans(self, rows: NDArray[np.void]) -> None:
-        """Record plans of the tip controller."""
-
-    def streamed(self, rows: NDArray[np.void]) -> None:
-        """Record set-points of another program."""
-
-    def pulses(self, rows: NDArray[np.void]) -> None:
-        """Record pulses of the camera trigger."""
-
-    def picture(self, picture: Picture) -> None:
-        """Record a camera picture."""
-
-    def event(self, event: Event) -> None:
-        """Record an event."""
-
-
 class OperatorInterface(Protocol):
-    """The operator's side of a run: the terminal or a script."""
+    """The operator's side of a run: the terminal or a script. A subclass inherits what shows and requests nothing."""
 
     def show(self, progress: Progress) -> None:
         """Show the progress; called about ten times a second."""
+        return
 
     def report(self, event: Event) -> None:
         """Report an event; called for every event."""
+        return
 
     def answered(self) -> bool:
         """True once when the operator has answered the prompt that is shown."""
+        return False
 
     def stop_requested(self) -> str | None:
         """The reason of a stop request of the operator; None if there is none."""
-
-    def pause_toggled(self) -> bool:
-        """True once per request of the operator to pause or to resume."""
-
-
-class NullOperator:
-    """Null operator interface: shows nothing and requests nothing."""
-
-    def show(self, progress: Progress) -> None:
-        """Ignore the progress."""
-
-    def report(self, event: Event) -> None:
-        """Ignore the event."""
-
-    def answered(self) -> bool:
-        """No request."""
-        return False
-
-    def stop_requested(self) -> str | None:
-        """No request."""
         return None
 
     def pause_toggled(self) -> bool:
-        """No request."""
+        """True once per request of the operator to pause or to resume."""
         return False
+
+
+class NullOperator(OperatorInterface):
+    """Null operator interface: shows nothing and requests nothing."""
 
 
 class StartError(Exception):
@@ -150,5 +120,5 @@ class StoppedError(StartError):
     """The operator stopped the run before it began."""
 
 
-OpenRecord = Callable[[int], Recorder]
+OpenRecord = Callable[[int], "JournalWriter"]
 """Called with the start time [ns] once everything is armed, before the first cycle: opens the journal."""

@@ -14,10 +14,9 @@ import model
 from model.dynamics import Dynamics
 from model.statics import statics
 from rig.config.arm_model import TipLoad, model_arm
-from rig.execution.plan import RunPlan
+from rig.execution.plan import RunPlan, observation_rows
 from rig.experiment.run import RunRequest, header
 from rig.observation.live_model import motion_model
-from rig.observation.observer import observations_of
 from rig.observation.overlay import backbone
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
@@ -45,7 +44,7 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
     samples["t_ns"] = np.round(np.arange(steps) * dt_s * 1e9)
     samples["protocol_s"] = np.arange(steps) * dt_s
     samples["setpoint_pa"] = samples["measured_pa"] = pressures
-    rows = blank(steps, observations_of(config))
+    rows = blank(steps, observation_rows(config))
     rows["t_ns"], rows["frame"], rows["protocol_s"] = samples["t_ns"], samples["cycle"], samples["protocol_s"]
     rows["seen"] = rows["camera_seen"] = DetectionStatus.NO_FRAME
     if config.sections:

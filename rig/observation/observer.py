@@ -16,6 +16,7 @@ from protocols.tip_reference import NO_TIP_REFERENCE
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
+from rig.execution.plan import observation_rows
 from rig.hardware.cameras.base import FrameSet
 from rig.hardware.trackers.base import TrackerReading
 from rig.observation.camera_estimator import CameraTipEstimator
@@ -24,19 +25,12 @@ from rig.observation.overlay import backbone
 from rig.observation.sample_interpolator import SampleInterpolator
 from rig.observation.tip_force import MeasuredTipForce
 from rig.observation.tip_measurement import TipMeasurement
-from runs.records import DetectionStatus, blank, observation_dtype
+from runs.records import DetectionStatus, blank
 
 if TYPE_CHECKING:
     from rig.observation.online_estimation import OnlineEstimation
 
 Times = NDArray[np.int64]
-
-
-def observations_of(config: RigConfig) -> np.dtype[np.void]:
-    """The dtype of the rows of the observer of a rig."""
-    return observation_dtype(
-        config.actuators, len(config.cameras), bool(config.trackers), config.triggered, len(config.sections)
-    )
 
 
 class Observer:
@@ -64,7 +58,7 @@ class Observer:
         self._pressures = SampleInterpolator(config.actuators)
         self._tip_force, self._forces = MeasuredTipForce(config), SampleInterpolator(3)
         self._reference, self._protocol_times = reference, SampleInterpolator(1)
-        self._blank = blank((), observations_of(config))
+        self._blank = blank((), observation_rows(config))
         self._model_m = np.full(3, np.nan)
         self.measurement: TipMeasurement | None = None
         """Measurement of the last frame set; `shape` is the model's. For overlays."""

@@ -1,23 +1,25 @@
-"""Records the data of a run: from the ring buffers of the processes to the rows of the journal."""
+"""Records the data of a run, in real time or virtual time: from the ring buffers to the rows of the journal."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config.schema import RigConfig
-from rig.execution.plan import UNRECORDED, OperatorInterface, Recorder
+from rig.execution.plan import UNRECORDED, OperatorInterface, Progress, RunPlan
 from rig.realtime.health_monitor import HealthMonitor
 from rig.realtime.ring import RingBuffer
 from rig.realtime.scheduling import suspended_ns
 from rig.realtime.shared_state import SharedState
 from runs.journal.append_only_file import JournalError
-from runs.records import Event, Level
+from runs.records import Event, Level, Picture
 from runs.tip_plans import PlanCounts
+
+if TYPE_CHECKING:
+    from runs.journal.journal import JournalWriter
 
 Record = TypeVar("Record")
 
@@ -31,15 +33,17 @@ class DataRecorder:
 
     def __init__(
         self,
-        config: RigConfig,
+        plan: RunPlan,
         memory: SharedState,
-        journal: Recorder,
+        journal: JournalWriter,
         operator: OperatorInterface,
         start_ns: int = 0,
+        clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Times in warnings count from `start_ns`."""
-        self._config, self._memory, self._journal, self._operator = config, memory, journal, operator
-        self._health = HealthMonitor(config, start_ns)
+        """Times in warnings count from `start_ns`; `clock` gives the time of the run."""
+        self._plan, self._config, self._memory = plan, plan.config, memory
+        self._journal, self._operator, self._clock = journal, operator, clock
+        self._health = HealthMonitor(plan.config, start_ns)
         self._lost_scans = self._damaged_lines = self._missed = self._dropped = self._lost_pulses = 0
         self.failure = ""
         """Why the record could not be written; empty if it could."""
@@ -49,21 +53,16 @@ class DataRecorder:
         self.adaptation: NDArray[np.void] | None = None
 
     @property
-    def missed(self) -> int:
-        """Control cycles without a row: missed deadlines."""
-        return self._missed
-
-    @property
     def dropped(self) -> int | None:
         """Camera frames without a row; None without camera and tracker."""
         return self._dropped if self._config.measures_tip else None
 
     def poll(self) -> None:
         """Record what the processes have written since the last call, and check supervisor, computer and disk."""
-        self.report(*self._health.supervisor_stall(time.monotonic_ns()))
-        self.report(*self._health.suspension(time.monotonic_ns(), suspended_ns()))
+        self.report(*self._health.supervisor_stall(self._clock()))
+        self.report(*self._health.suspension(self._clock(), suspended_ns()))
         self.drain()
-        self.report(*self._health.disk(time.monotonic_ns(), self._journal.stalled_s))
+        self.report(*self._health.disk(self._clock(), self._journal.stalled_s))
 
     def drain(self) -> None:
         """Record everything that the processes have written since the last call."""
@@ -73,9 +72,9 @@ class DataRecorder:
             self.sample = samples[-1]
             self.report(*self._health.samples(samples))
         lost, self._lost_scans = memory.lost_scans - self._lost_scans, memory.lost_scans
-        self.report(*self._health.lost(time.monotonic_ns(), lost))
+        self.report(*self._health.lost(self._clock(), lost))
         damaged, self._damaged_lines = memory.damaged_lines - self._damaged_lines, memory.damaged_lines
-        self.report(*self._health.damaged(time.monotonic_ns(), damaged))
+        self.report(*self._health.damaged(self._clock(), damaged))
         if len(observations := self._read(memory.observations, journal.observations)):
             self._dropped += int(observations["dropped"].sum())
             self.observation = observations[-1]
@@ -93,7 +92,7 @@ class DataRecorder:
             self._lost_pulses += int(pulses["skipped"].sum())
             self.report(*self._health.pulses(pulses))
         for picture in memory.pictures.read(list(self._config.cameras), self._config.recording.encoding):
-            self._write(journal.picture, picture)
+            self.picture(picture)
 
     def _read(self, ring: RingBuffer, write: Callable[[NDArray[np.void]], None]) -> NDArray[np.void]:
         """Record the new rows of a ring, and return them."""
@@ -104,7 +103,24 @@ class DataRecorder:
     def finish(self) -> None:
         """Record the rest, and report what has repeated and is not reported yet."""
         self.drain()
-        self.report(*self._health.rest(time.monotonic_ns()))
+        self.report(*self._health.rest(self._clock()))
+
+    def progress(self) -> Progress:
+        """What the operator is shown."""
+        memory, trajectory, waiting = self._memory, self._plan.trajectory, self._memory.waiting_prompt
+        return Progress(
+            protocol_s=memory.protocol_s,
+            duration_s=trajectory.duration_s,
+            sample=self.sample,
+            observation=self.observation,
+            missed=self._missed,
+            dropped=self.dropped,
+            prompt=trajectory.prompts[waiting].message if waiting >= 0 else None,
+            paused=memory.paused,
+            adapted=self._plan.adapted,
+            adaptation=self.adaptation,
+            auxiliary=self._plan.auxiliary,
+        )
 
     def counters(self) -> dict[str, int]:
         """Losses of the run by name."""
@@ -125,7 +141,11 @@ class DataRecorder:
         }
 
     def event(self, level: Level, source: str, message: str) -> None:
-        self.report(Event(time.monotonic_ns(), level, source, message))
+        self.report(Event(self._clock(), level, source, message))
+
+    def picture(self, picture: Picture) -> None:
+        """Record a camera picture."""
+        self._write(self._journal.picture, picture)
 
     def report(self, *events: Event) -> None:
         """Record events and show them to the operator and to attached pages."""

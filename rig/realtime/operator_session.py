@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from rig.execution.plan import OperatorInterface, Progress, RunPlan
+from rig.execution.plan import OperatorInterface, RunPlan
 from rig.realtime.control_socket import ControlSocket
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.operator_commands import CommandHandler, CommandKind, CommandResult, OperatorCommand, user_name
@@ -74,7 +74,7 @@ class OperatorSession:
             self._stream.update(str(self._socket.path))
         if (now := time.monotonic()) - self._shown > SHOW_S:
             self._shown = now
-            self._operator.show(self._progress(record))
+            self._operator.show(record.progress())
 
     def _handle(self, command: OperatorCommand) -> CommandResult:
         """Execute a command, then record it."""
@@ -92,26 +92,10 @@ class OperatorSession:
         if waiting != self._shown_prompt:
             self._shown_prompt = waiting
             self._event(Level.INFO, "protocol", f"waiting for the operator: {self._prompt_text(waiting)}")
-            self._operator.show(self._progress(record))
+            self._operator.show(record.progress())
         elif self._memory.prompts_answered <= waiting and self._operator.answered():
             self._memory.prompts_answered = waiting + 1
             self._event(Level.INFO, "operator", f"done: {self._prompt_text(waiting)}")
 
     def _prompt_text(self, index: int) -> str:
         return self._plan.trajectory.prompts[index].message
-
-    def _progress(self, record: DataRecorder) -> Progress:
-        waiting = self._memory.waiting_prompt
-        return Progress(
-            protocol_s=self._memory.protocol_s,
-            duration_s=self._plan.trajectory.duration_s,
-            sample=record.sample,
-            observation=record.observation,
-            missed=record.missed,
-            dropped=record.dropped,
-            prompt=self._prompt_text(waiting) if waiting >= 0 else None,
-            paused=self._memory.paused,
-            adapted=self._plan.adapted,
-            adaptation=record.adaptation,
-            auxiliary=self._plan.auxiliary,
-        )

@@ -22,7 +22,7 @@ class RingBuffer:
     def __init__(self, buffer: memoryview, dtype: np.dtype[np.void], capacity: int) -> None:
         self._count: NDArray[np.int64] = np.frombuffer(buffer[:8], np.int64)
         self._rows: NDArray[np.void] = np.frombuffer(buffer[COUNT_BYTES:], dtype, capacity)
-        self._capacity = capacity
+        self.dtype, self._capacity = dtype, capacity
         self._cursor = 0
         self.lost = 0
 

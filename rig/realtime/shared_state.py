@@ -16,21 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
+from rig.execution.plan import observation_rows, sample_rows
 from rig.realtime.picture_rings import PICTURES, VIEWS, PictureRing, ViewRing, view_dtype
 from rig.realtime.ring import RingBuffer, ring_bytes
 from rig.realtime.scheduling import Scheduling
 from rig.tip_control.plan_follower import SetPointSource
 from rig.tip_control.plan_record import plan_dtype
-from runs.records import (
-    Event,
-    Level,
-    adaptation_dtype,
-    observation_dtype,
-    pulse_dtype,
-    sample_dtype,
-    streamed_dtype,
-    tip_control_dtype,
-)
+from runs.records import Event, Level, adaptation_dtype, pulse_dtype, streamed_dtype, tip_control_dtype
 
 T = TypeVar("T", bound=float)
 
@@ -67,51 +59,18 @@ class Stop(IntEnum):
 
 
 _PROCESS = np.dtype([("stage", "<i8"), ("heartbeat_ns", "<i8"), ("message", f"S{MESSAGE_BYTES}")], align=True)
-_FLAGS = np.dtype(
-    [
-        ("control", _PROCESS),
-        ("observer", _PROCESS),
-        ("watchdog", _PROCESS),
-        ("supervisor", _PROCESS),
-        ("control_pid", "<i8"),
-        ("watchdog_pid", "<i8"),
-        ("control_granted", "<i8"),
-        ("watchdog_granted", "<i8"),
-        ("card_holder_pid", "<i8"),
-        ("simulator_starting", "<i8"),
-        ("start_ns", "<i8"),
-        ("stop_request", "<i8"),
-        ("vented", "<i8"),
-        ("vent_requested", "<i8"),
-        ("paused", "<i8"),
-        ("skips", "<i8"),
-        ("viewer_ns", "<i8"),
-        ("prompts_answered", "<i8"),
-        ("waiting_prompt", "<i8"),
-        ("protocol_s", "<f8"),
-        ("safe_ns", "<i8"),
-        ("watchdog_trip_ns", "<i8"),
-        ("lost_scans", "<i8"),
-        ("damaged_lines", "<i8"),
-        ("setpoint_source", "<i8"),
-        ("unverified_cards", "<i8"),
-        ("confirmation", f"S{MESSAGE_BYTES}"),
-        ("scan_period_ns", "<f8", (CLOCKS,)),
-        ("scan_drift_ppm", "<f8", (CLOCKS,)),
-    ],
-    align=True,
-)
 _ROW_BYTES = -(-_PROCESS.itemsize // 64) * 64
 _EVENT = np.dtype([("t_ns", "<i8"), ("level", "S8"), ("source", "S32"), ("message", f"S{MESSAGE_BYTES}")])
 _TEXT_FIELDS = ("source", "message")
 
 
 class _Flag(Generic[T]):
-    """A typed property of `SharedState` over the field of `flags` of the same name."""
+    """A typed property of `SharedState`, and the field of `flags` of the same name."""
 
     def __init__(self, kind: Callable[[Any], T]) -> None:
         """`kind` makes the value of type T from the stored number."""
         self._kind = kind
+        self.format = "<f8" if kind is float else "<i8"
 
     def __set_name__(self, owner: type[SharedState], name: str) -> None:
         self._name = name
@@ -126,12 +85,11 @@ class _Flag(Generic[T]):
 class SharedState:
     """A view of the shared memory of one run. It exists as long as a process holds its file descriptor.
 
-    `flags` is one structured row; each flag is read and written through the property of
-    the same name. Times are CLOCK_MONOTONIC [ns], 0 before the event; a process id is 0 before the process exists.
+    `flags` is one structured row; each flag is read and written through the property of the same name. Times are
+    CLOCK_MONOTONIC [ns], 0 before the event; a process id is 0 before the process exists.
     `samples`, `observations`, `adaptations`, `plans`, `streamed` and `pulses` are rings of the records of
-    `runs.records`;
-    `new_setpoints` are those of another program that control has not taken yet. `pictures` are for the recorder and
-    `views` for viewers.
+    `runs.records`; `new_setpoints` are those of another program that control has not taken yet. `pictures` are for the
+    recorder and `views` for viewers.
 
     The process of the tip controller may run code of the user: it can write to pages of its own only, which hold its
     stage, its heartbeat and `new_plans` (rows of `plan_dtype`).
@@ -177,22 +135,13 @@ class SharedState:
     ) -> None:
         """Map the memory of a run on a rig with `adapted` estimated parameters; viewers map it `readonly`.
 
-        With `tip_controller` all is read-only but the pages of the tip controller.
+        With `tip_controller` all is read-only but the pages of the tip controller. `fd` -1: memory of one process.
         """
         self.fd = fd
         valves, streamed, view = len(config.valves), streamed_dtype(config.actuators), view_dtype(config)
         rings = (
-            (sample_dtype(config.actuators, valves, len(config.inputs)), SAMPLES),
-            (
-                observation_dtype(
-                    config.actuators,
-                    len(config.cameras),
-                    bool(config.trackers),
-                    config.triggered,
-                    len(config.sections),
-                ),
-                OBSERVATIONS,
-            ),
+            (sample_rows(config), SAMPLES),
+            (observation_rows(config), OBSERVATIONS),
             (adaptation_dtype(adapted), OBSERVATIONS),
             (tip_control_dtype(valves), PLANS),
             (streamed, SETPOINTS),
@@ -213,7 +162,7 @@ class SharedState:
         edges = [0, *itertools.accumulate(sizes)]
         own_start = -(-edges[-1] // mmap.ALLOCATIONGRANULARITY) * mmap.ALLOCATIONGRANULARITY
         own_size = _ROW_BYTES + ring_bytes(plan_dtype(valves), PLANS)
-        if os.fstat(fd).st_size == 0:
+        if fd >= 0 and os.fstat(fd).st_size == 0:
             os.ftruncate(fd, own_start + own_size)
         access = mmap.ACCESS_READ if readonly or tip_controller else mmap.ACCESS_WRITE
         memory = memoryview(mmap.mmap(fd, edges[-1], access=access))
@@ -237,9 +186,9 @@ class SharedState:
         self._tip_controller: NDArray[np.void] = np.frombuffer(own, _PROCESS, 1)
 
     @classmethod
-    def create(cls, config: RigConfig, adapted: int = 0) -> SharedState:
-        """Create the memory of a new run, all zero; no prompt is waiting."""
-        memory = cls(os.memfd_create("softrig", 0), config, adapted)
+    def create(cls, config: RigConfig, adapted: int = 0, *, shared: bool = True) -> SharedState:
+        """Create the memory of a new run, all zero; no prompt is waiting. Not `shared`: of a run in one process."""
+        memory = cls(os.memfd_create("softrig", 0) if shared else -1, config, adapted)
         memory.waiting_prompt = -1
         return memory
 
@@ -310,3 +259,15 @@ class SharedState:
             )
             for row in self._events.read()
         ]
+
+
+_FLAGS = np.dtype(
+    [
+        *((process, _PROCESS) for process in ("control", "observer", "watchdog", "supervisor")),
+        *((name, flag.format) for name, flag in vars(SharedState).items() if isinstance(flag, _Flag)),
+        ("confirmation", f"S{MESSAGE_BYTES}"),
+        ("scan_period_ns", "<f8", (CLOCKS,)),
+        ("scan_drift_ppm", "<f8", (CLOCKS,)),
+    ],
+    align=True,
+)

@@ -218,7 +218,7 @@ class Supervisor:
             self.await_ready(name)
         self.timing = timing_limits(config, memory.granted)
         start_ns = time.monotonic_ns() + START_DELAY_NS
-        self.record = DataRecorder(config, memory, open_record(start_ns), self._operator, start_ns)
+        self.record = DataRecorder(self._plan, memory, open_record(start_ns), self._operator, start_ns)
         self._event(Level.INFO, "control", armed_sentence(memory.unverified_cards))
         for sentence in sampling_clocks.descriptions(memory, config):
             self._event(Level.INFO, "card", sentence)

@@ -15,10 +15,9 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.control.control_loop import ControlLoop
-from rig.execution.plan import OpenRecord, OperatorInterface, Progress, Recorder, RunPlan, StartError
+from rig.execution.plan import OpenRecord, OperatorInterface, RunPlan, StartError, sample_rows
 from rig.hardware.bench import Bench
 from rig.hardware.cameras.base import CameraError, FrameSet
 from rig.hardware.cards.base import CardError
@@ -26,32 +25,24 @@ from rig.hardware.driver_calls import TipSourceError
 from rig.hardware.safe_state import armed_sentence, failure_of, followed_by
 from rig.hardware.trackers.base import TrackerReading
 from rig.hardware.vent_verification import VentOutcome, VentVerification
-from rig.observation.observer import Observer, observations_of
+from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
 from rig.observation.reading_sequence import ReadingSequence
 from rig.observation.tracker_source import silence
-from rig.realtime.health_monitor import HealthMonitor
+from rig.realtime.data_recorder import DataRecorder
+from rig.realtime.shared_state import SharedState
 from rig.simulator.mock_camera import Exposure, MockCamera
 from rig.simulator.mock_tracker import LEAD_S, MockTracker
 from rig.simulator.plant import Plant
 from rig.tip_control.monitor import SOURCE, TipControlMonitor, failure_message
 from rig.virtual import time_limit
 from rig.virtual.frame_pipeline import FramePipeline, FrameProcessError, FrameRequest, FrameStages
-from rig.virtual.recent_rows import RecentRows
 from rig.virtual.triggered_exposures import FrameExposures, TriggeredExposures
-from runs.records import (
-    Event,
-    Level,
-    RunFooter,
-    Status,
-    adaptation_dtype,
-    sample_dtype,
-    tip_control_dtype,
-)
-from runs.tip_plans import PlanCounts
+from runs.records import Event, Level, RunFooter, Status
 
 if TYPE_CHECKING:
     from rig.tip_control.session import TipControlSession
+    from runs.journal.journal import JournalWriter
 
 START_NS = 100_000_000
 """Virtual time between power-up and the first cycle, so that the first cycle has scans."""
@@ -62,6 +53,7 @@ HISTORY_S = 2.0
 FRAMES_IN_FLIGHT = 30
 """Frames in processing while control continues; a fixed number, so that runs are reproducible bit for bit."""
 SHOW_S = 0.1
+_COUNTERS = ("missed_deadlines", "dropped_frames", "lost_scans")
 
 
 def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> RunFooter:
@@ -83,9 +75,12 @@ class _VirtualRun:
         self._plant = Plant(config, plan.seed, t0_ns=0)
         self._bench = Bench(config, {name: self._plant.card(name) for name in config.cards})
         self._cameras = {name: self._camera(name) for name in config.cameras}
-        self._trigger = (
-            TriggeredExposures(config, self._bench, self._plant, self._cameras) if config.triggered else None
-        )
+        self._memory = SharedState.create(config, len(plan.adapted), shared=False)
+        self._memory.start_ns = START_NS
+        self._trigger: TriggeredExposures | None = None
+        if config.triggered:
+            pulses = self._memory.pulses
+            self._trigger = TriggeredExposures(config, self._bench, self._plant, self._cameras, pulses)
         self._tracker: MockTracker | None = None
         for name in config.trackers:
             before_ns = START_NS - round(LEAD_S * 1e9)
@@ -95,31 +90,23 @@ class _VirtualRun:
         skew_ms = scene.skew_ms if scene else 0.0
         self._skews_ns = [round(k * skew_ms * 1e6) for k in range(len(self._cameras))]
         self._loop = ControlLoop(plan, self._bench)
-        self._health_monitor = HealthMonitor(config, START_NS)
-        self._lost_scans = 0
         self._frame_ns = round(1e9 / config.observation_hz)
         self._delay_ns = round(config.tip_control.delay_ms * 1e6)
         self._frame = -1 if config.trackers or config.triggered else 0
-        self._dropped = 0
         self._answered = 0
         self._unseen = 0
         rate_hz = config.control.rate_hz
         self._batch_cycles = max(1, round(BATCH_S * rate_hz))
         self._history_cycles = max(1, round(HISTORY_S * rate_hz))
-        self._sample_rows = sample_dtype(config.actuators, len(config.valves), len(config.inputs))
-        self._samples = RecentRows(self._sample_rows, self._history_cycles)
-        self._observations = RecentRows(observations_of(config), self._history_cycles)
-        self._adaptations = RecentRows(adaptation_dtype(len(plan.adapted)), self._history_cycles)
-        self._plans = RecentRows(tip_control_dtype(len(config.valves)), self._history_cycles)
         self._tip_control = _tip_control(plan)
         self._tip_monitor, self._tip_failure = TipControlMonitor(), ""
-        self._plan_counts = PlanCounts()
         self._exposed: deque[tuple[int, float]] = deque()
         """Times of the frames that wait for the tip controller: of the exposure [ns], and in the protocol [s]."""
         self._shown = 0.0
         self._vents = False
         """True where the end of the run vents every valve, also those that the rig holds."""
-        self._recorder: Recorder
+        self._journal: JournalWriter
+        self._record: DataRecorder
         self._pipeline: FramePipeline
 
     def _camera(self, name: str) -> MockCamera:
@@ -134,7 +121,7 @@ class _VirtualRun:
         adapted = [quantity.name for quantity in plan.adapted]
         observer = Observer(plan.config, plan.variant, adapted, plan.trajectory.tip)
         cameras = tuple(self._cameras.values())
-        return FrameStages(cameras, observer, PictureRecorder(plan.config), self._sample_rows)
+        return FrameStages(cameras, observer, PictureRecorder(plan.config), sample_rows(plan.config))
 
     def run(self, pipeline: FramePipeline, open_record: OpenRecord) -> RunFooter:
         """Arm, run cycles until the run ends, write the safe state."""
@@ -142,7 +129,10 @@ class _VirtualRun:
         unverified = self._bench.arm()
         self._bench.start()
         self._plant.advance(START_NS)
-        self._recorder = open_record(START_NS)
+        self._journal = open_record(START_NS)
+        self._record = DataRecorder(
+            self._plan, self._memory, self._journal, self._operator, START_NS, lambda: self._plant.t_ns
+        )
         self._event(START_NS, Level.INFO, "control", armed_sentence(len(unverified)))
         cycle = 0
         now = START_NS
@@ -159,11 +149,12 @@ class _VirtualRun:
         except FrameProcessError as error:
             self._event(now, Level.FAULT, "observer", str(error))
             for traceback in getattr(error, "__notes__", ()):
-                self._recorder.event(Event(now, Level.FAULT, "observer", traceback))
+                self._journal.event(Event(now, Level.FAULT, "observer", traceback))
             ending = Status.ABORTED, str(error)
         finally:
             unsafe = failure_of(partial(self._bench.make_safe, vent=self._vents))
-        self._flush(in_flight=0)
+        self._receive_all_but(0)
+        self._record.finish()
         vented = self._vented(now)
         unsafe = unsafe or ("" if vented.confirmed else vented.sentence)
         if unsafe:
@@ -171,10 +162,10 @@ class _VirtualRun:
             ending = Status.ABORTED, followed_by(ending[1], unsafe)
         else:
             self._event(now, Level.INFO, "control", f"the valves are in their safe state; {vented.sentence}")
-        counters = {"missed_deadlines": 0, "dropped_frames": self._dropped, "lost_scans": self._lost_scans}
-        if not self._plan.config.measures_tip:
-            del counters["dropped_frames"]
-        return RunFooter(now, *ending, counters)
+        if failure := self._record.failure:
+            ending = Status.ABORTED, failure
+        counters = self._record.counters()
+        return RunFooter(now, *ending, {name: counters[name] for name in _COUNTERS if name in counters})
 
     def _vented(self, now: int) -> VentOutcome:
         """Watch the chambers vent from the time of the safe state."""
@@ -193,7 +184,8 @@ class _VirtualRun:
         if self._trigger is not None:
             self._trigger.cycle(cycle)
         row, trip = self._loop.cycle(cycle, now, 1, self._answered, False, 0, 0)
-        self._samples.add(row)
+        self._memory.samples.push(row)
+        self._memory.lost_scans, self._memory.protocol_s = self._loop.lost, self._loop.position.protocol_s
         self._unseen = min(self._unseen + 1, self._history_cycles)
         if self._tracker is not None:
             self._follow(self._tracker, now)
@@ -206,24 +198,28 @@ class _VirtualRun:
         if self._plan.controls_tip:
             source = self._loop.setpoint_source
             for event in self._tip_monitor.events(now, float(row["protocol_s"]), source, self._tip_failure):
-                self._report(event)
+                self._record.report(event)
         if trip is not None:
             self._vents = trip.vent
             self._event(now, Level.FAULT, "control", trip.message)
             return Status.ABORTED, trip.message
         if self._loop.finished:
-            return Status.FINISHED, self._tip_monitor.message(self._plan_counts)
+            self._record.drain()
+            return Status.FINISHED, self._tip_monitor.message(self._record.plan_counts)
         if self._loop.position.waiting and self._answered == self._loop.position.prompts_passed:
             message = self._plan.trajectory.prompts[self._answered].message
             self._answered += 1
             self._event(now, Level.INFO, "operator", f"done (virtual time answers by itself): {message}")
         if cycle % self._batch_cycles == self._batch_cycles - 1:
-            self._flush()
+            self._receive_all_but(FRAMES_IN_FLIGHT)
+            self._record.drain()
+            if failure := self._record.failure:
+                return Status.ABORTED, failure
             if time.monotonic() - self._shown > SHOW_S:
                 self._shown = time.monotonic()
                 if reason := self._operator.stop_requested():
                     return Status.INTERRUPTED, reason
-                self._operator.show(self._progress(row))
+                self._operator.show(self._record.progress())
         return None
 
     def _follow(self, tracker: MockTracker, now: int) -> None:
@@ -245,7 +241,7 @@ class _VirtualRun:
 
     def _submit_reading(self, frame_set: FrameSet) -> None:
         """Pass a frame set of the tracker to the pipeline, with the protocol time of the cycle before it."""
-        history = self._samples.recent(self._history_cycles)
+        history = self._memory.samples.last(self._history_cycles)
         latest = history[max(0, int(history["t_ns"].searchsorted(frame_set.t_ns, side="right")) - 1)]
         self._submit(frame_set.index, frame_set.t_ns, float(latest["protocol_s"]), reading=frame_set.reading)
         if self._tip_control is not None:
@@ -262,9 +258,8 @@ class _VirtualRun:
     ) -> None:
         """Pass a frame set to the pipeline, with the samples since the last one."""
         dropped = max(0, index - self._frame - 1) if self._frame >= 0 else 0
-        self._dropped += dropped
         self._frame = index
-        rows, self._unseen = self._samples.recent(self._unseen).tobytes(), 0
+        rows, self._unseen = self._memory.samples.last(self._unseen).tobytes(), 0
         weight_kg = self._plan.trajectory.weight_kg(protocol_s)
         self._pipeline.submit(FrameRequest(index, t_ns, rows, protocol_s, weight_kg, dropped, exposures, reading))
 
@@ -297,71 +292,35 @@ class _VirtualRun:
         while self._exposed and self._exposed[0][0] + self._delay_ns <= now:
             _, protocol_s = self._exposed.popleft()
             self._receive()
-            samples = self._samples.recent(round(HISTORY_S * 1e9 / self._loop.period_ns))
+            samples = self._memory.samples.last(round(HISTORY_S * 1e9 / self._loop.period_ns))
             try:
                 with time_limit.time_limit(time_limit.LONGEST_CALL_S):
-                    found = controller.step(self._observations.recent(1)[0], protocol_s, samples)
+                    found = controller.step(self._memory.observations.last(1)[0], protocol_s, samples)
             except (Exception, SystemExit) as error:
                 # It may be code of the user. As in real time the run continues without it.
                 self._tip_control, self._tip_failure = None, failure_message(error)
-                self._recorder.event(Event(now, Level.WARNING, SOURCE, traceback.format_exc()))
+                self._journal.event(Event(now, Level.WARNING, SOURCE, traceback.format_exc()))
                 return
             if found is not None:
                 row = self._loop.take_plan(*found)
-                self._plans.add(row)
-                self._plan_counts.add(row["status"])
+                self._memory.plans.push(row)
 
     def _receive(self) -> None:
         """Wait for the result of the oldest frame in flight."""
         result = self._pipeline.result()
-        self._observations.extend(result.observation)
+        memory = self._memory
+        memory.observations.push(np.frombuffer(result.observation, memory.observations.dtype)[0])
         if result.adaptation is not None:
-            self._adaptations.extend(result.adaptation)
+            memory.adaptations.push(np.frombuffer(result.adaptation, memory.adaptations.dtype)[0])
         for picture in result.pictures:
-            self._recorder.picture(picture)
+            self._record.picture(picture)
 
-    def _flush(self, in_flight: int = FRAMES_IN_FLIGHT) -> None:
+    def _receive_all_but(self, in_flight: int) -> None:
         while self._pipeline.in_flight > in_flight:
             self._receive()
-        if self._trigger is not None:
-            self._recorder.pulses(self._trigger.take_pulses())
-        samples, observations = self._samples.take(), self._observations.take()
-        self._recorder.samples(samples)
-        self._recorder.observations(observations)
-        self._recorder.adaptations(self._adaptations.take())
-        plans = self._plans.take()
-        self._recorder.plans(plans)
-        lost, self._lost_scans = self._loop.lost - self._lost_scans, self._loop.lost
-        for event in (
-            *self._health_monitor.samples(samples),
-            *self._health_monitor.observations(observations),
-            *self._health_monitor.plans(plans),
-            *self._health_monitor.lost(self._plant.t_ns, lost),
-            *(() if in_flight else self._health_monitor.rest(self._plant.t_ns)),
-        ):
-            self._report(event)
-
-    def _progress(self, row: NDArray[np.void]) -> Progress:
-        last, estimate = self._observations.recent(1), self._adaptations.recent(1)
-        return Progress(
-            protocol_s=self._loop.position.protocol_s,
-            duration_s=self._plan.trajectory.duration_s,
-            sample=row,
-            observation=last[0] if len(last) else None,
-            missed=0,
-            dropped=0 if self._plan.config.measures_tip else None,
-            prompt=None,
-            adapted=self._plan.adapted,
-            adaptation=estimate[0] if len(estimate) else None,
-            auxiliary=self._plan.auxiliary,
-        )
 
     def _event(self, t_ns: int, level: Level, source: str, message: str) -> None:
-        self._report(Event(t_ns, level, source, message))
-
-    def _report(self, event: Event) -> None:
-        self._recorder.event(event)
-        self._operator.report(event)
+        self._record.report(Event(t_ns, level, source, message))
 
 
 def _tip_control(plan: RunPlan) -> TipControlSession | None:

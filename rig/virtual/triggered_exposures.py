@@ -6,17 +6,14 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rig.config.schema import RigConfig
 from rig.control.trigger import TriggerPulses
 from rig.hardware.cameras.base import CameraError
 from rig.hardware.cameras.trigger import RECENT_PULSES, PulseMatcher
 from rig.hardware.safe_state import SafeOutputs
+from rig.realtime.ring import RingBuffer
 from rig.simulator.mock_camera import Exposure, MockCamera
 from rig.simulator.plant import Plant
-from runs.records import pulse_dtype
 
 
 @dataclass(frozen=True)
@@ -33,23 +30,27 @@ class TriggeredExposures:
     """The pulses of the camera trigger, and the exposures that they begin."""
 
     def __init__(
-        self, config: RigConfig, outputs: SafeOutputs, plant: Plant, cameras: Mapping[str, MockCamera]
+        self,
+        config: RigConfig,
+        outputs: SafeOutputs,
+        plant: Plant,
+        cameras: Mapping[str, MockCamera],
+        record: RingBuffer,
     ) -> None:
+        """`record` takes the rows of the pulses."""
         self._pulses = TriggerPulses(config, outputs, lambda: plant.t_ns)
         self._cameras = tuple(cameras.values())
         self._matchers = [PulseMatcher(camera) for camera in config.cameras.values()]
         self._running: deque[tuple[int | None, ...]] = deque()
         """Middle of the exposure of each camera [ns] of the frames that are not finished; None for a lost one."""
-        self._recent = np.empty(0, pulse_dtype())
-        self._new: list[NDArray[np.void]] = []
+        self._record = record
 
     def cycle(self, number: int) -> None:
         """Set the trigger for one control cycle; the cameras expose at its rising edge."""
         row = self._pulses.cycle(number)
         if row is None:
             return
-        self._new.append(row.reshape(1).copy())
-        self._recent = np.concatenate([self._recent, self._new[-1]])[-RECENT_PULSES:]
+        self._record.push(row)
         rises = [camera.rise_ns() for camera in self._cameras]
         self._running.append(
             tuple(
@@ -78,10 +79,5 @@ class TriggeredExposures:
 
     def _exposed(self, camera: MockCamera, matcher: PulseMatcher, t_ns: int) -> Exposure | None:
         """Expose a frame and match it to its pulse; None for a frame that no pulse began."""
-        match = matcher.match(camera.stamp_ns(t_ns), self._recent)
+        match = matcher.match(camera.stamp_ns(t_ns), self._record.last(RECENT_PULSES))
         return None if match is None else replace(camera.expose(match.pulse, t_ns), trigger=match)
-
-    def take_pulses(self) -> NDArray[np.void]:
-        """The pulses (n,) of `pulse_dtype` since the last call."""
-        new, self._new = self._new, []
-        return np.concatenate([np.empty(0, pulse_dtype()), *new])

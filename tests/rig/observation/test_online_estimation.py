@@ -17,7 +17,7 @@ from model.statics import statics
 from rig.config import parameters_overlay as parameter_files
 from rig.config.arm_model import model_arm, true_arm
 from rig.config.loader import load
-from rig.observation.observer import observations_of
+from rig.execution.plan import observation_rows
 from rig.observation.online_estimation import OnlineEstimation, default_parameters, estimated_quantities
 from runs.records import DetectionStatus, observation_dtype
 from runs.report.figure_specifications import figure_specifications
@@ -157,7 +157,7 @@ def test_the_sections_of_a_rig_narrow_the_estimates_and_are_predicted() -> None:
     for k, level in enumerate(np.linspace(1e4, 6e4, 6)):
         shape = statics(arm, [level, 0.0, level / 2])
         for name, one in (("with", rig), ("without", without)):
-            row = np.zeros((), observations_of(one))
+            row = np.zeros((), observation_rows(one))
             row["frame"], row["seen"], row["model_ok"] = k, DetectionStatus.MEASURED, 1
             row["pressure_pa"] = (level, 0.0, level / 2)
             row["measured_m"] = row["model_m"] = shape.tip_m

@@ -83,7 +83,7 @@ def test_the_supervisor_warns_of_a_stalled_disk_and_continues(
     def supervised(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> RunFooter:
         parent = supervisor.Supervisor(plan, operator, None)
         journal = open_record(time.monotonic_ns())
-        parent.record = DataRecorder(plan.config, parent.memory, journal, operator)
+        parent.record = DataRecorder(plan, parent.memory, journal, operator)
         disk.clear()
         journal.event(Event(time.monotonic_ns(), Level.INFO, "control", "armed"))
         parent.memory.publish_stage("control", Stage.DONE)

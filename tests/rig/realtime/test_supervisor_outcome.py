@@ -14,7 +14,7 @@ from typing import NoReturn
 import numpy as np
 import pytest
 
-from rig.execution.plan import NullOperator, Recorder, RunPlan, StartError
+from rig.execution.plan import NullOperator, RunPlan, StartError
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import UNSAFE
 from rig.hardware.vent_verification import UNCONFIRMED, VentOutcome
@@ -27,6 +27,7 @@ from rig.realtime.shared_state import SETPOINTS, SharedState, Stage, Stop
 from rig.realtime.timing_limits import TimingLimits
 from rig.simulator.registers import Registers
 from runs.journal.append_only_file import JournalError
+from runs.journal.journal import JournalWriter
 from runs.records import Event, Level, Picture, RunFooter, Status, streamed_dtype
 from tests.support.child_programs import SLEEPS, child
 
@@ -74,14 +75,14 @@ class FullDisk(Unwritten):
         raise JournalError("the disk is full")
 
 
-def recorded(parent: supervisor.Supervisor, plan: RunPlan, journal: Recorder | None = None) -> None:
+def recorded(parent: supervisor.Supervisor, plan: RunPlan, journal: JournalWriter | None = None) -> None:
     """Let a supervisor record into a journal; without one its records are discarded."""
-    parent.record = DataRecorder(plan.config, parent.memory, journal or Unwritten(), NullOperator())
+    parent.record = DataRecorder(plan, parent.memory, journal or Unwritten(), NullOperator())
 
 
 def test_rows_that_were_overwritten_before_they_were_recorded_are_counted(own_plan: RunPlan) -> None:
     memory = SharedState.create(own_plan.config)
-    recorder = DataRecorder(own_plan.config, memory, Unwritten(), NullOperator())
+    recorder = DataRecorder(own_plan, memory, Unwritten(), NullOperator())
     for _ in range(SETPOINTS + 99):
         memory.streamed.push(np.zeros((), streamed_dtype(own_plan.config.actuators)))
     recorder.drain()
