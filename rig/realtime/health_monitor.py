@@ -41,7 +41,7 @@ class HealthMonitor:
     def __init__(self, config: RigConfig, start_ns: int = 0) -> None:
         """Times in messages count from `start_ns`."""
         self._start_ns = start_ns
-        self._repeated: list[Condition | RepeatedWarning] = []
+        self._repeated: list[RepeatedWarning] = []
         self._cycle_s = 1 / config.control.rate_hz
         self._frame_s = 1 / config.observation_hz
         self._tip_source, self._items = ("the tracker", "poses") if config.trackers else ("the camera", "pictures")
@@ -89,7 +89,7 @@ class HealthMonitor:
                 "the pressures return to their set-points within the rate limit"
             )
             yield from self._control_stalls.events(t_ns, stall if late_s > CONTROL_STALL_S else "")
-            yield from self._missing.events(
+            yield from self._missing.row(
                 t_ns,
                 self._cycle_s * (missed + 1),
                 missed / (missed + 1),
@@ -99,7 +99,7 @@ class HealthMonitor:
             for (name, condition), value in zip(self._inputs, row["aux"] if self._inputs else (), strict=True):
                 warning = f"input {name} is outside its span_V and recorded as NaN: is the sensor or its wire broken?"
                 recovery = f"input {name} is inside its span_V again"
-                yield from condition.events(t_ns, self._cycle_s, float(np.isnan(value)), warning, recovery)
+                yield from condition.row(t_ns, self._cycle_s, float(np.isnan(value)), warning, recovery)
 
     def observations(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of camera frames (n,) of `runs.records.observation_dtype`, in order of time."""
@@ -122,17 +122,15 @@ class HealthMonitor:
         source, items, age_s, period_s = self._tip_source, self._items, row["age_ns"] * 1e-9, self._period_s(row)
         unmeasured = seen not in (DetectionStatus.MEASURED, DetectionStatus.NO_CAMERA)
         warning = f"the tip is not measured: {_cause(seen)}"
-        yield from self._unmeasured.events(t_ns, period_s, float(unmeasured), warning, "the tip is measured again")
+        yield from self._unmeasured.row(t_ns, period_s, float(unmeasured), warning, "the tip is measured again")
         warning = "the model cannot be solved for these pressures: its tip is the last good one"
-        yield from self._unsolved.events(
-            t_ns, period_s, float(not row["model_ok"]), warning, "the model is solved again"
-        )
+        yield from self._unsolved.row(t_ns, period_s, float(not row["model_ok"]), warning, "the model is solved again")
         warning, recovery = f"{source} drops {items}", f"all {items} of {source} come again"
-        yield from self._dropping.events(t_ns, period_s, dropped / (dropped + 1), warning, recovery)
+        yield from self._dropping.row(t_ns, period_s, dropped / (dropped + 1), warning, recovery)
         warning, recovery = f"{items} are {age_s:.2f} s old when they are measured", f"{items} come in time again"
         if seen is DetectionStatus.NO_CAMERA:
             warning, recovery = f"predictions are {age_s:.2f} s late", "predictions come in time again"
-        yield from self._late.events(t_ns, period_s, float(age_s > LATE_S), warning, recovery)
+        yield from self._late.row(t_ns, period_s, float(age_s > LATE_S), warning, recovery)
 
     def _period_s(self, row: NDArray[np.void]) -> float:
         """Time that a frame stands for, with those that were dropped before it."""
@@ -147,7 +145,7 @@ class HealthMonitor:
         self._interval_s += (interval_s - self._interval_s) * min(1.0, interval_s / SHARE_TIME_CONSTANT_S)
         off = abs(self._interval_s / self._frame_s - 1) > RATE_TOLERANCE
         source = self._tip_source
-        yield from self._wrong_rate.events(
+        yield from self._wrong_rate.row(
             t_ns,
             self._frame_s,
             float(off),
@@ -163,7 +161,7 @@ class HealthMonitor:
         stepped = counts["clock_steps"] > before["clock_steps"]
         message = "the clock of the tracker's sender was set, or it restarted" if stepped else ""
         yield from self._clock_steps.events(t_ns, message)
-        yield from self._drifting.events(
+        yield from self._drifting.row(
             t_ns,
             self._frame_s,
             float(abs(row["clock_drift"]) >= largest_drift),
@@ -181,7 +179,7 @@ class HealthMonitor:
             unmeasured = float(seen != DetectionStatus.MEASURED)
             warning = f"section {name} is not measured: {_cause(DetectionStatus(seen))}"
             recovery = f"section {name} is measured again"
-            yield from condition.events(int(row["t_ns"]), self._period_s(row), unmeasured, warning, recovery)
+            yield from condition.row(int(row["t_ns"]), self._period_s(row), unmeasured, warning, recovery)
 
     def _untriggered(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report the first picture of each camera that no pulse of the trigger began."""
@@ -203,7 +201,7 @@ class HealthMonitor:
             unmeasured = float(seen != DetectionStatus.MEASURED)
             warning = f"camera {name} {why}; the tip is measured without it"
             recovery = f"camera {name} sees the board again"
-            yield from condition.events(int(row["t_ns"]), self._period_s(row), unmeasured, warning, recovery)
+            yield from condition.row(int(row["t_ns"]), self._period_s(row), unmeasured, warning, recovery)
 
     def plans(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of plans (n,) of `runs.records.tip_control_dtype`, in order of time."""
@@ -211,10 +209,10 @@ class HealthMonitor:
         for row in rows:
             t_ns, status = int(row["t_ns"]), SolveStatus(int(row["status"]))
             refused, warning = float(status.refused), f"plans are refused: {status.words}"
-            yield from self._refused.events(t_ns, self._frame_s, refused, warning, again)
+            yield from self._refused.row(t_ns, self._frame_s, refused, warning, again)
             unsolved = float(status is SolveStatus.NOT_SOLVED)
             warning = "the solver finds no plan: the ones before are continued"
-            yield from self._not_solved.events(t_ns, self._frame_s, unsolved, warning, again)
+            yield from self._not_solved.row(t_ns, self._frame_s, unsolved, warning, again)
 
     def pulses(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of pulses (n,) of `runs.records.pulse_dtype`, in order of time."""

@@ -19,12 +19,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control.protocol_position import ProtocolPosition, skip
-from rig.execution.plan import StartError
+from rig.execution.plan import NullOperator, StartError
 from rig.experiment import run as experiment
 from rig.hardware import runtime_folder
 from rig.live.client_session import ClientSession, connect, running_runs
 from rig.realtime.control_socket import ControlSocket, socket_paths
-from rig.realtime.operator_commands import CommandHandler, CommandKind, CommandResult, OperatorCommand, user_name
+from rig.realtime.operator_commands import CommandKind, CommandResult, OperatorCommand, user_name
+from rig.realtime.operator_session import OperatorSession
 from rig.realtime.picture_rings import view_dtype
 from rig.realtime.shared_state import SharedState, Stop
 from rig.realtime.stream_receiver import StreamReceiver
@@ -72,10 +73,16 @@ def memory(plan: experiment.Plan) -> SharedState:
     return SharedState.create(plan.config)
 
 
+def session(plan: experiment.Plan, memory: SharedState) -> OperatorSession:
+    """The session of a run that has begun."""
+    memory.start_ns = 1
+    return OperatorSession(plan, memory, NullOperator(), lambda level, source, message: None)
+
+
 def test_pause_and_resume_set_the_flag_that_control_obeys_and_are_refused_twice(
     plan: experiment.Plan, memory: SharedState
 ) -> None:
-    handler = CommandHandler(memory, plan.trajectory)
+    handler = session(plan, memory)
     assert handler.handle(OperatorCommand(CommandKind.PAUSE, "ada")).accepted
     assert memory.paused == 1
     assert not handler.handle(OperatorCommand(CommandKind.PAUSE, "ada")).accepted
@@ -86,7 +93,7 @@ def test_pause_and_resume_set_the_flag_that_control_obeys_and_are_refused_twice(
 
 
 def test_a_paused_run_holds_its_pressures_and_refuses_a_skip(plan: experiment.Plan, memory: SharedState) -> None:
-    handler = CommandHandler(memory, plan.trajectory)
+    handler = session(plan, memory)
     handler.handle(OperatorCommand(CommandKind.PAUSE, "ada"))
     answer = handler.handle(OperatorCommand(CommandKind.SKIP, "bob"))
     assert (answer.accepted, memory.skips) == (False, 0)
@@ -100,7 +107,7 @@ def test_a_paused_run_holds_its_pressures_and_refuses_a_skip(plan: experiment.Pl
 def test_stop_and_vent_end_the_run_and_say_who(
     plan: experiment.Plan, memory: SharedState, action: CommandKind, stop: Stop
 ) -> None:
-    handler = CommandHandler(memory, plan.trajectory)
+    handler = session(plan, memory)
     handler.handle(OperatorCommand(action, "ada"))
     assert memory.stop_request == stop
     assert handler.ending is not None
@@ -110,14 +117,14 @@ def test_stop_and_vent_end_the_run_and_say_who(
 
 
 def test_a_vent_overrides_an_earlier_stop_but_not_the_reverse(plan: experiment.Plan, memory: SharedState) -> None:
-    handler = CommandHandler(memory, plan.trajectory)
+    handler = session(plan, memory)
     for action in (CommandKind.STOP, CommandKind.VENT, CommandKind.STOP):
         handler.handle(OperatorCommand(action, "ada"))
     assert memory.stop_request == Stop.VENT
 
 
 def test_an_answer_is_taken_once_and_only_while_a_prompt_waits(plan: experiment.Plan, memory: SharedState) -> None:
-    handler = CommandHandler(memory, plan.trajectory)
+    handler = session(plan, memory)
     assert not handler.handle(OperatorCommand(CommandKind.ANSWER, "ada")).accepted
     memory.waiting_prompt = 0
     assert handler.handle(OperatorCommand(CommandKind.ANSWER, "ada")).accepted
