@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import count
 
 import numpy as np
 
@@ -18,13 +17,8 @@ from rig.tip_planning.path_follower import PathFollower, PathSolution
 
 SMALLEST = 0.1
 """Smallest share of speed and size that is tried."""
-FIRST = 0.8
-LINEAR = 4
-"""Trials by regula falsi; where the error is far from linear, bisection follows."""
 RESOLUTION = 0.02
-"""A share that is stated is possible, and one that is larger by more than this is not."""
-LOWERED = 0.97
-"""Factor between the trials of a share that is possible by a coarse grid only."""
+"""A share that is stated is possible, and one that is larger by this is not."""
 LEAD_IN_FELT_S = 0.5
 """How far into the path a lead-in that is too short has an effect."""
 BINDING_S = 0.15
@@ -55,7 +49,6 @@ def infeasible_path_error(follower: PathFollower, request: TipRequest, found: Pa
     off = MM_PER_M * float(found.error_m[first])
     text = f"{_point(target, request.coordinates)} at {at_s:.2f} s ({where}); the model's tip is {off:.2f} mm off"
     cause = _out_of_reach(follower, nearest) if out_of_reach else _too_fast(follower, found, first)
-    worst_m = float(found.error_m.max())
     expected = f"a path that the arm follows within {MM_PER_M * request.tolerance_m:g} mm; {cause}; "
     if out_of_reach:
         place = _point(nearest.tip_m, request.coordinates)
@@ -64,7 +57,7 @@ def infeasible_path_error(follower: PathFollower, request: TipRequest, found: Pa
         expected += "at rest the arm reaches the point"
         if farther := _farther_on(follower, request, found):
             out_of_reach, expected = True, f"{expected}, {farther}"
-    return TipRefusedError(text, f"{expected}; {_remedies(follower, request, t_s, out_of_reach, worst_m)}")
+    return TipRefusedError(text, f"{expected}; {_remedies(follower, request, t_s, out_of_reach)}")
 
 
 def _farther_on(follower: PathFollower, request: TipRequest, found: PathSolution) -> str:
@@ -84,7 +77,7 @@ def _nearest(follower: PathFollower, request: TipRequest, target_m: Array) -> Re
     return nearest_reachable(follower.arm, follower.drive, target_m, request.coordinates, request.weight_kg)
 
 
-def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_reach: bool, worst_m: float) -> str:
+def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_reach: bool) -> str:
     if out_of_reach and _in_metres(request.path):
         return "are these metres? this step has mm"
     still = length_m(request.path) == 0
@@ -94,7 +87,7 @@ def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_re
     # Almost no lead-in shows as a missed start of the path.
     in_lead_in = t_s < (LEAD_IN_FELT_S if request.lead_in_s < SHORTEST_LEAD_IN_S else 0.0)
     if out_of_reach or not (in_lead_in or still):
-        if possible := _possible(follower, request, worst_m, out_of_reach):
+        if possible := _possible(follower, request, out_of_reach):
             return f"largest possible: {possible}"
         if out_of_reach or request.lead_in_s >= USUAL_LEAD_IN_S:
             return neither
@@ -106,32 +99,23 @@ def _remedies(follower: PathFollower, request: TipRequest, t_s: float, out_of_re
         longer = f" with a lead_in_s of {USUAL_LEAD_IN_S:g}"
     if still:
         return f"a lead_in_s of {request.lead_in_s:g} is not long enough either"
-    worst_m = max(follower.worst_m(request, 1.0, 1.0), request.tolerance_m)
-    if possible := _possible(follower, request, worst_m, out_of_reach):
+    if possible := _possible(follower, request, out_of_reach):
         return f"largest possible{longer}: {possible}"
     return f"{longer} {neither}".strip()
 
 
-def _possible(follower: PathFollower, request: TipRequest, worst_m: float, out_of_reach: bool) -> str:
-    """Largest speed and size with which the path can be followed, `worst_m` being its error; empty without any."""
-    found, tolerance_m = [], request.tolerance_m
-    speed = 0.0 if out_of_reach else largest_share(lambda s: follower.worst_m(request, s, 1.0), worst_m, tolerance_m)
-    if speed := _accepted_share(lambda s: follower.accepts(request, s, 1.0), speed):
+def _possible(follower: PathFollower, request: TipRequest, out_of_reach: bool) -> str:
+    """Largest speed and size with which a path can be followed that cannot be at full speed and size; else empty."""
+    found = []
+    speed = 0.0 if out_of_reach else largest_share(lambda share: follower.accepts(request, share, 1.0))
+    if speed:
         period = request.path.period_s
         means = f" (period_s: {_rounded_up(period / speed):g})" if period else ""
         found.append(f"{speed:.2f} of this speed{means}")
-    size = largest_share(lambda s: follower.worst_m(request, 1.0, s), worst_m, tolerance_m)
-    if size := _accepted_share(lambda s: follower.accepts(request, 1.0, s), size):
+    if size := largest_share(lambda share: follower.accepts(request, 1.0, share)):
         about = _point(request.path.centre_m(), request.coordinates)
         found.append(f"{size:.2f} of this size in the same time about {about}")
     return ", or ".join(found)
-
-
-def _accepted_share(accepts: Callable[[float], bool], share: float) -> float:
-    """A share that was found on a coarse grid, or the first lower one that is accepted; 0 if none is."""
-    while share >= SMALLEST and not accepts(share):
-        share = math.floor(100 * LOWERED * share) / 100
-    return share if share >= SMALLEST else 0.0
 
 
 def _rounded_up(period_s: float) -> float:
@@ -146,37 +130,14 @@ def _in_metres(path: TipPath) -> bool:
     return bool((np.abs(path.positions_m(times)) < METRES_M).all())
 
 
-def largest_share(worst_m: Callable[[float], float], at_full_m: float, tolerance_m: float) -> float:
-    """The largest share below 1 whose error is within the tolerance, rounded down to 0.01; 0 if SMALLEST is not.
-
-    Regula falsi, because the error rises almost linearly beyond the largest share; then bisection. `at_full_m` is the
-    error at 1; that of a share within the tolerance may be an upper bound.
-    """
-    low, low_m, high, high_m = SMALLEST, math.nan, 1.0, at_full_m
-    share, step = FIRST, RESOLUTION
-    for trial in count(1):
-        error_m = worst_m(share)
-        before, before_m = high, high_m
-        if error_m <= tolerance_m:
-            low, low_m = share, error_m
-        elif share <= SMALLEST:
-            return 0.0
-        else:
-            high, high_m = share, error_m
-        bracketed = not math.isnan(low_m)
-        if bracketed and high - low <= RESOLUTION:
-            return math.floor(100 * low) / 100
-        other, other_m = (low, low_m) if bracketed else (before, before_m)
-        # An upper bound of the error leads to too small a step: each success doubles the least step.
-        step = 2 * step if error_m <= tolerance_m else RESOLUTION
-        nearest = min(low + 0.5 * step, 0.5 * (low + high)) if bracketed else SMALLEST
-        farthest = max(high - 0.5 * RESOLUTION, 0.5 * (low + high))
-        slope = (high_m - other_m) / (high - other)
-        line = high - (high_m - tolerance_m) / slope if math.isfinite(slope) and slope > 0 else 0.5 * (low + high)
-        share = min(max(line, nearest), farthest)
-        if trial >= LINEAR:
-            share = 0.5 * (low + high) if bracketed else SMALLEST
-    raise AssertionError("an unlimited count has ended")
+def largest_share(accepts: Callable[[float], bool]) -> float:
+    """The largest share below 1 that is accepted, to RESOLUTION, by bisection; 0 if SMALLEST is not."""
+    smallest = low = round(100 * SMALLEST)
+    high = 100
+    while high - low > 100 * RESOLUTION:
+        percent = (low + high) // 2
+        low, high = (percent, high) if accepts(percent / 100) else (low, percent)
+    return low / 100 if low > smallest or accepts(SMALLEST) else 0.0
 
 
 def _out_of_reach(follower: PathFollower, nearest: ReachablePoint) -> str:

@@ -12,7 +12,7 @@ from protocols.tip_paths import TipPath
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
 from rig.tip_planning.infeasible_path import infeasible_path_error
-from rig.tip_planning.path_follower import NO_SOLUTION, PathFollower, shortened
+from rig.tip_planning.path_follower import NO_SOLUTION, PathFollower, solved_s
 
 
 class RigTipInverse:
@@ -36,7 +36,7 @@ class RigTipInverse:
                 f"at most {valves}, because rig {rig} has {valves} valve{'s' if valves > 1 else ''}: "
                 "give the step `coordinates`, or use a rig with more valves, such as mock-3",
             )
-        path, repeated = shortened(request.path)
+        path = request.path
         try:
             found = self._follower.solution(request, path)
         except NO_SOLUTION as error:
@@ -44,17 +44,18 @@ class RigTipInverse:
         if not self._follower.within(request, found):
             raise infeasible_path_error(self._follower, request, found)
         times, pressure, tips = found.times_s, found.following.pressure_pa, found.following.tip_m
-        if repeated:
-            times, pressure, tips = _repeat(times, pressure, tips, path, repeated)
+        if (solved := solved_s(path)) < path.duration_s:
+            times, pressure, tips = _repeated(times, pressure, tips, path, solved)
         lead_s = -times[0]
         # The grid rounds the lead-in to whole steps.
         times = np.where(times < 0, times * (request.lead_in_s / lead_s if lead_s else 1.0), times)
         return TipSolution(times + request.lead_in_s, pressure @ self._follower.drive.matrix().T, tips, found.start)
 
 
-def _repeat(times: Array, pressure: Array, tips: Array, path: TipPath, rest_s: float) -> tuple[Array, Array, Array]:
-    """Continue a solution by its last but one period for `rest_s` after that."""
+def _repeated(times: Array, pressure: Array, tips: Array, path: TipPath, solved: float) -> tuple[Array, Array, Array]:
+    """Continue the solution of the first part of a path by its last but one period."""
     assert path.period_s is not None
+    rest_s = path.duration_s - (solved - path.period_s)
     dt_s = float(times[-1] - times[-2])
     once = round(path.period_s / dt_s)
     stop = len(times) - once

@@ -24,8 +24,8 @@ from runs.interpolation import interpolated
 
 STEP_S = 0.01
 """Longest time between two pressures of a solution."""
-LONGEST_STEP_S, MOST_STEPS = 0.05, 6000
-"""The same for a path that is slowed down, and its number of times above which they are farther apart than STEP_S."""
+LONGEST_STEP_S, MOST_STEPS = 0.05, 30_000
+"""The same in the search of a remedy for a long path, and its number of times above which they are farther apart."""
 SETTLED_S = 1.5
 """Time after which a periodic path has periodic pressures."""
 CORNERS_S = 60.0
@@ -85,14 +85,14 @@ class PathFollower:
         self._maps: dict[float, StaticMap | None] = {}
 
     def follow(self, request: TipRequest, path: TipPath, step_s: float = STEP_S, enough_m: float = 0.0) -> PathSolution:
-        """The pressures of `path`, whether within the tolerance or not, at times at most `step_s` apart.
+        """The pressures of `path` for `solved_s`, within the tolerance or not, at times at most `step_s` apart.
 
         With `enough_m` it answers only whether the largest error can be at most that: it ends as soon as that is known.
 
         Raises:
             ArithmeticError, NotConverged: there is no solution.
         """
-        dt_s = _grid_step_s(path, step_s)
+        dt_s, duration_s = _grid_step_s(path, step_s), solved_s(path)
         weight_kg = request.weight_kg
         inverse = PathInverse(
             self.arm, self.drive, dt_s, self._loads.carrying(weight_kg), weight_kg, self._static_map(weight_kg)
@@ -101,11 +101,11 @@ class PathFollower:
         position, velocity = inverse.begin(before)
         start = TipStart(position, velocity)
         lead = round(request.lead_in_s / dt_s)
-        times: Array = np.arange(-lead, math.ceil(path.duration_s / dt_s - 1e-9) + 1.0) * dt_s
+        times: Array = np.arange(-lead, math.ceil(duration_s / dt_s - 1e-9) + 1.0) * dt_s
         target, _ = fade(start, path, lead * dt_s, times)
         following = inverse.follow(target, request.coordinates, before, enough_m)
         error = following.error_m(target, request.coordinates)
-        between = _between_m(path, times, following.tip_m, request.coordinates)
+        between = _between_m(path, duration_s, times, following.tip_m, request.coordinates)
         return PathSolution(times, target, start, following, np.maximum(error, between))
 
     def _static_map(self, weight_kg: float) -> StaticMap | None:
@@ -130,69 +130,26 @@ class PathFollower:
         bounded = self.follow(request, path, enough_m=request.tolerance_m)
         return bounded if self.within(request, bounded) else found
 
-    def worst_m(self, request: TipRequest, speed: float, size: float) -> float:
-        """Largest error of the path at this share of its speed and size; infinite without a solution.
-
-        Of a path that stays within the tolerance it is an upper bound. A coarse grid is enough for the search of a
-        share; `accepts` decides.
-        """
-        path: TipPath = ScaledPath(request.path, speed, size)
-        if path.period_s is not None and path.period_s + SETTLED_S < path.duration_s:
-            path = TruncatedPath(path, path.period_s + SETTLED_S)
-        coarse_s = min(STEP_S / speed, (request.lead_in_s + path.duration_s) / MOST_STEPS, LONGEST_STEP_S)
-        step_s, tolerance_m = max(coarse_s, STEP_S), request.tolerance_m
-        try:
-            worst = float(self.follow(request, path, step_s, tolerance_m).error_m.max())
-            if tolerance_m < worst < NEAR * tolerance_m:
-                worst = min(worst, float(self.follow(request, path, step_s).error_m.max()))
-        except NO_SOLUTION:
-            return math.inf
-        return worst if math.isfinite(worst) else math.inf
-
     def accepts(self, request: TipRequest, speed: float = 1.0, size: float = 1.0) -> bool:
-        """True if the path can be followed at this share of its speed and size."""
-        path, _ = shortened(ScaledPath(request.path, speed, size))
+        """True if the path can be followed at this share of its speed and size; of a long one on a coarser grid."""
+        path = ScaledPath(request.path, speed, size)
+        step_s = min(max(STEP_S, solved_s(path) / MOST_STEPS), LONGEST_STEP_S)
         try:
-            return self.within(request, self.solution(request, path))
+            bounded = self.follow(request, path, step_s, enough_m=request.tolerance_m)
+            near = float(bounded.error_m.max()) < NEAR * request.tolerance_m
+            return self.within(request, bounded) or (near and self.within(request, self.follow(request, path, step_s)))
         except NO_SOLUTION:
             return False
 
 
-@dataclass(frozen=True, eq=False)
-class TruncatedPath(TipPath):
-    """The first periods of a path."""
+def solved_s(path: TipPath) -> float:
+    """How much of a path needs a solution [s]: of a periodic one the periods until the pressures are periodic.
 
-    path: TipPath
-    duration_s: float
-
-    @property
-    def period_s(self) -> float | None:  # type: ignore[override]
-        return self.path.period_s
-
-    @property
-    def has_corners(self) -> bool:  # type: ignore[override]
-        return self.path.has_corners
-
-    def positions_m(self, t_s: Array) -> Array:
-        return self.path.positions_m(t_s)
-
-    def velocities_m_s(self, t_s: Array) -> Array:
-        return self.path.velocities_m_s(t_s)
-
-    def centre_m(self) -> Array:
-        return self.path.centre_m()
-
-
-def shortened(path: TipPath) -> tuple[TipPath, float]:
-    """A periodic path cut to the periods that need a solution, and the time that repeats its last period [s]."""
+    One period more than needed: at the end of a solution the pressures have no target after them.
+    """
     if path.period_s is None:
-        return path, 0.0
-    needed = (1 + math.ceil(SETTLED_S / path.period_s)) * path.period_s
-    # One step more than needed: at the end of a solution the pressures have no target after them.
-    whole = needed + path.period_s
-    if whole >= path.duration_s:
-        return path, 0.0
-    return TruncatedPath(path, whole), path.duration_s - needed
+        return path.duration_s
+    return min(path.duration_s, (2 + math.ceil(SETTLED_S / path.period_s)) * path.period_s)
 
 
 def _grid_step_s(path: TipPath, step_s: float) -> float:
@@ -206,13 +163,13 @@ def _grid_step_s(path: TipPath, step_s: float) -> float:
     return whole / (2 ** math.ceil(math.log2(steps)) if path.has_corners and whole <= CORNERS_S else steps)
 
 
-def _between_m(path: TipPath, times_s: Array, tip_m: Array, coordinates: Sequence[int]) -> Array:
-    """How far (n,) the tip is from a path between each time of the grid and the next one, at most.
+def _between_m(path: TipPath, duration_s: float, times_s: Array, tip_m: Array, coordinates: Sequence[int]) -> Array:
+    """How far (n,) the tip is from a path until `duration_s` between each time of the grid and the next one, at most.
 
     Between the times the tip is interpolated (Catmull-Rom); a path may have a corner there.
     """
     out = np.zeros(len(times_s))
-    on_path = np.flatnonzero((times_s[:-1] >= 0.0) & (times_s[1:] <= path.duration_s))
+    on_path = np.flatnonzero((times_s[:-1] >= 0.0) & (times_s[1:] <= duration_s))
     axes = list(coordinates)
     at, step_s, tips = times_s[on_path], np.diff(times_s)[on_path], tip_m[:, axes]
     first, last = tips[on_path], tips[on_path + 1]
