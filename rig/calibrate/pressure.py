@@ -19,9 +19,8 @@ from rig.config import calibration_schema
 from rig.config.calibration_files import sha256_of
 from rig.config.loader import load, path_of
 from rig.config.schema import RigConfig
-from rig.execution.plan import StoppedError
+from rig.execution.plan import StoppedError, require_mocks
 from rig.execution.stop_signals import StopSignals
-from rig.execution.virtual_time import require_mocks
 from rig.realtime.scheduling import obtainable
 from rig.realtime.timing_limits import timing_limits
 from rig.simulator.plant_launcher import simulated

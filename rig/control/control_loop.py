@@ -18,8 +18,7 @@ from rig.control.protocol_position import ProtocolPosition, advance, skip
 from rig.control.stream_follower import StreamFollower
 from rig.execution.plan import RunPlan, sample_rows
 from rig.hardware.bench import BenchScans
-from rig.tip_control.plan_follower import PlanFollower, SetPointSource
-from rig.tip_control.plan_record import StampedPlan
+from rig.tip_control.plan_follower import PlanFollower, SetPointSource, StampedPlan
 from runs.records import SolveStatus, blank
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -11,9 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols import SetPointTrajectory
+from protocols.problems import bad_input
+from rig.config.card_sections import CardConfig
 from rig.config.schema import RigConfig
-from rig.config.sections import Variant
+from rig.config.sections import CameraConfig, Variant
 from rig.config.tip_controllers import FEED_FORWARD
+from rig.config.tracker_sections import TrackerConfig
 from runs.records import AuxiliaryChannel, Event, Quantity, observation_dtype, sample_dtype
 
 if TYPE_CHECKING:
@@ -122,3 +125,14 @@ class StoppedError(StartError):
 
 OpenRecord = Callable[[int], "JournalWriter"]
 """Called with the start time [ns] once everything is armed, before the first cycle: opens the journal."""
+
+
+def require_mocks(rig: str, devices: Mapping[str, CardConfig | CameraConfig | TrackerConfig]) -> None:
+    """Refuse virtual time for devices that only real time can drive, also those that another driver simulates.
+
+    Raises:
+        BadInputError: a device does not belong to the simulated bench.
+    """
+    if others := [name for name, device in devices.items() if not device.is_mock]:
+        found = f"virtual time on rig {rig}, with {', '.join(others)}"
+        raise bad_input("--fast", found, "softrig's simulated bench (driver: mock); omit --fast for this rig")

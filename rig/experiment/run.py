@@ -21,8 +21,7 @@ from protocols.problems import bad_input
 from rig.config.loader import RigChoice, RigFile, Source, read
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant, variant_named
-from rig.execution.plan import UNRECORDED, OperatorInterface, RunPlan, StartError
-from rig.execution.virtual_time import require_mocks
+from rig.execution.plan import UNRECORDED, OperatorInterface, RunPlan, StartError, require_mocks
 from rig.experiment import report_process
 from rig.experiment.preflight import check
 from rig.experiment.provenance import protocol_parameters, quantities, section_places, software

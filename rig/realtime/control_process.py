@@ -19,13 +19,13 @@ from rig.hardware.vent_verification import VentOutcome, VentVerification, real_t
 from rig.realtime import sampling_clocks
 from rig.realtime.child_process import (
     ChildJob,
+    ProcessMonitor,
     await_device_access,
     exit_process,
     receive_job,
     report_end,
     supervisor_monitor,
 )
-from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
     CONTROL_PRIORITY,
     HeartbeatMonitor,
@@ -35,7 +35,7 @@ from rig.realtime.scheduling import (
 )
 from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import timing_limits
-from rig.tip_control.plan_record import StampedPlan
+from rig.tip_control.plan_follower import StampedPlan
 
 BEFORE_START_NS = 5_000_000
 WARM_UP_S = 0.05

@@ -17,13 +17,14 @@ from rig.hardware.cameras.synchroniser import CameraSynchroniser
 from rig.hardware.cameras.trigger import RECENT_PULSES
 from rig.hardware.driver_calls import TipSourceError
 from rig.observation.observer import Observer
+from rig.observation.overlay import OverlayProjector, arm_lines
 from rig.observation.picture_recorder import PictureRecorder
 from rig.observation.prediction_clock import PredictionClock
 from rig.observation.tip_force import auxiliary_values
 from rig.observation.tracker_source import TrackerSource
 from rig.realtime.child_process import ChildJob, await_device_access, exit_process, receive_job, supervisor_monitor
 from rig.realtime.failsafe import FailsafeThread
-from rig.realtime.preview import PreviewPublisher
+from rig.realtime.picture_rings import LINE_POINTS, view_dtype
 from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import timing_limits
 
@@ -31,6 +32,9 @@ WARM_UP_FRAMES = 3
 FIRST_PICTURE_S = 5.0
 HISTORY_S = 2.0
 """Time before a frame whose control cycles are passed to the model with it."""
+WATCHED_NS = 3_000_000_000
+"""A viewer reports its presence about once a second."""
+_NO_PICTURE = np.empty((0, 0, 0), np.uint8)
 
 
 def main() -> int:
@@ -149,6 +153,40 @@ def _record(job: ChildJob, observer: Observer, memory: SharedState, frame_set: F
     memory.observations.push(row)
     if observer.adaptation is not None:
         memory.adaptations.push(observer.adaptation)
+
+
+class PreviewPublisher:
+    """Publishes frames with their overlay to viewers; without a viewer nothing is computed or copied."""
+
+    def __init__(self, config: RigConfig, memory: SharedState) -> None:
+        self._config, self._memory = config, memory
+        self._projectors = [OverlayProjector(config, name) for name in config.cameras]
+        self._row = np.zeros((), view_dtype(config))
+
+    def publish(self, frame_set: FrameSet, observer: Observer) -> None:
+        """Publish the leading frame of the frame set that the observer has just observed, if there is a viewer.
+
+        Without cameras the picture is empty, and the overlay is the lines of the arm.
+        """
+        watched = time.monotonic_ns() - self._memory.viewer_ns <= WATCHED_NS
+        if not watched or observer.measurement is None:
+            return
+        row = self._row
+        row["t_ns"], row["frame"] = frame_set.t_ns, frame_set.index
+        row["lines_m"] = arm_lines(self._config, observer.shape, LINE_POINTS)
+        if not frame_set.frames:
+            row["shape"], row["found"], row["tip_px"], row["model_px"] = 0, 0, np.nan, np.nan
+            self._memory.views.push(row, _NO_PICTURE)
+            return
+        frame, measurement = frame_set.lead, observer.measurement
+        projector = self._projectors[frame_set.leader]
+        marks = projector.annotations(measurement.corners_px, measurement.tip_m, observer.shape)
+        corners_px = marks.corners_px[np.isfinite(marks.corners_px).all(axis=1)]
+        row["shape"] = (*frame.image.shape, 1)[:3]
+        row["found"] = len(corners_px)
+        row["corners_px"][: len(corners_px)] = corners_px
+        row["tip_px"], row["model_px"] = marks.tip_px, marks.model_px
+        self._memory.views.push(row, frame.image)
 
 
 if __name__ == "__main__":

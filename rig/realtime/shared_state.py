@@ -20,8 +20,7 @@ from rig.execution.plan import observation_rows, sample_rows
 from rig.realtime.picture_rings import PICTURES, VIEWS, PictureRing, ViewRing, view_dtype
 from rig.realtime.ring import RingBuffer, ring_bytes
 from rig.realtime.scheduling import Scheduling
-from rig.tip_control.plan_follower import SetPointSource
-from rig.tip_control.plan_record import plan_dtype
+from rig.tip_control.plan_follower import SetPointSource, plan_dtype
 from runs.records import Event, Level, adaptation_dtype, pulse_dtype, streamed_dtype, tip_control_dtype
 
 T = TypeVar("T", bound=float)

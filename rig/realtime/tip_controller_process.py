@@ -15,7 +15,7 @@ import numpy as np
 from rig.realtime.child_process import ChildJob, exit_process, receive_job, supervisor_monitor
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, Stop
 from rig.tip_control.monitor import failure_message
-from rig.tip_control.plan_record import record_of
+from rig.tip_control.plan_follower import record_of
 from rig.tip_control.session import HISTORY_S, TipControlSession
 
 POLL_S = 0.001

@@ -15,8 +15,7 @@ import numpy as np
 from model.arrays import Array
 from model.inverse.static_map import StaticMap
 from model.units import PA_PER_BAR
-from rig.tip_control.estimation.estimator import TipEstimator
-from rig.tip_control.estimation.measurement_map import tip_map_of
+from rig.tip_control.estimation.estimator import TipEstimator, tip_map_of
 from rig.tip_control.estimation.state import EstimatorState
 from rig.tip_control.interface import (
     ControllerMeasurement,

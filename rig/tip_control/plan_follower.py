@@ -1,4 +1,4 @@
-"""Follows time-stamped plans in the control loop, within the limits of the rig whatever a plan holds."""
+"""Time-stamped plans: as rows of fixed size between processes, and as the control loop follows them."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from model.arrays import Array
-from runs.records import SolveStatus
+from runs.records import SolveStatus, tip_control_dtype
 
 LONGEST_S = 0.3
 """For how long after its start a plan is followed; then the set-points are held."""
@@ -16,6 +17,59 @@ LOST_S = 1.0
 """How long after the start of the last plan the set-points return to those of the protocol."""
 TOLERANCE_PA = 1.0
 """How far a set-point may be out of limits by rounding; it is clipped."""
+MOST_POINTS = 64
+"""Largest number of points of a plan."""
+
+
+class StampedPlan(NamedTuple):
+    """A plan as the control loop follows it: times (K,) [protocol s] and set-points (K, V) [Pa]."""
+
+    times_s: Array
+    setpoint_pa: Array
+
+    @classmethod
+    def checked(cls, times_s: object, setpoint_pa: object, valves: int) -> StampedPlan:
+        """The plan of a controller, which may be code of the user.
+
+        Raises:
+            TypeError: an array has no real numbers.
+            ValueError: more than MOST_POINTS points, or not a set-point of every valve at each.
+        """
+        times, setpoints = np.asarray(times_s), np.asarray(setpoint_pa)
+        for name, array in (("times_s", times), ("setpoint_pa", setpoints)):
+            if array.dtype.kind not in "iuf":
+                raise TypeError(f"{name} of a plan are real numbers; found an array of {array.dtype}")
+        if times.ndim != 1 or len(times) > MOST_POINTS or setpoints.shape != (len(times), valves):
+            expected = f"at most {MOST_POINTS} times, and a set-point of each of {valves} valves at each"
+            raise ValueError(f"a plan has {expected}; found arrays of shape {times.shape} and {setpoints.shape}")
+        return cls(times.astype(np.float64), setpoints.astype(np.float64))
+
+    @classmethod
+    def of(cls, record: NDArray[np.void] | np.void) -> StampedPlan:
+        """The plan of a record of `plan_dtype`."""
+        points = min(max(0, int(record["points"])), MOST_POINTS)
+        return cls(record["times_s"][:points].copy(), record["setpoint_pa"][:points].copy())
+
+
+def plan_dtype(valves: int) -> np.dtype[np.void]:
+    """One plan: its row of the archive, and its first `points` times and set-points."""
+    return np.dtype(
+        [
+            ("row", tip_control_dtype(valves)),
+            ("points", "<i8"),
+            ("times_s", "<f8", (MOST_POINTS,)),
+            ("setpoint_pa", "<f8", (MOST_POINTS, valves)),
+        ]
+    )
+
+
+def record_of(plan: StampedPlan, row: NDArray[np.void] | np.void) -> NDArray[np.void]:
+    """The record of a plan of V valves, which has been checked, with its row of the archive."""
+    record = np.zeros((), plan_dtype(row["plan_pa"].shape[-1]))
+    points = len(plan.times_s)
+    record["row"], record["points"] = row, points
+    record["times_s"][:points], record["setpoint_pa"][:points] = plan.times_s, plan.setpoint_pa
+    return record
 
 
 class SetPointSource(IntEnum):
@@ -39,7 +93,7 @@ class SetPoint(NamedTuple):
 
 
 class PlanFollower:
-    """The set-points of the newest plan at a protocol time, inside box and rate limit."""
+    """The set-points of the newest plan at a protocol time, inside box and rate limit whatever a plan holds."""
 
     def __init__(self, valves: int, limit_pa: float, rate_limit_pa_s: float, lowest_pa: float = 0.0) -> None:
         """`lowest_pa` is the lowest set-point of the protocol; that of a plan is 0."""

@@ -27,8 +27,7 @@ from rig.hardware.trackers.base import TrackerReading
 from rig.hardware.vent_verification import VentOutcome, VentVerification
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
-from rig.observation.reading_sequence import ReadingSequence
-from rig.observation.tracker_source import silence
+from rig.observation.tracker_source import ReadingSequence, silence
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.shared_state import SharedState
 from rig.simulator.mock_camera import Exposure, MockCamera

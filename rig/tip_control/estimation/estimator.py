@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from model.arrays import Array
-from model.inverse.static_map import StaticMap
+from model.inverse.static_map import LARGEST_PAYLOAD_KG, StaticMap
 from rig.tip_control.estimation.change_detection import (
     Change,
     Innovation,
@@ -22,7 +22,6 @@ from rig.tip_control.estimation.change_detection import (
     detected,
     matched_variance,
 )
-from rig.tip_control.estimation.measurement_map import tip_map_of
 from rig.tip_control.estimation.state import (
     HARMONICS,
     ClonedPayload,
@@ -32,8 +31,10 @@ from rig.tip_control.estimation.state import (
 )
 from rig.tip_control.estimation.tuning import EstimatorTuning
 from rig.tip_control.interface import PayloadEstimate
+from rig.tip_control.kernels.arguments import TipMap
 from rig.tip_control.kernels.kalman import innovation, joseph_update
 from rig.tip_control.kernels.measurement import predicted_measurement
+from rig.tip_control.kernels.tip_map import map_of_payload
 
 
 class TipEstimator:
@@ -181,3 +182,9 @@ def _counted(state: EstimatorState) -> EstimatorState:
         confirming=max(0, state.confirming - 1),
         adapting=max(0, state.adapting - 1),
     )
+
+
+def tip_map_of(static_map: StaticMap) -> TipMap:
+    """The static map as the kernels take it: with the pressures' polynomials in one index, and that without payload."""
+    coefficients = np.ascontiguousarray(static_map.coefficients.reshape(-1, 3 * static_map.coefficients.shape[-2]))
+    return TipMap(coefficients, map_of_payload(coefficients, 0.0), static_map.limit_pa, LARGEST_PAYLOAD_KG)

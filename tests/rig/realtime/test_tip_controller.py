@@ -16,7 +16,7 @@ from rig.realtime.scheduling import Scheduling, obtainable
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage
 from rig.simulator.faults import CameraFault
 from rig.simulator.registers import Registers
-from rig.tip_control.plan_record import MOST_POINTS, StampedPlan, plan_dtype, record_of
+from rig.tip_control.plan_follower import MOST_POINTS, StampedPlan, plan_dtype, record_of
 from runs.records import SolveStatus, Status, blank, tip_control_dtype
 from runs.run import Run
 from scripts.rig_process import RigProcess, rig_run

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from model.dynamics import Dynamics
 from model.inverse.static_map import StaticMap
-from rig.tip_control.estimation.measurement_map import tip_map_of
+from rig.tip_control.estimation.estimator import tip_map_of
 from rig.tip_control.kernels.arguments import TimedSetPoints
 from rig.tip_control.kernels.prediction import advanced
 from rig.tip_control.tip_dynamics import TipDynamics
