@@ -20,6 +20,7 @@ from rig.config.loader import RigFile
 from rig.config.parameters_overlay import read as read_parameters
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
+from rig.execution.plan import sample_rows
 from rig.experiment.provenance import quantities, section_places, software
 from rig.hardware.cameras.base import Frame, FrameSet
 from rig.observation.observer import Observer
@@ -134,9 +135,12 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
     observer = Observer(config, variant)
     tip = run.tip
     clock = run.header.started_t_ns
-    cycles_ns = _nanoseconds(run.pressure.time_s, clock)
-    measured_pa = run.pressure.measured_bar * PA_PER_BAR
+    samples = blank(len(run.pressure.time_s), sample_rows(config))
+    samples["t_ns"] = _nanoseconds(run.pressure.time_s, clock)
+    samples["measured_pa"] = run.pressure.measured_bar * PA_PER_BAR
     aux = _auxiliary(run, config)
+    if config.inputs:
+        samples["aux"] = aux
     truth_mm = run.simulated.tip_mm if run.simulated is not None else np.full((len(tip.frame), 3), np.nan)
     row_of = {int(frame): row for row, frame in enumerate(tip.frame)}
     camera_of = _cameras(run, config)
@@ -154,18 +158,11 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
             truth_m = truth_mm[row] * 1e-3
             frames[camera_of[run.frames.camera[k]]] = Frame(index, t_ns, _picture(run, k), truth_m)
         frame_set = FrameSet(index, tuple(frames))
-        until = min(int(np.searchsorted(cycles_ns, frame_set.t_ns, side="left")) + 1, len(cycles_ns))
+        until = min(int(np.searchsorted(samples["t_ns"], frame_set.t_ns, side="left")) + 1, len(samples))
         dropped = 0 if before is None else index - before - 1
         before = index
-        yield observer.step(
-            frame_set,
-            cycles_ns[seen:until],
-            measured_pa[seen:until],
-            float(tip.protocol_s[row]),
-            dropped,
-            float(tip.weight_g[row]) * 1e-3,
-            sample_aux=aux[seen:until],
-        )
+        weight_kg = float(tip.weight_g[row]) * 1e-3
+        yield observer.step(frame_set, samples[seen:until], float(tip.protocol_s[row]), dropped, weight_kg)
         seen = until
 
 

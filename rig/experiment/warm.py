@@ -29,6 +29,7 @@ def measure_frames(rig: str = "mock") -> bool:
     import numpy as np
 
     from rig.config.loader import load
+    from rig.execution.plan import sample_rows
     from rig.hardware.cameras.base import FrameSet
     from rig.observation.observer import Observer
     from rig.simulator.mock_camera import MockCamera
@@ -38,10 +39,11 @@ def measure_frames(rig: str = "mock") -> bool:
     plant = Plant(config, seed=0, t0_ns=0)
     plant.advance(SETTLED_NS)
     camera, observer = MockCamera(config, plant), Observer(config)
-    pressure_pa = np.zeros((1, config.actuators))
+    samples = np.zeros(1, sample_rows(config))
     for index in range(3):
         t_ns = (index + 1) * FRAME_NS - 1
-        row = observer.step(FrameSet.of(camera.frame_at(index, t_ns)), np.array([t_ns]), pressure_pa, 0.0)
+        samples["t_ns"] = t_ns
+        row = observer.step(FrameSet.of(camera.frame_at(index, t_ns)), samples, 0.0)
     return bool(row["seen"] == DetectionStatus.MEASURED)
 
 

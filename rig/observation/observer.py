@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
-from model.arrays import Array
 from protocols import TipReference
 from protocols.tip_reference import NO_TIP_REFERENCE
 from rig.config.arm_model import TipLoad, model_arm
@@ -29,8 +28,6 @@ from runs.records import DetectionStatus, blank
 
 if TYPE_CHECKING:
     from rig.observation.online_estimation import OnlineEstimation
-
-Times = NDArray[np.int64]
 
 
 class Observer:
@@ -74,27 +71,22 @@ class Observer:
     def step(
         self,
         frame_set: FrameSet,
-        sample_t_ns: Times,
-        sample_pa: Array,
+        samples: NDArray[np.void],
         protocol_s: float,
         dropped: int = 0,
         weight_kg: float = 0.0,
-        sample_protocol_s: Array | None = None,
-        sample_aux: Array | None = None,
     ) -> NDArray[np.void]:
-        """Process one frame set with the samples (k,), (k, N) since the last one; return a row ().
+        """Process one frame set with the control cycles (k,) of `sample_rows` since the last one; return a row ().
 
-        `weight_kg` is the weight on the end cap. `sample_protocol_s` (k,), the protocol times of the samples, give the
-        reference of the tip at the time of the frame. `sample_aux` (k, I), the auxiliary inputs, give the force on the
-        tip if the rig measures it: this force then includes the weight, and without it the model has no solution.
-        `age_ns` stays zero; the caller sets it.
+        `weight_kg` is the weight on the end cap. If the rig measures the force on the tip, this force includes the
+        weight, and without it the model has no solution. `age_ns` stays zero; the caller sets it.
         """
-        self._pressures.extend(np.asarray(sample_t_ns, dtype=np.int64), np.asarray(sample_pa, dtype=np.float64))
+        t_ns = samples["t_ns"]
+        self._pressures.extend(t_ns, samples["measured_pa"])
         measured = self._measured(frame_set)
         force_n = np.zeros(3)
         if self._tip_force:
-            if sample_aux is not None:
-                self._forces.extend(np.asarray(sample_t_ns, dtype=np.int64), self._tip_force.of(sample_aux))
+            self._forces.extend(t_ns, self._tip_force.of(samples["aux"]))
             weight_kg, force_n = 0.0, self._forces.at(frame_set.t_ns)
         shape = None
         if np.isfinite(force_n).all():
@@ -125,8 +117,8 @@ class Observer:
         for k, match in enumerate(frame_set.triggers):
             if match is not None:
                 row["stamp_delay_s"][k], row["untriggered"][k] = match.stamp_delay_ns * 1e-9, match.untriggered
-        if self._reference and sample_protocol_s is not None:
-            self._set_reference(row, sample_t_ns, sample_protocol_s)
+        if self._reference:
+            self._set_reference(row, samples)
         if self._online_estimation is not None:
             self.adaptation = self._online_estimation.step(row)
         return row
@@ -137,9 +129,9 @@ class Observer:
             return TipMeasurement.of_reading(frame_set.reading)
         return self._cameras.measure(frame_set) if self._cameras else TipMeasurement.none(DetectionStatus.NO_CAMERA, ())
 
-    def _set_reference(self, row: NDArray[np.void], sample_t_ns: Times, sample_protocol_s: Array) -> None:
+    def _set_reference(self, row: NDArray[np.void], samples: NDArray[np.void]) -> None:
         """Set the reference at the time of a frame: the cycles around it give its protocol time."""
-        self._protocol_times.extend(sample_t_ns, sample_protocol_s[:, None])
+        self._protocol_times.extend(samples["t_ns"], samples["protocol_s"][:, None])
         t_s = float(self._protocol_times.at(int(row["t_ns"]))[0])
         row["reference_m"] = self._reference.position_m(t_s)
         row["predicted_m"] = self._reference.predicted_m([t_s])[0]

@@ -3,16 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from model.arrays import Array
 from rig.config.schema import RigConfig
-
-
-def auxiliary_values(samples: NDArray[np.void]) -> Array | None:
-    """Values (k, I) of the auxiliary inputs in the samples (k,) of a run; None for a rig without such inputs."""
-    names = samples.dtype.names or ()
-    return np.array(samples["aux"]) if "aux" in names else None
 
 
 class MeasuredTipForce:

@@ -12,6 +12,7 @@ import numpy as np
 from calibration.vision.warm_up import warm_up
 from rig.config.optics import board_of, plane_of
 from rig.config.schema import RigConfig
+from rig.execution.plan import sample_rows
 from rig.hardware.cameras.base import FrameSet
 from rig.hardware.cameras.synchroniser import CameraSynchroniser
 from rig.hardware.cameras.trigger import RECENT_PULSES
@@ -20,7 +21,6 @@ from rig.observation.observer import Observer
 from rig.observation.overlay import OverlayProjector, arm_lines
 from rig.observation.picture_recorder import PictureRecorder
 from rig.observation.prediction_clock import PredictionClock
-from rig.observation.tip_force import auxiliary_values
 from rig.observation.tracker_source import TrackerSource
 from rig.realtime.child_process import ChildJob, await_device_access, exit_process, receive_job, supervisor_monitor
 from rig.realtime.failsafe import FailsafeThread
@@ -127,9 +127,9 @@ def _warm_up(job: ChildJob, frame_sets: list[FrameSet]) -> None:
             warm_up(board, plane_of(config, camera))
     observer = _observer(job)
     for index, frame_set in enumerate(frame_sets):
-        times = np.array([frame_set.t_ns])
-        aux = np.zeros((1, len(config.inputs)))
-        observer.step(replace(frame_set, index=index), times, np.zeros((1, config.actuators)), 0.0, sample_aux=aux)
+        samples = np.zeros(1, sample_rows(config))
+        samples["t_ns"] = frame_set.t_ns
+        observer.step(replace(frame_set, index=index), samples, 0.0)
 
 
 def _record(job: ChildJob, observer: Observer, memory: SharedState, frame_set: FrameSet, dropped: int) -> None:
@@ -139,16 +139,7 @@ def _record(job: ChildJob, observer: Observer, memory: SharedState, frame_set: F
     latest = cycles[max(0, int(cycles["t_ns"].searchsorted(frame_set.t_ns, side="right")) - 1)]
     protocol_s = float(latest["protocol_s"])
     weight_kg = job.plan.trajectory.weight_kg(protocol_s)
-    row = observer.step(
-        frame_set,
-        cycles["t_ns"],
-        cycles["measured_pa"],
-        protocol_s,
-        dropped,
-        weight_kg,
-        cycles["protocol_s"],
-        auxiliary_values(cycles),
-    )
+    row = observer.step(frame_set, cycles, protocol_s, dropped, weight_kg)
     row["age_ns"] = time.monotonic_ns() - frame_set.t_ns
     memory.observations.push(row)
     if observer.adaptation is not None:

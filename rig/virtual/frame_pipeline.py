@@ -21,7 +21,6 @@ from rig.hardware.cameras.base import FrameSet
 from rig.hardware.trackers.base import TrackerReading
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
-from rig.observation.tip_force import auxiliary_values
 from rig.simulator.mock_camera import Exposure, MockCamera
 from runs.records import Picture
 
@@ -91,10 +90,7 @@ class FrameStages:
     def measure(self, request: FrameRequest) -> FrameResult:
         """Render and measure the next frame set."""
         frame_set, rows = self.render(request), np.frombuffer(request.rows, self._sample_rows)
-        row = self._observer.step(
-            frame_set, rows["t_ns"], rows["measured_pa"], request.protocol_s, request.dropped, request.weight_kg,
-            rows["protocol_s"], auxiliary_values(rows),
-        )  # fmt: skip
+        row = self._observer.step(frame_set, rows, request.protocol_s, request.dropped, request.weight_kg)
         adaptation = self._observer.adaptation
         return FrameResult(
             row.tobytes(),

@@ -21,6 +21,7 @@ from tests.hardware.kernel_card import CARD, OpenCard, bipolar
 from tests.hardware.rig_of_the_machine import CAMERA, LOOPED, VALVES, Player
 from tests.hardware.struck_run import Inputs, Struck
 from tests.support.card_setups import comedi_setup
+from tests.support.control_cycles import control_cycles
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -83,7 +84,7 @@ def compiled() -> None:
     observer = Observer(load(LOOPED))
     with np.load(os.environ["SOFTRIG_PICTURES"]) as stored:
         image = stored["pictures"][0]
-    observer.step(FrameSet.of(Frame(0, 1, image)), np.array([1]), np.zeros((1, 3)), 0.0, 0)
+    observer.step(FrameSet.of(Frame(0, 1, image)), control_cycles([1], np.zeros((1, 3))), 0.0)
 
 
 @pytest.fixture

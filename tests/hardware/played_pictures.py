@@ -31,6 +31,7 @@ from tests.hardware.kernel_card import CARD
 from tests.hardware.rig_of_the_machine import LOOPED, VALVES
 from tests.hardware.v4l2_output import open_output
 from tests.support.card_setups import comedi_setup
+from tests.support.control_cycles import control_cycles
 
 LEVELS_BAR = tuple(np.arange(0.0, 0.66, 0.05).round(2).tolist())
 RATE_HZ = 5
@@ -55,7 +56,7 @@ def render(target: Path) -> None:
         shape = statics(arm, pressure_pa[0])
         camera = MockCamera(scene, _StandingStill(shape.tip_m, shape.tip_rotation))
         frame = camera.frame_at(number, number * 10**9 // RATE_HZ)
-        seen = observer.step(FrameSet.of(frame), np.array([frame.t_ns]), pressure_pa, 0.0, 0)
+        seen = observer.step(FrameSet.of(frame), control_cycles([frame.t_ns], pressure_pa), 0.0)
         if seen["seen"] != DetectionStatus.MEASURED or not seen["model_ok"]:
             raise SystemExit(f"the picture at {level} bar cannot be measured and modelled: {seen}")
         pictures.append(frame.image)

@@ -27,6 +27,7 @@ from rig.experiment.replay import replay
 from rig.hardware.cameras.base import FrameSet
 from rig.observation.observer import Observer
 from runs.run import Run
+from tests.support.control_cycles import control_cycles
 from tests.support.virtual_runs import virtual_run
 
 pytestmark = pytest.mark.slow
@@ -87,7 +88,7 @@ def observed(observer: Observer, t_s: float, pressure_pa: list[float], first_s: 
     """Model tip [m] of a frame at a time, with samples under constant pressures since another."""
     samples = np.arange(round(first_s * 1e9), round(t_s * 1e9) + 1, 5_000_000)
     rows = np.tile(pressure_pa, (len(samples), 1))
-    row = observer.step(FrameSet(round(t_s * 30), (), round(t_s * 1e9)), samples, rows, t_s)
+    row = observer.step(FrameSet(round(t_s * 30), (), round(t_s * 1e9)), control_cycles(samples, rows), t_s)
     assert row["model_ok"]
     return np.array(row["model_m"])
 

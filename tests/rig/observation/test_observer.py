@@ -12,6 +12,7 @@ from rig.observation.observer import Observer
 from rig.observation.sample_interpolator import SampleInterpolator
 from rig.simulator.mock_camera import MockCamera
 from runs.records import DetectionStatus
+from tests.support.control_cycles import control_cycles
 from tests.support.vision_bench import FRAME_NS, Sweep
 
 EMPTY_T, EMPTY_PA = np.empty(0, np.int64), np.empty((0, 3))
@@ -34,11 +35,15 @@ def _pressures(scans_ns: np.ndarray, bar: float) -> np.ndarray:
     return pa
 
 
+def _cycles(scans_ns: np.ndarray) -> np.ndarray:
+    return control_cycles(scans_ns, _pressures(scans_ns, 0.3))
+
+
 def test_a_frame_becomes_a_row_with_measured_true_and_modelled_tip(
     config: rig.config.schema.RigConfig, camera: MockCamera
 ) -> None:
     observer = Observer(config)
-    row = observer.step(FrameSet.of(camera.frame_at(3, 10**9)), SCANS_NS, _pressures(SCANS_NS, 0.3), 0.9, dropped=2)
+    row = observer.step(FrameSet.of(camera.frame_at(3, 10**9)), _cycles(SCANS_NS), 0.9, dropped=2)
     assert (row["frame"], row["t_ns"], row["protocol_s"], row["dropped"]) == (3, 10**9, 0.9, 2)
     assert row["seen"] == DetectionStatus.MEASURED
     assert row["model_ok"] == 1
@@ -66,9 +71,10 @@ def test_in_motion_the_model_lags_the_static_shape(config: rig.config.schema.Rig
     )
     pa = np.zeros((len(SCANS_NS), 3))
     pa[SCANS_NS > 20_000_000, 0] = 0.3e5  # a step just after the first frame
-    first = [o.step(FrameSet.of(camera.frame_at(0, 0)), SCANS_NS, pa, 0.0) for o in (moving, resting)]
+    cycles = control_cycles(SCANS_NS, pa)
+    first = [o.step(FrameSet.of(camera.frame_at(0, 0)), cycles, 0.0) for o in (moving, resting)]
     assert np.allclose(first[0]["model_m"], first[1]["model_m"], atol=1e-5)
-    second = [o.step(FrameSet.of(camera.frame_at(1, FRAME_NS)), SCANS_NS, pa, 0.0) for o in (moving, resting)]
+    second = [o.step(FrameSet.of(camera.frame_at(1, FRAME_NS)), cycles, 0.0) for o in (moving, resting)]
     assert second[1]["model_m"][0] < first[1]["model_m"][0] - 0.01
     assert np.linalg.norm(second[0]["model_m"] - second[1]["model_m"]) > 0.002
 
@@ -76,11 +82,11 @@ def test_in_motion_the_model_lags_the_static_shape(config: rig.config.schema.Rig
 def test_after_lost_frames_the_model_has_taken_every_step_in_between(
     config: rig.config.schema.RigConfig, camera: MockCamera
 ) -> None:
-    pa = _pressures(SCANS_NS, 0.4)
+    cycles = control_cycles(SCANS_NS, _pressures(SCANS_NS, 0.4))
     whole, gappy = Observer(config), Observer(config)
-    rows = [whole.step(FrameSet.of(camera.frame_at(k, k * FRAME_NS)), SCANS_NS, pa, 0.0) for k in range(8)]
+    rows = [whole.step(FrameSet.of(camera.frame_at(k, k * FRAME_NS)), cycles, 0.0) for k in range(8)]
     for k in (0, 3, 7):
-        last = gappy.step(FrameSet.of(camera.frame_at(k, k * FRAME_NS)), SCANS_NS, pa, 0.0)
+        last = gappy.step(FrameSet.of(camera.frame_at(k, k * FRAME_NS)), cycles, 0.0)
     assert np.allclose(last["model_m"], rows[-1]["model_m"], atol=1e-7)
 
 
@@ -100,7 +106,7 @@ def test_a_camera_at_another_rate_than_stated_changes_nothing_in_the_model(
         found = {}
         for k in range(int(rate_hz * 1.2) + 1):
             t_ns = round(k * 1e9 / rate_hz)
-            row = observer.step(FrameSet.of(Frame(k, t_ns, image)), scans_ns, pa, 0.0)
+            row = observer.step(FrameSet.of(Frame(k, t_ns, image)), control_cycles(scans_ns, pa), 0.0)
             found[t_ns] = np.array(row["model_m"])
         return found
 
@@ -121,7 +127,9 @@ def test_without_a_board_the_measured_columns_are_nan_and_the_model_continues(
 ) -> None:
     observer = Observer(config)
     row = observer.step(
-        FrameSet.of(Frame(0, 0, np.full((480, 640), 80, np.uint8))), SCANS_NS, _pressures(SCANS_NS, 0.3), 0.0
+        FrameSet.of(Frame(0, 0, np.full((480, 640), 80, np.uint8))),
+        _cycles(SCANS_NS),
+        0.0,
     )
     assert row["seen"] == DetectionStatus.NO_BOARD
     assert np.all(np.isnan(row["measured_m"]))
@@ -137,19 +145,19 @@ def test_where_the_model_cannot_be_solved_the_last_good_tip_stays_and_is_marked(
 ) -> None:
     chosen = config.model_copy(update={"model": config.model.model_copy(update={"mode": mode})})
     observer = Observer(chosen)
-    good = observer.step(FrameSet.of(camera.frame_at(0, 0)), SCANS_NS[:1], _pressures(SCANS_NS[:1], 0.3), 0.0)
+    good = observer.step(FrameSet.of(camera.frame_at(0, 0)), _cycles(SCANS_NS[:1]), 0.0)
     later = SCANS_NS[1:8]
-    bad = observer.step(FrameSet.of(camera.frame_at(1, FRAME_NS)), later, np.full((7, 3), np.nan), 0.0)
+    bad = observer.step(FrameSet.of(camera.frame_at(1, FRAME_NS)), control_cycles(later, np.full((7, 3), np.nan)), 0.0)
     assert good["model_ok"] == 1
     assert bad["model_ok"] == 0
     assert np.array_equal(bad["model_m"], good["model_m"])
     fresh = SCANS_NS[8:15]
-    again = observer.step(FrameSet.of(camera.frame_at(2, 2 * FRAME_NS)), fresh, _pressures(fresh, 0.3), 0.0)
+    again = observer.step(FrameSet.of(camera.frame_at(2, 2 * FRAME_NS)), _cycles(fresh), 0.0)
     assert again["model_ok"] == 1
 
 
 def test_without_any_pressure_there_is_no_modelled_tip(config: rig.config.schema.RigConfig, camera: MockCamera) -> None:
-    row = Observer(config).step(FrameSet.of(camera.frame_at(0, 0)), EMPTY_T, EMPTY_PA, 0.0)
+    row = Observer(config).step(FrameSet.of(camera.frame_at(0, 0)), control_cycles(EMPTY_T, EMPTY_PA), 0.0)
     assert row["model_ok"] == 0
     assert np.all(np.isnan(row["model_m"]))
     assert np.all(np.isnan(row["pressure_pa"]))

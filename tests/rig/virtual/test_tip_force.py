@@ -23,6 +23,7 @@ from rig.live.archived_run import ArchivedRun
 from rig.observation.observer import Observer
 from runs.run import Run
 from tests.support.command_line import status_of
+from tests.support.control_cycles import control_cycles
 from tests.support.plant_bench import mock_rig
 from tests.support.virtual_runs import virtual_run
 
@@ -117,11 +118,11 @@ def test_a_replay_that_would_lose_the_measured_force_is_refused(run: Run, tmp_pa
 def test_without_a_value_of_the_force_the_model_has_no_solution(tmp_path: Path) -> None:
     observer = Observer(load(str(rig_file(tmp_path, f"inputs:\n  {LOAD}", "mock-no-camera"))))
     times, pressures, nothing = np.array([10**9]), np.zeros((1, 3)), FrameSet(0, (), 10**9)
-    row = observer.step(nothing, times, pressures, 0.0, sample_aux=np.array([[np.nan]]))
+    row = observer.step(nothing, control_cycles(times, pressures, [np.nan]), 0.0)
     assert not row["model_ok"]
     assert np.isnan(row["force_n"]).all()
     later = FrameSet(1, (), 10**9 + 2 * 10**8)
-    row = observer.step(later, times + 10**8, pressures, 0.1, sample_aux=np.array([[1.0]]))
+    row = observer.step(later, control_cycles(times + 10**8, pressures, [1.0]), 0.1)
     assert row["model_ok"]
     np.testing.assert_allclose(row["force_n"], [0, 0, 1.0])
 
