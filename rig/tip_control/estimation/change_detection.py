@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from model.arrays import Array
+from rig.tip_control.estimation import tuning
 from rig.tip_control.estimation.state import EstimatorState
-from rig.tip_control.estimation.tuning import ChangeDetection, EstimatorTuning, PayloadChange
 
 
 class Change(Enum):
@@ -32,17 +32,17 @@ class Innovation(NamedTuple):
     nis: float
 
 
-def detected(state: EstimatorState, found: Innovation, payload: int, tuning: EstimatorTuning) -> tuple[Change, float]:
+def detected(state: EstimatorState, found: Innovation, payload: int) -> tuple[Change, float]:
     """What a frame shows, and the CUSUM after it; `payload` is the index of that estimate."""
-    detection, cusum = tuning.detection, state.detector.cusum
-    if state.frames <= detection.first_frames or state.settling > 1:
+    cusum = state.detector.cusum
+    if state.frames <= tuning.FIRST_FRAMES or state.settling > 1:
         return Change.NONE, 0.0
-    risen = max(0.0, cusum + min(found.nis, detection.largest_nis) - detection.reference)
-    if found.nis > detection.largest_nis and cusum <= detection.rising:
+    risen = max(0.0, cusum + min(found.nis, tuning.LARGEST_NIS) - tuning.REFERENCE_NIS)
+    if found.nis > tuning.LARGEST_NIS and cusum <= tuning.RISING:
         return Change.OUTLIER, risen
-    if risen <= detection.threshold:
+    if risen <= tuning.THRESHOLD:
         return Change.NONE, risen
-    if state.confirming <= 1 and _payload_explains(state, found, payload, tuning.payload):
+    if state.confirming <= 1 and _payload_explains(state, found, payload):
         return Change.PAYLOAD, 0.0
     return Change.OTHER, 0.0
 
@@ -52,22 +52,20 @@ def before_change(state: EstimatorState) -> tuple[Array, Array]:
     return state.detector.kept or (state.z, state.covariance)
 
 
-def matched_variance(
-    variance_m2: float, gap: Array, expected: Array, detection: ChangeDetection, tolerated: float, gain: float
-) -> float:
+def matched_variance(variance_m2: float, gap: Array, expected: Array) -> float:
     """The variance that is added to the measurement, after one innovation, by covariance matching (Mehra 1972)."""
     trace = float(np.trace(expected))
-    surplus = min(float(gap @ gap), detection.largest_nis / 3 * trace) - tolerated * trace
-    return max(0.0, variance_m2 + gain * surplus / 3)
+    surplus = min(float(gap @ gap), tuning.LARGEST_NIS / 3 * trace) - tuning.TOLERATED * trace
+    return max(0.0, variance_m2 + tuning.GAIN * surplus / 3)
 
 
-def _payload_explains(state: EstimatorState, found: Innovation, payload: int, tuning: PayloadChange) -> bool:
+def _payload_explains(state: EstimatorState, found: Innovation, payload: int) -> bool:
     """Whether the innovation against the estimates before the change points where a payload pulls the tip."""
     z, covariance = before_change(state)
     jacobian = found.jacobian
     gap, pull = found.gap - jacobian @ (z - state.z), jacobian[:, payload]
     weight = np.linalg.inv(jacobian @ covariance @ jacobian.T + found.noise)
     whole, explained = gap @ weight @ gap, (pull @ weight @ gap) ** 2 / (pull @ weight @ pull)
-    sudden = state.detector.rising_frames <= tuning.sudden_frames
-    share = tuning.sudden_explained if sudden else tuning.explained
-    return bool(explained > share * whole or whole - explained < tuning.unexplained_nis)
+    sudden = state.detector.rising_frames <= tuning.SUDDEN_FRAMES
+    share = tuning.SUDDEN_EXPLAINED if sudden else tuning.EXPLAINED
+    return bool(explained > share * whole or whole - explained < tuning.UNEXPLAINED_NIS)

@@ -15,6 +15,7 @@ import numpy as np
 
 from model.arrays import Array
 from model.inverse.static_map import LARGEST_PAYLOAD_KG, StaticMap
+from rig.tip_control.estimation import tuning
 from rig.tip_control.estimation.change_detection import (
     Change,
     Innovation,
@@ -29,7 +30,6 @@ from rig.tip_control.estimation.state import (
     EstimateLayout,
     EstimatorState,
 )
-from rig.tip_control.estimation.tuning import EstimatorTuning
 from rig.tip_control.interface import PayloadEstimate
 from rig.tip_control.kernels.arguments import TipMap
 from rig.tip_control.kernels.kalman import innovation, joseph_update
@@ -42,20 +42,19 @@ class TipEstimator:
 
     def __init__(self, static_map: StaticMap, *, learned: bool = False) -> None:
         """`learned`: the tips that it is given are without the disturbance that earlier runs have shown."""
-        self._tuning = EstimatorTuning()
         self._tip_map, self.layout = tip_map_of(static_map), EstimateLayout(static_map.valves)
-        known, own = self._tuning.filter, self.layout
+        own = self.layout
         order = np.arange(1, HARMONICS + 1)
         self._prior_std = own.vector(
-            known.strength_std, known.softness_std, known.retardation_std_s, known.lag_std_s, known.payload_std_kg,
-            known.offset_std_m, known.harmonic_std_m / order,
+            tuning.STRENGTH_STD, tuning.SOFTNESS_STD, tuning.RETARDATION_STD_S, tuning.LAG_STD_S, tuning.PAYLOAD_STD_KG,
+            tuning.OFFSET_STD_M, tuning.HARMONIC_STD_M / order,
         )  # fmt: skip
-        self._first_std = (known.learned_factor if learned else 1.0) * self._prior_std
+        self._first_std = (tuning.LEARNED_FACTOR if learned else 1.0) * self._prior_std
         walks = (
-            known.strength_walk, 0.0, known.retardation_walk_s, known.lag_walk_s, known.payload_walk_kg,
-            known.offset_walk_m,
+            tuning.STRENGTH_WALK, 0.0, tuning.RETARDATION_WALK_S, tuning.LAG_WALK_S, tuning.PAYLOAD_WALK_KG,
+            tuning.OFFSET_WALK_M,
         )  # fmt: skip
-        still, moving = np.zeros(HARMONICS), np.full(HARMONICS, known.harmonic_walk_m)
+        still, moving = np.zeros(HARMONICS), np.full(HARMONICS, tuning.HARMONIC_WALK_M)
         self._walk_variance = own.vector(*walks, still) ** 2
         self._periodic_walk_variance = own.vector(*walks, moving) ** 2
         self._all_move = np.ones(own.size)
@@ -73,7 +72,7 @@ class TipEstimator:
         change, change_std = np.nan, np.nan
         if (before := state.cloned) is not None:
             change = payload - before.payload_kg
-            unlike = (self._tuning.payload.response_std * change) ** 2
+            unlike = (tuning.RESPONSE_STD * change) ** 2
             shared = before.covariance[own]
             change_std = float(np.sqrt(max(0.0, variance + before.variance - 2 * shared) + unlike))
             variance = variance + unlike
@@ -99,11 +98,11 @@ class TipEstimator:
         if not state.confirming:
             walk = self._periodic_walk_variance if period_s else self._walk_variance
             covariance.flat[:: self.layout.size + 1] += passed_s * walk
-        noise = covariance_m2 + (self._tuning.filter.model_std_m**2 + state.unmodelled_m2) * np.eye(3)
+        noise = covariance_m2 + (tuning.MODEL_STD_M**2 + state.unmodelled_m2) * np.eye(3)
         gap = measured_m - predicted
         expected, nis = innovation(covariance, jacobian, noise, gap)
         state = self._adapted(state._replace(covariance=covariance), gap, expected)
-        change, cusum = detected(state, Innovation(gap, jacobian, noise, nis), self.layout.payload, self._tuning)
+        change, cusum = detected(state, Innovation(gap, jacobian, noise, nis), self.layout.payload)
         last, state = state, _counted(state)
         if change is Change.OUTLIER:
             return state._replace(detector=DetectorState(cusum, 1, state.detector.kept)), nis
@@ -114,13 +113,12 @@ class TipEstimator:
         if change is not Change.NONE:
             gap = gap - jacobian @ (state.z - last.z)
         if state.settling:
-            swing = self._tuning.payload
-            since_s = (swing.settling_frames - state.settling) * passed_s
-            noise = noise + (swing.swing_std_m * np.exp(-since_s / swing.swing_decay_s)) ** 2 * np.eye(3)
+            since_s = (tuning.SETTLING_FRAMES - state.settling) * passed_s
+            noise = noise + (tuning.SWING_STD_M * np.exp(-since_s / tuning.SWING_DECAY_S)) ** 2 * np.eye(3)
         moves = self._payload_moves if state.settling else self._all_move
         clone = state.cloned.covariance if state.cloned is not None else self._no_clone
         z, covariance, clone = joseph_update(state.z, state.covariance, jacobian, noise, gap, moves, clone)
-        rising = cusum > self._tuning.detection.rising
+        rising = cusum > tuning.RISING
         detector = DetectorState(cusum, last.detector.rising_frames + 1 if rising else 0, last.detector.kept)
         return state._replace(
             z=z,
@@ -131,35 +129,33 @@ class TipEstimator:
 
     def _adapted(self, state: EstimatorState, gap: Array, expected: Array) -> EstimatorState:
         """The state with the variance of what the estimates cannot follow, while it may grow."""
-        detection, widening = self._tuning.detection, self._tuning.widening
-        if not state.adapting or state.frames > detection.first_frames:
+        if not state.adapting or state.frames > tuning.FIRST_FRAMES:
             return state
-        variance = matched_variance(state.unmodelled_m2, gap, expected, detection, widening.tolerated, widening.gain)
-        return state._replace(unmodelled_m2=variance)
+        return state._replace(unmodelled_m2=matched_variance(state.unmodelled_m2, gap, expected))
 
     def _payload_changed(self, state: EstimatorState) -> EstimatorState:
         """The state before the change, so that no other estimate keeps a part of it, with an unknown payload."""
-        own, tuning = self.layout.payload, self._tuning.payload
+        own = self.layout.payload
         z, covariance = before_change(state)
         column = covariance[:, own].copy()
         covariance = covariance.copy()
-        covariance[own, own] += tuning.std_kg**2
+        covariance[own, own] += tuning.CHANGE_STD_KG**2
         return state._replace(
             z=z,
             covariance=covariance,
             cloned=ClonedPayload(float(z[own]), float(column[own]), column),
-            settling=tuning.settling_frames,
-            confirming=tuning.confirming_frames,
+            settling=tuning.SETTLING_FRAMES,
+            confirming=tuning.CONFIRMING_FRAMES,
         )
 
     def _widened(self, state: EstimatorState, gap: Array) -> EstimatorState:
         """The state that learns again: wider priors or, if that was tried just before, more measurement noise."""
-        own, tuning = self.layout.payload, self._tuning
+        own = self.layout.payload
         z, covariance, unmodelled_m2 = state.z.copy(), state.covariance.copy(), state.unmodelled_m2
         if state.adapting:
             unmodelled_m2 += float(gap @ gap) / 3
         else:
-            covariance.flat[:: self.layout.size + 1] += (tuning.widening.factor * self._prior_std) ** 2
+            covariance.flat[:: self.layout.size + 1] += (tuning.WIDENING * self._prior_std) ** 2
         if state.cloned is not None:
             covariance[own, own] += (z[own] - state.cloned.payload_kg) ** 2
             z[own] = state.cloned.payload_kg
@@ -168,9 +164,9 @@ class TipEstimator:
             covariance=covariance,
             cloned=None,
             unmodelled_m2=unmodelled_m2,
-            frames=tuning.detection.first_frames - tuning.detection.repeated_frames,
+            frames=tuning.FIRST_FRAMES - tuning.REPEATED_FRAMES,
             confirming=0,
-            adapting=tuning.widening.adapting_frames,
+            adapting=tuning.ADAPTING_FRAMES,
         )
 
 
