@@ -78,11 +78,8 @@ class Bench(SafeOutputs):
     @property
     def clocks(self) -> dict[int, tuple[float, float]]:
         """Period [ns] and drift [ppm] of the cards that sample by clocks of their own, by number in the rig file."""
-        return {
-            number: (card.period_ns, card.drift_ppm or 0.0)
-            for number, card in enumerate(self._cards.values())
-            if isinstance(card, SelfClockedCard) and card.period_ns is not None
-        }
+        clocks = ((i, card.clock) for i, card in enumerate(self._cards.values()) if isinstance(card, SelfClockedCard))
+        return {number: (clock.period_ns, clock.drift_ppm) for number, clock in clocks if clock is not None}
 
     def start(self) -> None:
         """Begin sampling on every card that has sensors or auxiliary inputs."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rig.config.card_sections import CARD_DRIVERS, CardConfig
 from rig.config.schema import RigConfig
+from rig.hardware.cards.scan_clock import ScanClock
 from rig.hardware.driver_calls import as_error, release
 
 
@@ -98,12 +99,8 @@ class SelfClockedCard(Protocol):
     """A card that may have its own sampling clock."""
 
     @property
-    def period_ns(self) -> float | None:
-        """Scan period as rounded by the driver; None if the card does not sample by its own clock."""
-
-    @property
-    def drift_ppm(self) -> float | None:
-        """Relative error of that period by the computer's clock [ppm]; None if there is none."""
+    def clock(self) -> ScanClock | None:
+        """The clock that gives the times of its scans; None if the card does not sample by its own clock."""
 
 
 @runtime_checkable

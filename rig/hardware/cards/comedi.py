@@ -107,17 +107,13 @@ class ComediCard:
         return f"{self._device.board} (driver {self._device.driver}, {self._device.path})"
 
     @property
+    def clock(self) -> ScanClock | None:
+        return self._sampler.clock if self._sampler is not None else None
+
+    @property
     def outputs_there(self) -> int:
         """Number of analogue outputs of the card."""
         return self._device.outputs.channels if self._device.outputs else 0
-
-    @property
-    def period_ns(self) -> float | None:
-        return self._sampler.period_ns if self._sampler is not None else None
-
-    @property
-    def drift_ppm(self) -> float | None:
-        return self._sampler.drift_ppm if self._sampler is not None else None
 
     def start(self) -> None:
         """Begin sampling the inputs, from now on.
@@ -134,15 +130,13 @@ class ComediCard:
             raise CardError(
                 f"{self.description} cannot sample by its own clock: set `acquisition: auto` for card {setup.name}"
             )
+        self._sampler = _InstructionSampling(self._inputs)
         if subdevice.can_command and acquisition != "instruction":
             try:
                 self._sampler = _CommandSampling(self._device, subdevice, setup, self._inputs)
             except _CommandsRefusedError:
                 if acquisition == "command":
                     raise
-                self._sampler = _InstructionSampling(self._inputs)
-        else:
-            self._sampler = _InstructionSampling(self._inputs)
 
     def read(self) -> Scans:
         """Scans since the last call; none before `start`. After an overrun sampling continues, and `lost` counts."""
@@ -196,8 +190,7 @@ class ComediCard:
 class _InstructionSampling:
     """Inputs by instruction: one scan per read, by no clock of the card."""
 
-    period_ns: float | None = None
-    drift_ppm: float | None = None
+    clock: ScanClock | None = None
 
     def __init__(self, lines: tuple[AnalogueChannel, ...]) -> None:
         self._lines = lines
@@ -223,17 +216,12 @@ class _CommandSampling:
         self._subdevice = subdevice
         self._lines = lines
         timing, sampled = _prepare(device, subdevice, setup, lines)
-        self.period_ns = float(timing.period_ns(len(sampled)))
         self._columns = [sampled.index(channel.number) for channel in setup.inputs]
         self._scan_bytes = subdevice.raw_dtype.itemsize * len(sampled)
         self._sampled = len(sampled)
         self._rest = b""
-        self._clock = ScanClock(self.period_ns, time.monotonic_ns())
+        self.clock = ScanClock(float(timing.period_ns(len(sampled))), time.monotonic_ns())
         subdevice.command()
-
-    @property
-    def drift_ppm(self) -> float:
-        return self._clock.drift_ppm
 
     def read(self) -> Scans:
         data, broken = self._drain()
@@ -244,7 +232,7 @@ class _CommandSampling:
         volts = np.empty((len(raw), len(self._lines)))
         for column, (line, source) in enumerate(zip(self._lines, self._columns, strict=True)):
             volts[:, column] = line.to_volts(raw[:, source])
-        t_ns = self._clock.stamp(len(raw), now_ns)
+        t_ns = self.clock.stamp(len(raw), now_ns)
         return Scans(t_ns, volts, self._restart() if broken else 0)
 
     def _drain(self) -> tuple[bytes, bool]:
@@ -271,7 +259,7 @@ class _CommandSampling:
         self._rest = b""
         start_ns = time.monotonic_ns()
         self._subdevice.command()
-        return self._clock.restart(start_ns)
+        return self.clock.restart(start_ns)
 
     def stop(self) -> None:
         self._subdevice.cancel()

@@ -43,6 +43,7 @@ class NidaqmxCard:
         self._setup = setup
         self._ni = require()
         self._inputs: Any = None
+        self.clock: ScanClock | None = None
         self._tasks: list[Any] = []
         try:
             with self._as_card_error("it cannot be opened"):
@@ -80,13 +81,13 @@ class NidaqmxCard:
             )
             period_ns = 1e9 / self._inputs.timing.samp_clk_rate
             self._reader = self._ni.stream_readers.AnalogMultiChannelReader(self._inputs.in_stream)
-            self._clock = ScanClock(period_ns, time.monotonic_ns())
+            self.clock = ScanClock(period_ns, time.monotonic_ns())
             self._inputs.start()
 
     def read(self) -> Scans:
         """Scans since the last call; none before `start`. After an overrun sampling starts again, and `lost` counts."""
         count = len(self._setup.inputs)
-        if self._inputs is None:
+        if self._inputs is None or self.clock is None:
             return Scans.none(count)
         lost = 0
         with self._as_card_error("the inputs cannot be read"):
@@ -100,10 +101,10 @@ class NidaqmxCard:
                 self._inputs.stop()
                 start_ns = time.monotonic_ns()
                 self._inputs.start()
-                lost, volts = self._clock.restart(start_ns), np.empty((count, 0))
+                lost, volts = self.clock.restart(start_ns), np.empty((count, 0))
         now_ns = time.monotonic_ns()
         # A scan exists before it can be read: its time is not ahead of now.
-        return Scans(np.minimum(self._clock.stamp(volts.shape[1], now_ns), now_ns), np.ascontiguousarray(volts.T), lost)
+        return Scans(np.minimum(self.clock.stamp(volts.shape[1], now_ns), now_ns), np.ascontiguousarray(volts.T), lost)
 
     def read_digital(self) -> NDArray[np.bool_]:
         with self._as_card_error("the digital inputs cannot be read"):

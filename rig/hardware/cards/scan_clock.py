@@ -22,7 +22,7 @@ class ScanClock:
 
     def __init__(self, period_ns: float, start_ns: int) -> None:
         """`period_ns` is the period of the driver, `start_ns` the time just before the command."""
-        self._period_ns = period_ns
+        self.period_ns = period_ns
         self._rate = 0.0
         self._last_ns = float(start_ns)
         self._begin(start_ns)
@@ -40,7 +40,7 @@ class ScanClock:
 
     def stamp(self, scans: int, now_ns: int) -> NDArray[np.int64]:
         """Times of the next `scans` scans, which were available at `now_ns`."""
-        step = self._period_ns * (1 + float(np.clip(self._rate + self._phase_rate, -_LARGEST, _LARGEST)))
+        step = self.period_ns * (1 + float(np.clip(self._rate + self._phase_rate, -_LARGEST, _LARGEST)))
         times = self._last_ns + step * np.arange(1, scans + 1)
         if scans:
             self._last_ns = float(times[-1])
@@ -61,7 +61,7 @@ class ScanClock:
 
     def restart(self, start_ns: int) -> int:
         """Set a new anchor after an aborted command; return the number of scans that were not taken."""
-        lost = max(0, int((start_ns - self._last_ns) // self._period_ns))
+        lost = max(0, int((start_ns - self._last_ns) // self.period_ns))
         self._last_ns = max(float(start_ns), self._last_ns)
         self._begin(start_ns)
         return lost

@@ -74,7 +74,7 @@ class SerialCard:
         self._setpoint_pa: tuple[int, ...] | None = None
         self._written_ns = 0
         self._unconfirmed_since_ns = 0
-        self._clock: ScanClock | None = None
+        self.clock: ScanClock | None = None
         self._scans: list[tuple[int, tuple[int, ...]]] = []
         self._last_ns = 0
         self._lost = 0
@@ -144,7 +144,7 @@ class SerialCard:
 
     def _begin_stream(self) -> None:
         self._status = None
-        self._clock = ScanClock(float(self._period_ns), time.monotonic_ns())
+        self.clock = ScanClock(float(self._period_ns), time.monotonic_ns())
         self._port.write(encoded(f"R {self._period_ns // 1000}"))
 
     def start(self) -> None:
@@ -265,7 +265,7 @@ class SerialCard:
             self._identity = answer
         elif isinstance(answer, Acknowledgement):
             self._take_acknowledgement(answer)
-        elif self._clock is not None:
+        elif self.clock is not None:
             self._take_status(answer, now_ns)
 
     def _take_acknowledgement(self, answer: Acknowledgement) -> None:
@@ -281,11 +281,11 @@ class SerialCard:
         self._applied = answer
 
     def _take_status(self, answer: SerialSample, now_ns: int) -> None:
-        assert self._clock is not None
+        assert self.clock is not None
         if self._awaits_rate and self._status is not None and answer.count <= self._status.count:
             # The first sample after `R`; the one before it was older.
             self._status, self._seen_us = None, 0.0
-            self._clock = ScanClock(float(self._period_ns), now_ns - self._period_ns)
+            self.clock = ScanClock(float(self._period_ns), now_ns - self._period_ns)
         before = -1 if self._status is None else self._status.count
         if answer.count <= before:
             raise CardError(f"{self.description} has restarted, or repeats: sample {answer.count} after {before}")
@@ -298,7 +298,7 @@ class SerialCard:
             passed_us = (answer.t_us - self._status.t_us) % 2**32
             self._seen_us = passed_us / elapsed
             elapsed = max(1, round(passed_us * 1000 / self._period_ns))
-        t_ns = int(self._clock.stamp(min(elapsed, LONGEST_GAP), now_ns)[-1])
+        t_ns = int(self.clock.stamp(min(elapsed, LONGEST_GAP), now_ns)[-1])
         self._status = answer
         self._lost += missed
         # The sample exists: its time is not ahead of its arrival. Times increase, also of samples that arrive together.

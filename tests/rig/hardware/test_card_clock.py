@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -49,8 +50,7 @@ class ClockedCard(FakeCard):
     """One that samples by its own clock, or could."""
 
     def __init__(self, period_ns: float | None, drift_ppm: float | None) -> None:
-        self.period_ns = period_ns
-        self.drift_ppm = drift_ppm
+        self.clock = None if period_ns is None else SimpleNamespace(period_ns=period_ns, drift_ppm=drift_ppm)
 
 
 @pytest.fixture

@@ -188,7 +188,7 @@ def test_the_gaps_between_channels_are_sampled_too_and_left_out(make: MakeCard) 
     card, device = make(unipolar(5, 2))
     card.start()
     assert [line.number for line in device.inputs.scan] == [2, 3, 4, 5]
-    assert card.period_ns == 1_000_000
+    assert card.clock.period_ns == 1_000_000
     device.put((2.0, 0.3, 0.4, 5.0), (2.1, 0.3, 0.4, 5.1))
     np.testing.assert_allclose(card.read().signals, [[5.0, 2.0], [5.1, 2.1]], atol=2e-4)
 
@@ -223,7 +223,7 @@ def test_differential_inputs_are_sampled_by_the_even_channels(make: MakeCard) ->
 def test_the_period_is_the_one_that_the_driver_rounded_to(make: MakeCard) -> None:
     card, _ = make(unipolar(0, 1, 2))
     card.start()
-    assert card.period_ns == 3 * 333_300
+    assert card.clock.period_ns == 3 * 333_300
 
 
 def test_a_rate_that_the_card_cannot_reach_is_refused_with_the_one_it_has(make: MakeCard) -> None:
@@ -278,7 +278,7 @@ def test_the_command_of_the_card_is_used_only_where_the_rig_allows_it(make: Make
     device.inputs.lines[3].raw = 65535
     np.testing.assert_allclose(card.read().signals, [[10.0]])
     assert device.inputs.started == 0
-    assert card.period_ns is None
+    assert card.clock is None
 
 
 def test_a_rig_that_requires_a_command_is_refused_by_a_card_without_one(make: MakeCard) -> None:
@@ -302,7 +302,7 @@ def test_where_the_driver_refuses_every_command_auto_reads_by_instruction(
     device.inputs.lines[3].raw = 65535
     np.testing.assert_allclose(card.read().signals, [[10.0]])
     assert device.inputs.started == 0
-    assert card.period_ns is None
+    assert card.clock is None
 
 
 def test_where_the_driver_refuses_every_command_a_rig_that_requires_one_is_refused(
