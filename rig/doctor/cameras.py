@@ -87,7 +87,7 @@ def _gives_pictures(device: Path, hardware: bool) -> bool:
 
 def examine_opencv(config: RigConfig, name: str, root: Path = Path("/")) -> list[Finding]:
     """Check that the device or recording is there and may be opened; opens no video, a run may be using it."""
-    from rig.hardware.cameras.recorded import is_recording  # brings OpenCV with it
+    from rig.hardware.cameras.opencv import is_recording  # brings OpenCV with it
 
     topic, camera = f"rig's camera {name}", config.cameras[name]
     if is_recording(camera.device):

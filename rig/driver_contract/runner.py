@@ -11,7 +11,7 @@ from rig.config.schema import RigConfig
 from rig.driver_contract.card_checks import CARD_CHECKS
 from rig.driver_contract.card_subject import CardSubject
 from rig.driver_contract.check import CheckResult
-from rig.driver_contract.source_checks import CAMERA_CHECKS, TRACKER_CHECKS, CameraSubject, TrackerSubject
+from rig.driver_contract.source_checks import CAMERA_CHECKS, TRACKER_CHECKS, SourceSubject
 from rig.hardware.lock import cards_locked
 from rig.simulator.plant_launcher import simulated
 from rig.simulator.registers import Registers
@@ -49,11 +49,9 @@ def results(config: RigConfig, rig_file: Path, unplug: Unplug | None = None) -> 
     """
     with bench_of(config, rig_file):
         for camera in config.cameras:
-            for look in CAMERA_CHECKS:
-                yield look.result(f"camera {camera}", CameraSubject(config, camera))
+            yield from (look.result(f"camera {camera}", SourceSubject(config, camera)) for look in CAMERA_CHECKS)
         for tracker in config.trackers:
-            for test in TRACKER_CHECKS:
-                yield test.result(f"tracker {tracker}", TrackerSubject(config, tracker))
+            yield from (test.result(f"tracker {tracker}", SourceSubject(config, tracker)) for test in TRACKER_CHECKS)
         for subject in card_subjects(config, rig_file, unplug):
             for check in CARD_CHECKS:
                 yield check.result(f"card {subject.name}", subject)

@@ -25,41 +25,35 @@ _TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
-class CameraSubject:
-    """A camera under test."""
+class SourceSubject:
+    """A camera or tracker under test."""
 
     config: RigConfig
     name: str
 
-    def frames(self, count: int = FRAMES) -> list[tuple[Frame, int]]:
-        """Some frames with the times of their arrival [ns]."""
-        with closing(open_camera(self.config.free_running, self.name)) as camera:
-            return [(camera.read(TIMEOUT_S), time.monotonic_ns()) for _ in range(count)]
+
+def _frames(subject: SourceSubject, count: int = FRAMES) -> list[tuple[Frame, int]]:
+    """Some frames of a camera with the times of their arrival [ns]."""
+    with closing(open_camera(subject.config.free_running, subject.name)) as camera:
+        return [(camera.read(TIMEOUT_S), time.monotonic_ns()) for _ in range(count)]
 
 
-@dataclass(frozen=True)
-class TrackerSubject:
-    """A tracker under test."""
-
-    config: RigConfig
-    name: str
-
-    def readings(self, count: int = READINGS) -> list[tuple[TrackerReading, int]]:
-        """Some readings with the times of their arrival [ns]."""
-        found = []
-        with closing(open_tracker(self.config, self.name)) as tracker:
-            for k in range(count):
-                reading = tracker.read(FIRST_S if k == 0 else NEXT_S)
-                if reading is None:
-                    raise BrokenContractError(f"no reading within {FIRST_S if k == 0 else NEXT_S:g} s")
-                found.append((reading, time.monotonic_ns()))
-        return found
+def _readings(subject: SourceSubject, count: int = READINGS) -> list[tuple[TrackerReading, int]]:
+    """Some readings of a tracker with the times of their arrival [ns]."""
+    found = []
+    with closing(open_tracker(subject.config, subject.name)) as tracker:
+        for timeout_s in (FIRST_S, *[NEXT_S] * (count - 1)):
+            reading = tracker.read(timeout_s)
+            if reading is None:
+                raise BrokenContractError(f"no reading within {timeout_s:g} s")
+            found.append((reading, time.monotonic_ns()))
+    return found
 
 
-def pictures(subject: CameraSubject) -> str:
+def pictures(subject: SourceSubject) -> str:
     """Pictures have the size of the rig file."""
     camera = subject.config.cameras[subject.name]
-    frames = [frame for frame, _ in subject.frames()]
+    frames = [frame for frame, _ in _frames(subject)]
     for frame in frames:
         shape = frame.image.shape
         if frame.image.dtype != np.uint8 or shape[:2] != (camera.height_px, camera.width_px):
@@ -69,23 +63,23 @@ def pictures(subject: CameraSubject) -> str:
     return f"{len(frames)} pictures of {shape[1]} x {shape[0]}, {'BGR' if shape[2:] else 'grey'}"
 
 
-def stamps(subject: CameraSubject) -> str:
+def stamps(subject: SourceSubject) -> str:
     """Every picture is new, with a time of CLOCK_MONOTONIC."""
-    frames = subject.frames()
+    frames = _frames(subject)
     measured = _rate_and_age(frames, "pictures", subject.config.cameras[subject.name].rate_hz)
     dropped = frames[-1][0].index - frames[0][0].index - (len(frames) - 1)
     return f"{measured}, {dropped} dropped"
 
 
-def camera_reopening(subject: CameraSubject) -> str:
+def camera_reopening(subject: SourceSubject) -> str:
     """A camera can be opened again once it is closed."""
-    opened = _opened_twice(lambda: subject.frames(1))
+    opened = _opened_twice(lambda: _frames(subject, 1))
     return f"{opened}, serial number {subject.config.cameras[subject.name].serial() or 'none'}"
 
 
-def poses(subject: TrackerSubject) -> str:
+def poses(subject: SourceSubject) -> str:
     """A pose is a position, a rotation and a covariance that is positive definite."""
-    readings = [reading for reading, _ in subject.readings()]
+    readings = [reading for reading, _ in _readings(subject)]
     seen = [reading for reading in readings if reading.seen]
     for reading in seen:
         if reading.position_m.shape != (3,) or not np.isfinite(reading.position_m).all():
@@ -100,15 +94,15 @@ def poses(subject: TrackerSubject) -> str:
     return f"{len(seen)} of {len(readings)} readings have a pose" + (f", to {np.median(std_mm):.2f} mm" if seen else "")
 
 
-def times(subject: TrackerSubject) -> str:
+def times(subject: SourceSubject) -> str:
     """Readings are in order of time on CLOCK_MONOTONIC, at the stated rate."""
-    readings = subject.readings()
+    readings = _readings(subject)
     # A time may be ahead of its arrival by its uncertainty.
     early_s = 3 * max(reading.time_std_s for reading, _ in readings)
     return _rate_and_age(readings, "readings", subject.config.trackers[subject.name].rate_hz, early_s)
 
 
-def time_outs(subject: TrackerSubject) -> str:
+def time_outs(subject: SourceSubject) -> str:
     """A read with a time-out of 0 returns at once, with a reading that has arrived or None."""
     period_s = 1 / subject.config.trackers[subject.name].rate_hz
     with closing(open_tracker(subject.config, subject.name)) as tracker:
@@ -124,9 +118,9 @@ def time_outs(subject: TrackerSubject) -> str:
     return f"a read with a time-out of 0 takes {typical_s * 1e3:.2f} ms"
 
 
-def tracker_reopening(subject: TrackerSubject) -> str:
+def tracker_reopening(subject: SourceSubject) -> str:
     """A closed tracker can be opened again."""
-    return _opened_twice(lambda: subject.readings(1))
+    return _opened_twice(lambda: _readings(subject, 1))
 
 
 def _opened_twice(read_one: Callable[[], object]) -> str:
@@ -159,12 +153,12 @@ def _rate_and_age(
     return f"{rate:.1f} {kind}/s, {np.median(age_s) * 1e3:.0f} ms old at arrival"
 
 
-CAMERA_CHECKS: tuple[Check[CameraSubject], ...] = (
+CAMERA_CHECKS: tuple[Check[SourceSubject], ...] = (
     Check("pictures", "uint8, grey or BGR, in the size of the rig file", pictures),
     Check("stamps", "the middle of the exposure on CLOCK_MONOTONIC, increasing, at rate_hz", stamps),
     Check("reopening", "a closed camera can be opened again", camera_reopening),
 )
-TRACKER_CHECKS: tuple[Check[TrackerSubject], ...] = (
+TRACKER_CHECKS: tuple[Check[SourceSubject], ...] = (
     Check("poses", "position, rotation and positive definite covariance of the tip", poses),
     Check("times", "CLOCK_MONOTONIC, increasing, at rate_hz", times),
     Check("time-outs", "read waits no longer than its time-out", time_outs),

@@ -31,17 +31,17 @@ class InstalledDriver:
 def installed_drivers() -> Iterator[InstalledDriver]:
     """The drivers of softrig and of plug-ins, a broken plug-in with its fault; imports every plug-in."""
     for registry in (CARD_DRIVERS, CAMERA_DRIVERS, TRACKER_DRIVERS):
-        for one in registry.installed():
-            row, driver = InstalledDriver(registry.kind, one.name, one.package, fault=one.fault), one.found
+        for name, package, driver, fault in registry.installed():
+            row = InstalledDriver(registry.kind, name, package, fault=fault)
             if driver is not None:
                 keys, safe_state = _own_keys(driver.section, registry.base), registry.safe_state(driver)
                 row = replace(row, about=driver.about, safe_state=safe_state, simulated=driver.simulated, keys=keys)
             yield row
-    for valve in VALVES.installed():
-        row = InstalledDriver("valves", valve.name, valve.package, fault=valve.fault)
-        if valve.found is not None:
-            about = (valve.found.__doc__ or "").strip().split("\n")[0]
-            row = replace(row, about=about, keys=_own_keys(valve.found, ValveSection))
+    for name, package, valve, fault in VALVES.installed():
+        row = InstalledDriver("valves", name, package, fault=fault)
+        if valve is not None:
+            about = (valve.__doc__ or "").strip().split("\n")[0]
+            row = replace(row, about=about, keys=_own_keys(valve, ValveSection))
         yield row
 
 

@@ -35,16 +35,6 @@ class PluginError(Exception):
     """A plug-in is not installed, cannot be loaded, or is not what its entry point promises."""
 
 
-@dataclass(frozen=True)
-class Installed(Generic[Loaded]):
-    """An object by its name, with its package; None with the `fault` of one that cannot be used."""
-
-    name: str
-    package: str
-    found: Loaded | None
-    fault: str = ""
-
-
 class Registry(Generic[Loaded]):
     """The objects of one kind: those of softrig, and the entry points of a group."""
 
@@ -84,18 +74,18 @@ class Registry(Generic[Loaded]):
             "softrig" if name in self.built_in else ", ".join(_package_of(e) for e in self._entries() if e.name == name)
         )
 
-    def installed(self) -> Iterator[Installed[Loaded]]:
-        """Every object, also a broken one; imports every plug-in."""
-        for name, found in self.built_in.items():
-            yield Installed(name, "softrig", found)
+    def installed(self) -> Iterator[tuple[str, str, Loaded | None, str]]:
+        """Name, package, object and fault of each, None with the fault where it is broken; imports every plug-in."""
+        yield from ((name, "softrig", found, "") for name, found in self.built_in.items())
         for entry in self._entries():
-            found, fault = None, "not used: softrig has its own"
+            found: Loaded | None = None
+            fault = "not used: softrig has its own"
             if entry.name not in self.built_in:
                 try:
                     found, fault = self[entry.name], ""
                 except PluginError as error:
                     fault = str(error)
-            yield Installed(entry.name, _package_of(entry), found, fault)
+            yield entry.name, _package_of(entry), found, fault
 
     def _entries(self) -> list[EntryPoint]:
         return sorted(entry_points(group=self._group), key=lambda entry: entry.name)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from model.units import PA_PER_BAR
 from rig.config.schema import RigConfig
 from rig.config.sections import Sensor
 from rig.control.sensor_state import RegulatorDemand, SensorState
@@ -83,6 +84,7 @@ class ActuatorInterlock(ABC):
     def __init__(self, config: RigConfig, sensor: Sensor) -> None:
         """Take the limits of a rig, for the actuator of a sensor."""
         self.limits, self.actuator = config.limits, sensor.actuator
+        self.tracking_pa, self.accuracy_pa = config.limits.tracking_bar * PA_PER_BAR, sensor.accuracy_bar * PA_PER_BAR
 
     @abstractmethod
     def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:

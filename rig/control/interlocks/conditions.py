@@ -124,17 +124,13 @@ class PressureRate(ActuatorInterlock):
 class FrozenReading(ActuatorInterlock):
     """The reading has not moved by one count for `frozen_s` although the valve should have changed the pressure."""
 
-    def __init__(self, config: RigConfig, sensor: Sensor) -> None:
-        super().__init__(config, sensor)
-        self.frozen_s, self.accuracy_pa = self.limits.frozen_s, sensor.accuracy_bar * PA_PER_BAR
-
     def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
-        expected = abs(state.expected_change_pa)
-        if not (state.unchanged_s >= self.frozen_s and expected > FROZEN_FACTOR * self.accuracy_pa):
+        expected, frozen_s = abs(state.expected_change_pa), self.limits.frozen_s
+        if not (state.unchanged_s >= frozen_s and expected > FROZEN_FACTOR * self.accuracy_pa):
             return None
         name = f"sensor {self.actuator}"
         message = (
-            f"{name} has not moved by one count for {state.unchanged_s:.3f} s (limit {self.frozen_s:.3f} s) while its "
+            f"{name} has not moved by one count for {state.unchanged_s:.3f} s (limit {frozen_s:.3f} s) while its "
             f"valve should have changed it by {expected / PA_PER_BAR:.3f} bar: the sensor is frozen, or there is no air"
         )
         return Trip(t_ns, name, message)
@@ -145,7 +141,6 @@ class UnresponsiveSensor(ActuatorInterlock):
 
     def __init__(self, config: RigConfig, sensor: Sensor) -> None:
         super().__init__(config, sensor)
-        self.tracking_pa = self.limits.tracking_bar * PA_PER_BAR
         valve = next(valve for valve in config.valves if sensor.actuator in valve.actuators)
         # How long the pressure may take to follow: a flow-metering valve would meanwhile continue to fill.
         self.response_s = 0.0 if valve.closed_output is not None else self.limits.frozen_s
@@ -164,15 +159,11 @@ class UnresponsiveSensor(ActuatorInterlock):
 class Tracking(ActuatorInterlock):
     """The pressure is off its standing set-point, or strays from its moving one, for `tracking_s`."""
 
-    def __init__(self, config: RigConfig, sensor: Sensor) -> None:
-        super().__init__(config, sensor)
-        self.tracking_pa, self.tracking_s = self.limits.tracking_bar * PA_PER_BAR, self.limits.tracking_s
-
     def trip(self, t_ns: int, state: SensorState, demand: RegulatorDemand) -> Trip | None:
         name, error = f"actuator {self.actuator}", state.pressure_pa - demand.setpoint_pa
-        if state.settled_s >= self.tracking_s and abs(error) > self.tracking_pa:
+        if state.settled_s >= self.limits.tracking_s and abs(error) > self.tracking_pa:
             return _trip_bar(t_ns, "tracking", f"{name} is off its standing set-point by", error, self.tracking_pa)
-        if state.off_reference_s >= self.tracking_s:
+        if state.off_reference_s >= self.limits.tracking_s:
             error = state.pressure_pa - demand.reference_pa
             message = f"{name} has strayed from its moving set-point for {state.off_reference_s:.2f} s, now by"
             return _trip_bar(t_ns, "tracking", message, error, self.tracking_pa)

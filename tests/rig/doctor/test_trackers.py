@@ -11,7 +11,7 @@ from rig.config import loader
 from rig.doctor.devices import rig_devices
 from rig.driver_contract import source_checks
 from rig.driver_contract.runner import bench_of
-from rig.driver_contract.source_checks import TRACKER_CHECKS, TrackerSubject
+from rig.driver_contract.source_checks import TRACKER_CHECKS, SourceSubject
 from rig.hardware.installed_drivers import installed_drivers
 from tests.rig.hardware.test_udp_tracker import free_port
 from tests.rig.realtime.test_tracker import example, udp_rig
@@ -40,7 +40,7 @@ def test_the_mock_tracker_keeps_the_contract() -> None:
     rig_file = loader.path_of("mock-tracker")
     config = loader.load(rig_file)
     with bench_of(config, rig_file):
-        results = [check.result("tracker pose", TrackerSubject(config, "pose")) for check in TRACKER_CHECKS]
+        results = [check.result("tracker pose", SourceSubject(config, "pose")) for check in TRACKER_CHECKS]
     assert [(result.check, result.found) for result in results if result.failed] == []
 
 
@@ -57,6 +57,6 @@ class Patient:
 def test_a_tracker_that_waits_in_spite_of_its_time_out_breaks_the_contract(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(source_checks, "open_tracker", lambda *_: Patient())
     check = next(check for check in TRACKER_CHECKS if check.name == "time-outs")
-    result = check.result("tracker pose", TrackerSubject(loader.load("mock-tracker"), "pose"))
+    result = check.result("tracker pose", SourceSubject(loader.load("mock-tracker"), "pose"))
     assert result.failed
     assert "waits for a reading" in result.found
