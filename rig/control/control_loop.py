@@ -52,7 +52,7 @@ class ControlLoop:
         self._auxiliary = _AuxiliaryMeans(config) if config.inputs else None
         self._stops_closed = (True,) * len(config.emergency_stops)
         self._follower: PlanFollower | None = None
-        self._first_actuators = [valve.actuators[0] - 1 for valve in config.valves]
+        self._first_actuators = [valve.actuators[0] for valve in self._prepared.valves]
         if plan.controls_tip:
             limits = config.limits
             self._follower = PlanFollower(
@@ -63,10 +63,7 @@ class ControlLoop:
             )
         self._stream = StreamFollower(config, plan.trajectory) if plan.trajectory.streams else None
         self._stopped = False
-        self._valve_of = [0] * config.actuators
-        for index, valve in enumerate(config.valves):
-            for actuator in valve.actuators:
-                self._valve_of[actuator - 1] = index
+        self._valve_of = list(self._prepared.valve_of)
         self.lost = 0
         """Scans that the cards have dropped."""
         self.damaged = 0

@@ -66,19 +66,6 @@ def resolution(sensor: Sensor) -> float:
     return (sensor.signal_range[1] - sensor.signal_range[0]) / SIXTEEN_BITS
 
 
-def started(state: SensorState, signal: float, pressure_pa: float, demand: RegulatorDemand) -> SensorState:
-    """The state; the initial one at the first scan."""
-    if not math.isnan(state.pressure_pa):
-        return state
-    return SensorState(
-        pressure_pa=pressure_pa,
-        changed_signal=signal,
-        moved_pa=pressure_pa,
-        moved_reference_pa=demand.reference_pa,
-        setpoint_pa=demand.setpoint_pa,
-    )
-
-
 def updated(
     settings: SensorSettings,
     state: SensorState,
@@ -89,6 +76,14 @@ def updated(
     counted: float,
 ) -> SensorState:
     """The state after a scan `dt` after the last one; `counted` is the part of `dt` that counts for the timers."""
+    if math.isnan(state.pressure_pa):
+        state = SensorState(
+            pressure_pa=pressure,
+            changed_signal=signal,
+            moved_pa=pressure,
+            moved_reference_pa=demand.reference_pa,
+            setpoint_pa=demand.setpoint_pa,
+        )
     slope = (pressure - state.pressure_pa) / dt
     rate = state.rate_pa_s + (slope - state.rate_pa_s) * dt / (RATE_FILTER_S + dt)
     if abs(signal - state.changed_signal) >= settings.resolution:

@@ -112,11 +112,11 @@ def _nodeless(kernel: ComediModule | None) -> list[Finding]:
         Finding(
             "card",
             "missing",
-            f"{card.board} (driver {card.driver}) is attached, and /dev/comedi{card.minor} does not exist",
+            f"{card.board} (driver {card.driver}) is attached, and {card.node} does not exist",
             "sudo udevadm trigger; in a container, pass the device to it",
         )
         for card in (kernel.attached if kernel else ())
-        if f"/dev/comedi{card.minor}" not in there
+        if card.node not in there
     ]
 
 
@@ -133,7 +133,7 @@ def _devices(kernel: ComediModule | None, queryable: bool) -> list[Finding]:
 def _called(path: str, kernel: ComediModule | None) -> str:
     """Return the kernel's name of a card that cannot be queried."""
     attached = kernel.attached if kernel else ()
-    return next((f"{c.board} (driver {c.driver}): " for c in attached if path == f"/dev/comedi{c.minor}"), "")
+    return next((f"{c.board} (driver {c.driver}): " for c in attached if path == c.node), "")
 
 
 def _card(found: ComediCardSurvey, kernel: ComediModule | None) -> list[Finding]:

@@ -23,7 +23,7 @@ from pathlib import Path
 from rig.config.card_sections import CardConfig
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardBusyError, CardError
-from rig.hardware.cards.kernel_devices import comedi
+from rig.hardware.cards.kernel_devices import boards_called
 from rig.hardware.runtime_folder import open_private, runtime_folder, subfolder
 
 LOCKS = Path("/proc/locks")
@@ -56,9 +56,8 @@ def device_node(card: CardConfig) -> Path:
     """The device node behind a symbolic link or a board's name; the name itself if it does not identify one card."""
     if card.device.startswith("/"):
         return Path(os.path.realpath(card.device))
-    known = comedi()
-    minors = [c.minor for c in known.attached if c.board.casefold() == card.device.casefold()] if known else []
-    return Path(f"/dev/comedi{minors[0]}" if len(minors) == 1 else card.device)
+    found = boards_called(card.device)
+    return Path(found[0].node if len(found) == 1 else card.device)
 
 
 def holders(config: RigConfig) -> tuple[int, ...]:

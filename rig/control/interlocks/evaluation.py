@@ -79,15 +79,7 @@ def evaluate(
     moved = []
     readings = zip(states, sample.signals.tolist(), sample.pressure_pa.tolist(), demands, strict=True)
     for i, (state, signal, pressure_pa, demand) in enumerate(readings):
-        after = sensor_state.updated(
-            s.sensors[i],
-            sensor_state.started(state, signal, pressure_pa, demand),
-            dt_s,
-            signal,
-            pressure_pa,
-            demand,
-            counted_s,
-        )
+        after = sensor_state.updated(s.sensors[i], state, dt_s, signal, pressure_pa, demand, counted_s)
         moved.append(after)
         for condition in s.actuators[i]:
             first = first or condition.trip(sample.t_ns, after, demand)

@@ -43,7 +43,7 @@ class CameraSynchroniser:
         self._changed = threading.Condition()
         self._looked_ns = time.monotonic_ns()
         self._leader = 0
-        self._offset: int | None = None
+        self._offset = 0
         self._last: tuple[int, int] | None = None
         try:
             for name in config.cameras:
@@ -153,16 +153,12 @@ class CameraSynchroniser:
 
     def _number(self, leader: int, lead: Frame) -> int:
         """Number of the frame set: the count of the leading camera, continued when another camera leads."""
-        if self._offset is None or leader != self._leader:
-            self._offset, self._leader = 0 if self._last is None else self._carried(lead) - lead.index, leader
-        index = lead.index + self._offset
-        self._last = index, lead.t_ns
-        return index
-
-    def _carried(self, lead: Frame) -> int:
-        assert self._last is not None
-        index, t_ns = self._last
-        return index + max(1, round((lead.t_ns - t_ns) / self._period_ns))
+        if self._last is not None and leader != self._leader:
+            index, t_ns = self._last
+            self._offset = index + max(1, round((lead.t_ns - t_ns) / self._period_ns)) - lead.index
+        self._leader = leader
+        self._last = lead.index + self._offset, lead.t_ns
+        return self._last[0]
 
 
 class _Reader:

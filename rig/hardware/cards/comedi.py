@@ -18,9 +18,9 @@ from rig.hardware.cards.comedi_device import (
     DigitalLines,
     Subdevice,
     channel_lists,
-    device_paths,
     timings,
 )
+from rig.hardware.cards.kernel_devices import attached_cards, boards_called
 from rig.hardware.cards.scan_clock import ScanClock
 
 _CHUNK = 65536
@@ -305,24 +305,12 @@ def _find(device: str) -> Device:
     """Open a card by its path or by the name of its board."""
     if device.startswith("/"):
         return Device(device)
-    seen, closed, found = [], [], []
-    for path in device_paths():
-        try:
-            candidate = Device(path)
-        except CardError as error:
-            closed.append(str(error))
-            continue
-        seen.append(f"{candidate.board} at {path}")
-        if candidate.board.casefold() == device.casefold():
-            found.append(candidate)
-        else:
-            candidate.close()
+    found = boards_called(device)
     if len(found) == 1:
-        return found[0]
-    for extra in found:
-        extra.close()
+        return Device(found[0].node)
     if found:
-        paths = " and ".join(extra.path for extra in found)
+        paths = " and ".join(card.node for card in found)
         raise CardError(f"{len(found)} boards are called {device} ({paths}): name the one you mean by its path")
-    there = "; ".join([*seen, *closed]) or "none: load the card's driver (`rig doctor` says which)"
+    attached = "; ".join(f"{card.board} at {card.node}" for card in attached_cards())
+    there = attached or "none: load the card's driver (`rig doctor` says which)"
     raise CardError(f"there is no board called {device}. Boards present: {there}")

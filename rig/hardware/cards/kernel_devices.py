@@ -14,11 +14,15 @@ _ATTACHED = re.compile(r"\s*(?P<minor>\d+): (?P<driver>\S+)\s+(?P<board>.+?)\s+(
 
 @dataclass(frozen=True)
 class AttachedDevice:
-    """A card that is attached to a driver; its node is /dev/comedi`minor`."""
+    """A card that is attached to a driver."""
 
     minor: int
     driver: str
     board: str
+
+    @property
+    def node(self) -> str:
+        return f"/dev/comedi{self.minor}"
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,17 @@ def comedi(root: Path = Path("/")) -> ComediModule | None:
     # The name of a driver is a line that ends with a colon; its boards follow, each after a blank.
     drivers = tuple(line[:-1] for line in lines if re.fullmatch(r"\S+:", line))
     return ComediModule(first.removeprefix("comedi version "), attached, drivers)
+
+
+def boards_called(name: str) -> list[AttachedDevice]:
+    """The attached cards with this name of a board."""
+    return [card for card in attached_cards() if card.board.casefold() == name.casefold()]
+
+
+def attached_cards() -> tuple[AttachedDevice, ...]:
+    """The cards that are attached to a driver."""
+    known = comedi()
+    return known.attached if known else ()
 
 
 def pci_cards(vendor: str, release: str, root: Path = Path("/")) -> tuple[PciCard, ...]:

@@ -17,8 +17,10 @@ import numpy as np
 import pytest
 
 import rig.hardware.cards.comedi as comedi
+from rig.hardware.cards import kernel_devices
 from rig.hardware.cards.base import CardError, Channel
 from rig.hardware.cards.comedi_device import CommandTiming, Polynomial, Trigger
+from rig.hardware.cards.kernel_devices import AttachedDevice, ComediModule
 from tests.support.card_setups import comedi_setup
 
 INPUT_RANGES = ((-10.0, 10.0), (-5.0, 5.0), (0.0, 10.0), (0.0, 5.0))
@@ -347,6 +349,17 @@ def test_an_output_that_was_neither_written_nor_can_be_read_is_unknown(make: Mak
 def test_a_rig_with_more_valves_than_outputs_is_refused_with_the_outputs_of_the_card(make: MakeCard) -> None:
     with pytest.raises(CardError, match=r"pci1716 .* has 2 analogue outputs \(0 to 1\): there is no output 2"):
         make((), unipolar(0, 1, 2))
+
+
+def test_a_card_is_opened_by_the_name_of_its_board(make: MakeCard, monkeypatch: pytest.MonkeyPatch) -> None:
+    boards = [AttachedDevice(n, "adv_pci1710", board) for n, board in enumerate(("pci1710", "pci1716", "pci1710"))]
+    monkeypatch.setattr(kernel_devices, "comedi", lambda: ComediModule("0.7.76", tuple(boards), ()))
+    make()
+    assert comedi.ComediCard(comedi_setup("PCI1716")).description.endswith("/dev/comedi1)")
+    with pytest.raises(CardError, match=r"2 boards are called pci1710 .*comedi0 and /dev/comedi2"):
+        comedi.ComediCard(comedi_setup("pci1710"))
+    with pytest.raises(CardError, match=r"no board called pci1711.*pci1716 at /dev/comedi1"):
+        comedi.ComediCard(comedi_setup("pci1711"))
 
 
 def test_closing_stops_the_command_and_releases_the_device(make: MakeCard) -> None:

@@ -20,6 +20,7 @@ from rig.config.card_sections import CardConfig
 from rig.config.schema import RigConfig
 from rig.hardware import lock
 from rig.hardware.bench import open_bench
+from rig.hardware.cards import kernel_devices
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.cards.kernel_devices import AttachedDevice, ComediModule, processes_with
 from rig.hardware.lock import cards_locked, holders, lock_file
@@ -84,7 +85,7 @@ def test_a_card_has_one_lock_by_its_node_a_link_to_it_and_its_boards_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     boards = (AttachedDevice(0, "adv_pci1710", "pci1716"), AttachedDevice(1, "comedi_test", "comedi_test"))
-    monkeypatch.setattr(lock, "comedi", lambda: ComediModule("0.7.76", boards, ()))
+    monkeypatch.setattr(kernel_devices, "comedi", lambda: ComediModule("0.7.76", boards, ()))
     link = tmp_path / "card"
     link.symlink_to("/dev/comedi0")
     for place in (lock_file, lock.device_node):
