@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
 from protocols.validation import ValidationFault, faults
-from rig.config.drivers import Driver, DriverRegistry
-from rig.sections.base import Section
+from rig.config.drivers import DeviceSection, Driver, DriverRegistry
 from rig.sections.quantities import Index, Positive, Word
 
 
-class CardConfig(Section):
+class CardConfig(DeviceSection):
     """One data-acquisition card: the keys of every driver. A driver adds keys of its own in a subclass."""
 
-    driver: Annotated[str, Field(min_length=1)]
     device: Word = Field(description="/dev/comedi0, a board name, or the mock card's name")
     sampling_hz: Positive = Field(default=1000.0, le=20_000)
     outputs: Index = Field(description="AO channels that the card has")
@@ -27,16 +25,6 @@ class CardConfig(Section):
     """True for a driver whose cards are `DigitalOutputCard`s."""
     signal_units: ClassVar[tuple[str, ...] | None] = ("V",)
     """Units of the inputs and outputs; None for a card that takes every unit."""
-
-    @property
-    def is_mock(self) -> bool:
-        """True for a card of the simulated bench."""
-        return self.driver == "mock"
-
-    @property
-    def simulated(self) -> bool:
-        """True for a simulated card, of the bench or of another driver."""
-        return CARD_DRIVERS.simulates(self.driver)
 
     @property
     def bench_is_simulated(self) -> bool:

@@ -8,10 +8,11 @@ from __future__ import annotations
 import pkgutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
+from rig.sections.base import Section
 from rig.sections.plugins import PluginError, PluginSections, Registry
 
 
@@ -69,11 +70,34 @@ def resolved(function: Callable[..., Any] | str) -> Callable[..., Any]:
     return found
 
 
+class DeviceSection(Section):
+    """The section of a device in the rig file. A driver adds keys of its own in a subclass."""
+
+    registry: ClassVar[DriverRegistry]
+    """The drivers of this kind of device."""
+    driver: Annotated[str, Field(min_length=1)]
+
+    @property
+    def is_mock(self) -> bool:
+        """True for a device of the simulated bench."""
+        return self.driver == "mock"
+
+    @property
+    def simulated(self) -> bool:
+        """True for a simulated device, of the bench or of another driver."""
+        return self.registry.simulates(self.driver)
+
+    @property
+    def driven_by(self) -> Driver:
+        """The driver that `driver` names. Raises PluginError."""
+        return self.registry[self.driver]
+
+
 class DriverRegistry(Registry[Driver]):
     """Drivers of one kind of device, by name."""
 
     def __init__(
-        self, kind: str, base: type[BaseModel], drivers: Mapping[str, Driver], *, has_outputs: bool = False
+        self, kind: str, base: type[DeviceSection], drivers: Mapping[str, Driver], *, has_outputs: bool = False
     ) -> None:
         """`kind` is the section of the rig file; its plug-ins are the entry points `softrig.<kind>`.
 
@@ -82,6 +106,7 @@ class DriverRegistry(Registry[Driver]):
         """
         super().__init__(f"softrig.{kind}", drivers, self._checked)
         self.kind, self.base, self._has_outputs = kind, base, has_outputs
+        base.registry = self
 
     def section(self, unknown: type[BaseModel]) -> Any:
         """The type of a device's section in the rig file: the model of its driver.

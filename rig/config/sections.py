@@ -20,7 +20,7 @@ from model.variants import VARIANTS
 from protocols.arguments import shown
 from protocols.problems import bad_input, closest
 from protocols.validation import ValidationFault, faults
-from rig.config.drivers import Driver, DriverRegistry, resolved
+from rig.config.drivers import DeviceSection, Driver, DriverRegistry, resolved
 from rig.config.tip_controllers import CONTROLLERS, FEED_FORWARD, KNOWN
 from rig.sections.base import Section
 from rig.sections.quantities import (
@@ -151,7 +151,7 @@ def _name_drivers(schema: dict[str, Any]) -> None:
     schema["enum"] = list(CAMERA_DRIVERS.built_in)
 
 
-class CameraConfig(Section):
+class CameraConfig(DeviceSection):
     """One camera. `placement` is the camera (x right, y down, z forward) in the rod-base frame."""
 
     driver: Annotated[str, Field(json_schema_extra=_name_drivers)]
@@ -175,19 +175,9 @@ class CameraConfig(Section):
         default=None, description="the tip moves in a known plane: depth and tilt are no longer this camera's alone"
     )
 
-    @property
-    def is_mock(self) -> bool:
-        """True for a camera of the simulated bench."""
-        return self.driver == "mock"
-
-    @property
-    def simulated(self) -> bool:
-        """True for a simulated camera, of the bench or of another driver."""
-        return CAMERA_DRIVERS.simulates(self.driver)
-
     def serial(self) -> str | None:
         """Serial number of the camera as it is plugged in now; None where it has none or is not there."""
-        serial = CAMERA_DRIVERS[self.driver].serial
+        serial = self.driven_by.serial
         return None if serial is None else resolved(serial)(self)
 
 

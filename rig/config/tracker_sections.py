@@ -9,9 +9,8 @@ from pydantic import AfterValidator, ConfigDict, Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import ValidationFault, faults
-from rig.config.drivers import Driver, DriverRegistry
+from rig.config.drivers import DeviceSection, Driver, DriverRegistry
 from rig.config.sections import Placement
-from rig.sections.base import Section
 from rig.sections.quantities import NonNegative, Number, Positive
 
 
@@ -27,13 +26,12 @@ Port = Annotated[int, Field(ge=1, le=65535, strict=True)]
 Milliseconds = Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False, strict=True)]
 
 
-class TrackerConfig(Section):
+class TrackerConfig(DeviceSection):
     """A device that gives the pose of a body on the end cap. A driver adds keys of its own in a subclass.
 
     `placement` is the tracker's frame in the rod-base frame, `body` the body's frame in the tip frame.
     """
 
-    driver: Annotated[str, Field(min_length=1)]
     rate_hz: Number = Field(default=100.0, ge=1, le=1000, description="poses per second that the tracker sends")
     placement: Placement = Placement()
     body: Placement = Placement()
@@ -46,16 +44,6 @@ class TrackerConfig(Section):
     reach_mm: Positive | SkipJsonSchema[None] = Field(
         default=None, description="a tip farther from the rod base is no pose; default: three lengths of the arm"
     )
-
-    @property
-    def is_mock(self) -> bool:
-        """True for a tracker of the simulated bench."""
-        return self.driver == "mock"
-
-    @property
-    def simulated(self) -> bool:
-        """True for a simulated tracker, of the bench or of another driver."""
-        return TRACKER_DRIVERS.simulates(self.driver)
 
 
 class UdpTrackerConfig(TrackerConfig):

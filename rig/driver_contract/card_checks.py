@@ -9,7 +9,6 @@ from contextlib import closing, suppress
 import numpy as np
 
 from model.arrays import Array
-from rig.config.card_sections import CARD_DRIVERS
 from rig.driver_contract.card_subject import LEAST_IDLE, CardSubject, needs_outputs, polled, settled_readback
 from rig.driver_contract.check import BrokenContractError, Check, NotApplicableError, NotJudgedError
 from rig.driver_contract.device_time import CallTime, ScanTimes, idle_wait, judge_scans, judged, timed
@@ -256,7 +255,7 @@ def silence(subject: CardSubject) -> str:
     """The device makes its outputs safe by itself, if the driver states that it does."""
     needs_outputs(subject)
     section = subject.config.cards[subject.name]
-    silence_s = CARD_DRIVERS[section.driver].silence_s
+    silence_s = section.driven_by.silence_s
     if silence_s is None:
         raise NotApplicableError("the driver does not state a time without writes after which the device vents")
     patience_s = silence_s(section)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.config.sections import CAMERA_DRIVERS, CameraConfig
+from rig.config.sections import CameraConfig
 from rig.hardware.driver_calls import TipSourceError
 from rig.hardware.trackers.base import TrackerReading
 
@@ -114,5 +114,5 @@ def wrong_size(camera: CameraConfig, width_px: int, height_px: int) -> str:
 
 def open_camera(config: RigConfig, name: str, seed: int = 0) -> Camera:
     """Open the rig's camera `name`; `seed` is for simulated cameras. Raises CameraError."""
-    camera: Camera = CAMERA_DRIVERS[config.cameras[name].driver].load()(config, name, seed)
+    camera: Camera = config.cameras[name].driven_by.load()(config, name, seed)
     return camera

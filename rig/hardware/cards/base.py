@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config.card_sections import CARD_DRIVERS, CardConfig
+from rig.config.card_sections import CardConfig
 from rig.config.schema import RigConfig
 from rig.hardware.cards.scan_clock import ScanClock
 from rig.hardware.driver_calls import as_error, release
@@ -171,7 +171,7 @@ def card_type(card: CardConfig) -> Callable[[CardSetup], Card]:
     Raises:
         CardError: the driver cannot be loaded.
     """
-    return CARD_DRIVERS[card.driver].load()
+    return card.driven_by.load()
 
 
 def open_card(card: CardConfig, setup: CardSetup) -> Card:

@@ -7,7 +7,6 @@ from typing import Protocol
 
 from model.arrays import Array
 from rig.config.schema import RigConfig
-from rig.config.tracker_sections import TRACKER_DRIVERS
 from rig.hardware.driver_calls import TipSourceError
 from runs.records import DATAGRAM_COUNTS
 
@@ -73,5 +72,5 @@ class Tracker(Protocol):
 
 def open_tracker(config: RigConfig, name: str, seed: int = 0) -> Tracker:
     """Open the rig's tracker `name`; `seed` is for simulated trackers. Raises TrackerError."""
-    tracker: Tracker = TRACKER_DRIVERS[config.trackers[name].driver].load()(config, name, seed)
+    tracker: Tracker = config.trackers[name].driven_by.load()(config, name, seed)
     return tracker
