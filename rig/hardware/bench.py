@@ -73,7 +73,7 @@ class Bench(SafeOutputs):
         columns = {name: [i for i, s in enumerate(signals) if s.card == name] for name in self._cards}
         self._inputs = {name: column for name, column in columns.items() if column}
         self._one_has_all = len(next(iter(self._inputs.values()), ())) == len(signals)
-        self._pending = {name: _Pending(len(column)) for name, column in self._inputs.items()}
+        self._pending = {name: Scans.none(len(column)) for name, column in self._inputs.items()}
 
     @property
     def clocks(self) -> dict[int, tuple[float, float]]:
@@ -93,9 +93,8 @@ class Bench(SafeOutputs):
         """
         if self._one_has_all:
             (name,) = self._inputs
-            only = self._card_scans(name)
-            return self._scans(only.t_ns, only.signals, only.lost, only.late_ns, only.damaged)
-        scans = {name: self._pending[name].with_new(self._card_scans(name)) for name in self._inputs}
+            return self._scans(self._card_scans(name))
+        scans = {name: _joined(self._pending[name], self._card_scans(name)) for name in self._inputs}
         lost, damaged = sum(s.lost for s in scans.values()), sum(s.damaged for s in scans.values())
         late_ns = max(s.late_ns for s in scans.values())
         first, *others = scans
@@ -106,12 +105,12 @@ class Bench(SafeOutputs):
             t_ns = t_ns[(t_ns <= newest) & (t_ns >= oldest)]
         signals = np.full((len(t_ns), len(self._sensors) + len(self._auxiliary)), np.nan)
         for name, s in scans.items():
-            rows = np.searchsorted(s.t_ns, t_ns, side="right") - 1
-            signals[:, self._inputs[name]] = s.signals[rows]
+            signals[:, self._inputs[name]] = s.signals[np.searchsorted(s.t_ns, t_ns, side="right") - 1]
             # The first card's rows are consumed; the others keep the row that the next call may need.
-            until = int(t_ns[-1]) if len(t_ns) else -1
-            self._pending[name].keep(s, until, inclusive=name != first)
-        return self._scans(t_ns, signals, lost, late_ns, damaged)
+            used = int(np.searchsorted(s.t_ns, t_ns[-1], side="right")) if len(t_ns) else 0
+            start = used if name == first else max(used - 1, 0)
+            self._pending[name] = Scans(s.t_ns[start:], s.signals[start:])
+        return self._scans(Scans(t_ns, signals, lost, late_ns, damaged))
 
     def _card_scans(self, name: str) -> Scans:
         """New scans of one card. Raises CardError, also for an error in the driver's code or wrong scans."""
@@ -128,18 +127,17 @@ class Bench(SafeOutputs):
             raise CardError(f"card {name}: read of its driver returned signals of shape {shape} instead of {expected}")
         return scans
 
-    def _scans(
-        self, t_ns: NDArray[np.int64], inputs: NDArray[np.float64], lost: int, late_ns: int, damaged: int
-    ) -> BenchScans:
+    def _scans(self, cards: Scans) -> BenchScans:
         """Scans of the signals (n, N + I): sensors, then auxiliary inputs."""
-        signals = inputs[:, : len(self._sensors)]
+        sensors = len(self._sensors)
+        signals, inputs = cards.signals[:, :sensors], cards.signals[:, sensors:]
         pressure_pa: NDArray[np.float64] = signals * self._pa_per_unit + self._pa_at_zero
-        auxiliary = np.empty((len(t_ns), len(self._auxiliary)))
+        auxiliary = np.empty(inputs.shape)
         for i, one in enumerate(self._auxiliary):
-            auxiliary[:, i] = one.value(inputs[:, len(self._sensors) + i])
+            auxiliary[:, i] = one.value(inputs[:, i])
         high = {name: iter(card.read_digital().tolist()) for name, card in self._digital.items()}
         closed = tuple(next(high[name]) for name in self._stop_cards)
-        return BenchScans(t_ns, signals, pressure_pa, lost, late_ns, auxiliary, closed, damaged)
+        return BenchScans(cards.t_ns, signals, pressure_pa, cards.lost, cards.late_ns, auxiliary, closed, cards.damaged)
 
     def write(self, outputs: NDArray[np.float64]) -> None:
         """Set every valve (V,), each in its unit."""
@@ -208,20 +206,9 @@ def _digital_cards(config: RigConfig, cards: Mapping[str, Card]) -> dict[str, Di
 _NEVER = np.iinfo(np.int64).max
 
 
-class _Pending:
-    """Scans of one card that wait for scans of the other cards."""
-
-    def __init__(self, inputs: int) -> None:
-        self._scans = Scans.none(inputs)
-
-    def with_new(self, new: Scans) -> Scans:
-        old = self._scans
-        if len(old.t_ns) == 0:
-            return new
-        t_ns, signals = np.concatenate([old.t_ns, new.t_ns]), np.concatenate([old.signals, new.signals])
-        return replace(new, t_ns=t_ns, signals=signals)
-
-    def keep(self, scans: Scans, until_ns: int, *, inclusive: bool) -> None:
-        used = int(np.searchsorted(scans.t_ns, until_ns, side="right"))
-        start = max(used - 1, 0) if inclusive else used
-        self._scans = Scans(scans.t_ns[start:], scans.signals[start:])
+def _joined(old: Scans, new: Scans) -> Scans:
+    """New scans behind old ones, with the counts of the new ones."""
+    if len(old.t_ns) == 0:
+        return new
+    t_ns, signals = np.concatenate([old.t_ns, new.t_ns]), np.concatenate([old.signals, new.signals])
+    return replace(new, t_ns=t_ns, signals=signals)
