@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import runpy
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -108,3 +110,18 @@ def test_ctrl_c_ends_the_installation_without_leftovers(bench: Bench, tmp_path: 
     assert process.returncode == 130
     assert not wrong
     assert not list(bench.temporary.iterdir())
+
+
+@pytest.mark.skipif(
+    not any(Path(folder, "comedilib.h").exists() for folder in ("/usr/include", "/usr/local/include"))
+    or shutil.which("cc") is None,
+    reason="comedilib.h or a C compiler is not here: libcomedi-dev, gcc",
+)
+def test_the_constants_are_made_of_the_header(tmp_path: Path) -> None:
+    module = tmp_path / "comedi_h.py"
+    subprocess.run([sys.executable, SCRIPT.with_name("constants.py"), module], check=True, timeout=PATIENCE_S)
+    made = runpy.run_path(str(module))
+    known = {"TRIG_TIMER": 0x10, "CMDF_WAKE_EOS": 0x20, "SDF_CMD_READ": 0x8000, "COMEDI_SUBD_DIO": 5, "UNIT_volt": 0}
+    assert {name: made[name] for name in known} == known
+    assert made["CR_INVERT"] == 1 << 31
+    assert not [name for name in made if name.startswith("CMDF_ROUND")]
