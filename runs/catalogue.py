@@ -6,11 +6,10 @@ read-only folder works without one. There is no lock: of two concurrent writers 
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ from runs.pressure_cycles import pressure_cycles
 from runs.records import MODEL_ALONE
 
 INDEX = ".catalogue.json"
-_FORM = 4
+_FORM = 5
 """Increased when `Entry` changes."""
 _TEXTS = ("run_id", "title", "start_time", "status", "executor", "operator", "notes")
 _ENTRIES = "a list of entries, as catalogue() returns it"
@@ -76,11 +75,19 @@ class Entry:
 
 
 @dataclass(frozen=True)
+class _CachedEntry:
+    """Index record of a file: its size and time [ns] when it was read, and its entry."""
+
+    stamp: tuple[int, int]
+    entry: Entry
+
+
+@dataclass(frozen=True)
 class _Index:
-    """Content of the index file: size, time [ns] and entry of each archive."""
+    """Content of the index file."""
 
     form: int
-    files: dict[str, tuple[int, int, Entry]]
+    files: dict[str, _CachedEntry]
 
 
 _INDEX = TypeAdapter(_Index)
@@ -156,14 +163,6 @@ def search(
     )
 
 
-@dataclass(frozen=True)
-class _CachedEntry:
-    """Index record of a file: its size and time [ns] when it was read, and its entry."""
-
-    stamp: tuple[int, int]
-    entry: Entry
-
-
 def _archives(folder: Path) -> list[tuple[str, tuple[int, int]]]:
     try:
         with os.scandir(folder) as files:
@@ -217,21 +216,16 @@ def _load(path: Path) -> dict[str, _CachedEntry]:
     with suppress(OSError, ValueError, RecursionError):
         index = _INDEX.validate_json(path.read_bytes(), strict=True)
         if index.form == _FORM:
-            return {
-                name: _CachedEntry((size, time), entry)
-                for name, (size, time, entry) in index.files.items()
-                if entry.file == name
-            }
+            return {name: cached for name, cached in index.files.items() if cached.entry.file == name}
     return {}
 
 
 def _store(path: Path, known: dict[str, _CachedEntry]) -> None:
     """Write the index if possible; it is only a cache."""
-    files = {name: [*k.stamp, asdict(k.entry)] for name, k in known.items()}
     part = path.with_name(f"{path.name}.{os.getpid()}")
-    with suppress(OSError):
+    with suppress(OSError, ValueError):  # a file's name may be no text
         try:
-            part.write_text(json.dumps({"form": _FORM, "files": files}), encoding="utf-8")
+            part.write_text(_INDEX.dump_json(_Index(_FORM, known)).decode(), encoding="utf-8")
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)

@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
 
 try:
     import fcntl
@@ -56,27 +55,11 @@ def lock(handle: int, *, wait: bool = False) -> None:
         fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
 
 
-class AppendOnlyFile(Protocol):
-    """Destination of the journal's blocks."""
-
-    @property
-    def stalled_s(self) -> float:
-        """Age [s] of the oldest unfinished write or sync; 0 if there is none."""
-
-    def append(self, data: bytes) -> None:
-        """Append a block to the file."""
-
-    def wait_until_synced(self, timeout_s: float) -> bool:
-        """Wait until all writes and syncs are done; False on timeout."""
-
-    def close(self, last: bytes) -> None:
-        """Append the last block, sync, and close the file in any case."""
-
-
 class DiskFile:
     """Appends in the thread of the caller. The file is locked (flock) while it is open."""
 
     stalled_s = 0.0
+    """Writes are done when they return."""
 
     def __init__(self, path: Path, first: bytes) -> None:
         """Create the file, which must not exist, with its first block.

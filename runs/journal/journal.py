@@ -19,7 +19,7 @@ from mcap.records import Channel, Message, Schema
 from numpy.typing import NDArray
 
 from runs.journal import mcap_records, messages
-from runs.journal.append_only_file import AppendOnlyFile, BufferedFile, DiskFile, JournalError
+from runs.journal.append_only_file import BufferedFile, DiskFile, JournalError
 from runs.journal.mcap_records import JournalBlock, JournalDamage
 from runs.journal.messages import EVENTS, FOOTER, HEADER, MARKS, PICTURES
 from runs.journal.row_kinds import ROW_KINDS, RowKind
@@ -48,7 +48,7 @@ class JournalWriter:
         self.newest_t_ns = header.started_t_ns
         first = block_of_header(header)
         file = DiskFile(self.path, mcap_records.opening() + first + first)
-        self._file: AppendOnlyFile = BufferedFile(file, patience_s) if live else file
+        self._file = BufferedFile(file, patience_s) if live else file
 
     @property
     def stalled_s(self) -> float:

@@ -93,7 +93,7 @@ def test_any_rubbish_in_the_index_heals(tmp_path_factory: pytest.TempPathFactory
 def test_an_index_with_odd_entries_heals(folder: Path) -> None:
     right = catalogue(folder)
     index = json.loads((folder / INDEX).read_text())
-    index["files"]["first.h5"][2] = {"colour": "blue"}
+    index["files"]["first.h5"]["entry"] = {"colour": "blue"}
     (folder / INDEX).write_text(json.dumps(index))
     assert catalogue(folder) == right
 
@@ -116,13 +116,15 @@ def test_an_index_with_odd_entries_heals(folder: Path) -> None:
 def test_an_index_with_values_of_another_type_heals(folder: Path, field: str, value: object) -> None:
     right = catalogue(folder)
     index = json.loads((folder / INDEX).read_text())
-    index["files"]["first.h5"][2][field] = value
+    index["files"]["first.h5"]["entry"][field] = value
     (folder / INDEX).write_text(json.dumps(index))
     assert catalogue(folder) == right
-    assert json.loads((folder / INDEX).read_text())["files"]["first.h5"][2][field] != value
+    assert json.loads((folder / INDEX).read_text())["files"]["first.h5"]["entry"][field] != value
 
 
-@pytest.mark.parametrize("entry", [None, 3, [], [1, 2], [1, 2, None], ["a", {}, {}], {"a": 1}])
+@pytest.mark.parametrize(
+    "entry", [None, 3, [], [1, 2], {"stamp": [1, 2], "entry": None}, {"stamp": "a", "entry": {}}, {"a": 1}]
+)
 def test_an_index_with_entries_of_another_shape_heals(folder: Path, entry: object) -> None:
     right = catalogue(folder)
     index = json.loads((folder / INDEX).read_text())
