@@ -13,7 +13,7 @@ from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from runs.arrays import Array
 from runs.columns import Pressure, Tip
-from runs.periods import last_period
+from runs.periodic_motion import last_period
 from runs.records import DetectionStatus
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
 from runs.report.drawing import POINTS, decimated, decimated_indices, legend, narrow, no_data, panels, path_indices

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from runs.periods import last_period, whole_periods
+from runs.periodic_motion import last_period, whole_periods
 
 
 @given(period=st.floats(0.3, 3.0), phase=st.floats(0.0, 6.28))
