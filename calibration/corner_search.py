@@ -13,8 +13,13 @@ from calibration.images import Image
 from calibration.vision.board import Board
 from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.corners import refine_corners, spacing
-from calibration.vision.exposure import exposure_fault
 from model.arrays import Array
+
+_WHITE, _BLACK = 250, 16
+"""Grey levels at and above, at and below which a pixel shows no detail."""
+_MOST_WHITE = 0.25
+_MOST_BLACK = 0.9
+
 
 _FLAGS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _SUBPIX = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
@@ -132,3 +137,13 @@ def _in_order(image: Image, grid: Array) -> Array:
     greys = cv2.remap(image, spots[..., 0], spots[..., 1], cv2.INTER_LINEAR).astype(np.float64)
     first = np.indices(greys.shape).sum(axis=0) % 2 == 0
     return grid if greys[first].mean() < greys[~first].mean() else grid[::-1, ::-1]
+
+
+def exposure_fault(image: NDArray[np.uint8]) -> str:
+    """Return the exposure fault of a grey picture (height, width) with the share of pixels; empty if there is none."""
+    white, black = float(np.mean(image >= _WHITE)), float(np.mean(image <= _BLACK))
+    if white > _MOST_WHITE:
+        return f"the picture is overexposed ({100 * white:.0f} % of its pixels are white)"
+    if black > _MOST_BLACK:
+        return f"the picture is underexposed ({100 * black:.0f} % of its pixels are black)"
+    return ""

@@ -22,10 +22,10 @@ from protocols.source_positions import Document
 from rig.config import loader
 from rig.config.calibration_files import sha256_of
 from rig.experiment.provenance import software
-from rig.importing.columns import ColumnReader
 from rig.importing.gravity import gravity_calibration, measured_gravity, warn_if_opposite
 from rig.importing.mapping import Mapping, load
 from rig.importing.pressure_columns import AppliedDelay, delayed, pressure_delay, pressures, setpoints
+from rig.importing.tables import ColumnReader
 from rig.importing.tables import read as read_table
 from rig.importing.timestamps import RowTimes, times
 from rig.importing.tracker_frames import PlacedTips, tips_in_base, wrench

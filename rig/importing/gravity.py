@@ -18,9 +18,9 @@ from rig.calibrate.file_sections import origin
 from rig.config.calibration_files import SUFFIX, LoadedCalibration, parse, rounded, sha256_of, text_of
 from rig.config.calibration_schema import GravityFile, SourceFileSection
 from rig.config.loader import RigFile
-from rig.importing.columns import ColumnReader
 from rig.importing.mapping import Mapping
 from rig.importing.mapping_sections import Gravity, LoadCell, Wrench
+from rig.importing.tables import ColumnReader
 from rig.importing.tracker_frames import load_cell_turn
 from rig.importing.units import NEWTONS
 

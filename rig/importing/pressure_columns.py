@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from model.arrays import Array
 from model.units import PA_PER_BAR
 from protocols.source_positions import Document
-from rig.importing.columns import ColumnReader
 from rig.importing.mapping import Mapping
+from rig.importing.tables import ColumnReader
 from rig.importing.units import PASCALS, PressureUnit
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from runs.interpolation import interpolated

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.problems import Problem
-from rig.importing.columns import ColumnReader
 from rig.importing.mapping import Mapping
-from rig.importing.tables import Key
+from rig.importing.tables import ColumnReader, Key
 from rig.importing.units import SECONDS
 
 LONGEST_S = 9e9

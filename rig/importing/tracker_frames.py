@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from calibration.vision.transforms import RigidTransform
 from model.arrays import Array
 from rig.config.optics import rigid
-from rig.importing.columns import ColumnReader
 from rig.importing.mapping import Mapping
 from rig.importing.mapping_sections import BaseSensor, LoadCell, Orientation, Position, TipOrientation, Wrench
+from rig.importing.tables import ColumnReader
 from rig.importing.units import METRES, NEWTON_METRES, NEWTONS
 
 UNIT = 0.01
