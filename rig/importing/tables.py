@@ -174,7 +174,7 @@ def _parsed(
     return SourceTable(
         str(path),
         names,
-        values.T,
+        list(values.T),
         range(width),
         written.first_column or 0,
         DECIMAL_COMMA if comma else DECIMAL_POINT,
