@@ -54,10 +54,7 @@ def renderer(board: Board) -> BoardRenderer:
 
 @renderer.register
 def _(board: Checkerboard) -> BoardRenderer:
-    def render(fine: Singles, view: ExposedView) -> None:
-        draw(fine, view, board.squares_x, board.squares_y)
-
-    return render
+    return partial(draw, nx=board.squares_x, ny=board.squares_y)
 
 
 def print_table(board: Board) -> tuple[Array, Array, Array]:
@@ -77,11 +74,7 @@ def print_table(board: Board) -> tuple[Array, Array, Array]:
 
 def table_renderer(across: Array, down: Array, table: Array) -> BoardRenderer:
     """The kernel for any print, from a `print_table`."""
-
-    def render(fine: Singles, view: ExposedView) -> None:
-        draw_print(fine, view, across, down, table)
-
-    return render
+    return partial(draw_print, across=across, down=down, table=table)
 
 
 @fast_kernel
