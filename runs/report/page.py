@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
+import multiprocessing
 import os
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from html import escape
 from importlib import resources
+from itertools import zip_longest
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 from runs import annotation_file, arguments
@@ -15,7 +20,6 @@ from runs.archive import layout
 from runs.overwriting import refuse_existing, write_text
 from runs.report import comparison, pictures
 from runs.report.drawing import svg
-from runs.report.figure_processes import drawn
 from runs.report.figure_specifications import figure_specifications
 from runs.report.html_table import DASH, html_table, listed, plain, significant, three, with_unit
 from runs.run import Run, paths_of
@@ -23,6 +27,7 @@ from runs.summary import BAND_BAR, Summary, summarise
 
 SUFFIX = ".html"
 _HEAD_BYTES = 100_000
+Draw = Callable[[], str]
 
 
 def write(
@@ -315,3 +320,37 @@ def _quantities(run: Run) -> str:
 
 def _listed(values: Sequence[float]) -> str:
     return ", ".join(f"{value:.6g}" for value in values)
+
+
+def drawn(figures: Sequence[Draw]) -> list[str]:
+    """Return the results of functions that draw a figure, in their order; a second processor draws every other one.
+
+    The child is forked, so that it has what the figures show. If it fails, this process draws its part, too, and
+    raises the error.
+    """
+    # Windows cannot fork, and on macOS a forked process must not draw; neither has this function.
+    if len(figures) < 2 or not hasattr(os, "sched_getaffinity") or len(os.sched_getaffinity(0)) < 2:
+        return [draw() for draw in figures]
+    fork = multiprocessing.get_context("fork")
+    received, sent = fork.Pipe(duplex=False)
+    child = fork.Process(target=_draw, args=(figures[1::2], sent), daemon=True)
+    with warnings.catch_warnings():
+        # Python warns of every fork beside other threads; no figure waits for one.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        child.start()
+    sent.close()
+    try:
+        even, odd = [draw() for draw in figures[::2]], []
+        with suppress(EOFError, OSError):
+            odd = received.recv()
+    finally:
+        child.kill()
+        child.join()
+        received.close()
+    odd = odd or [draw() for draw in figures[1::2]]
+    return [drawing for pair in zip_longest(even, odd) for drawing in pair if drawing is not None]
+
+
+def _draw(figures: Sequence[Draw], results: Connection) -> None:
+    with suppress(Exception):
+        results.send([draw() for draw in figures])
