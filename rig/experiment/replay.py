@@ -23,8 +23,7 @@ from rig.config.sections import Variant
 from rig.execution.plan import sample_rows
 from rig.experiment.provenance import quantities, section_places, software
 from rig.hardware.cameras.base import Frame, FrameSet
-from rig.observation.observer import Observer
-from rig.observation.tip_force import MeasuredTipForce
+from rig.observation.observer import MeasuredTipForce, Observer
 from runs.archive.writer import ArchiveError, finalise
 from runs.data_folder import DATA, free_id
 from runs.journal.journal import SUFFIX, JournalWriter

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
+from model.arrays import Array
 from protocols import TipReference
 from protocols.tip_reference import NO_TIP_REFERENCE
 from rig.config.arm_model import TipLoad, model_arm
@@ -22,7 +23,6 @@ from rig.observation.camera_estimator import CameraTipEstimator
 from rig.observation.live_model import LiveModel
 from rig.observation.overlay import backbone
 from rig.observation.sample_interpolator import SampleInterpolator
-from rig.observation.tip_force import MeasuredTipForce
 from rig.observation.tip_measurement import TipMeasurement
 from runs.records import DetectionStatus, blank
 
@@ -164,3 +164,22 @@ def _set_clock(row: NDArray[np.void], reading: TrackerReading) -> None:
     row["clock_offset_s"], row["clock_drift"] = reading.clock.offset_s, reading.clock.drift
     row["clock_std_s"], row["time_std_s"] = reading.clock.std_s, reading.time_std_s
     row["datagrams"] = reading.counts
+
+
+class MeasuredTipForce:
+    """The measured force on the tip: the sum of the components that auxiliary inputs of the rig measure."""
+
+    def __init__(self, config: RigConfig) -> None:
+        declared = {name: one.tip_force_direction for name, one in config.inputs.items()}
+        self.inputs = tuple(name for name, direction in declared.items() if direction is not None)
+        """Names of the inputs that measure a component; none if the rig does not measure the force."""
+        self._columns = [list(declared).index(name) for name in self.inputs]
+        directions = np.array([declared[name] for name in self.inputs], dtype=np.float64).reshape(-1, 3)
+        self._axes = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+    def __bool__(self) -> bool:
+        return bool(self.inputs)
+
+    def of(self, values: Array) -> Array:
+        """Force (k, 3) [N] on the arm in the rod-base frame from values of all inputs (k, I); NaN if one is missing."""
+        return np.asarray(values[:, self._columns] @ self._axes)

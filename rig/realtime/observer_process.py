@@ -17,11 +17,10 @@ from rig.hardware.cameras.base import FrameSet
 from rig.hardware.cameras.synchroniser import CameraSynchroniser
 from rig.hardware.cameras.trigger import RECENT_PULSES
 from rig.hardware.driver_calls import TipSourceError
+from rig.observation.frame_sources import PredictionClock, TrackerSource
 from rig.observation.observer import Observer
 from rig.observation.overlay import OverlayProjector, arm_lines
 from rig.observation.picture_recorder import PictureRecorder
-from rig.observation.prediction_clock import PredictionClock
-from rig.observation.tracker_source import TrackerSource
 from rig.realtime.child_process import ChildJob, await_device_access, exit_process, receive_job, supervisor_monitor
 from rig.realtime.failsafe import FailsafeThread
 from rig.realtime.picture_rings import LINE_POINTS, view_dtype

@@ -25,9 +25,9 @@ from rig.hardware.driver_calls import TipSourceError
 from rig.hardware.safe_state import armed_sentence, failure_of, followed_by
 from rig.hardware.trackers.base import TrackerReading
 from rig.hardware.vent_verification import VentOutcome, VentVerification
+from rig.observation.frame_sources import ReadingSequence, silence
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
-from rig.observation.tracker_source import ReadingSequence, silence
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.shared_state import SharedState
 from rig.simulator.mock_camera import Exposure, MockCamera

@@ -12,7 +12,7 @@ import pytest
 
 import runs
 from rig.config.loader import load
-from rig.observation.prediction_clock import PredictionClock
+from rig.observation.frame_sources import PredictionClock
 from runs.records import DetectionStatus, Status
 from scripts.rig_process import rig_run
 from tests.rig.live.test_attaching import HELD, attached

@@ -19,8 +19,7 @@ from rig.config.arm_model import model_arm
 from rig.config.loader import load
 from rig.experiment.preflight import check
 from rig.tip_planning.assessment import assess
-from rig.tip_planning.infeasible_path import RESOLUTION, largest_share
-from rig.tip_planning.inverse import RigTipInverse
+from rig.tip_planning.inverse import RESOLUTION, RigTipInverse, largest_share
 
 pytestmark = pytest.mark.slow
 

@@ -1,4 +1,4 @@
-"""The readings of a rig's tracker as frame sets, in place of those of cameras."""
+"""Frame sets in place of those of cameras: the readings of a tracker, or the times of the model's predictions."""
 
 from __future__ import annotations
 
@@ -137,3 +137,27 @@ def silence(name: str, timeout_s: float, counts: tuple[int, ...]) -> TrackerErro
     unused = ", ".join(f"{n} {what.replace('_', ' ')}" for what, n in zip(DATAGRAM_COUNTS, counts, strict=True) if n)
     why = f"not used were {unused}" if unused else "nothing arrived: does the sender run, and send here?"
     return TrackerError(f"tracker {name}: no pose within {timeout_s:g} s; {why}")
+
+
+class PredictionClock:
+    """Gives an empty frame set per period of the model, in a rig without cameras and trackers."""
+
+    def __init__(self, config: RigConfig) -> None:
+        self._period_ns = round(1e9 / config.observation_hz)
+        self._start_ns = time.monotonic_ns()
+        self._period = self._count = 0
+
+    def await_all(self, timeout_s: float) -> None:
+        """Return at once: there is no camera to wait for."""
+
+    def read(self, timeout_s: float) -> FrameSet:
+        """Wait for the next period; periods that have passed meanwhile are left out, because no frame was lost."""
+        passed = (time.monotonic_ns() - self._start_ns) // self._period_ns
+        self._period = max(self._period, passed) + 1
+        due_ns = self._start_ns + self._period * self._period_ns
+        time.sleep(max(0, due_ns - time.monotonic_ns()) * 1e-9)
+        self._count += 1
+        return FrameSet(self._count, (), due_ns)
+
+    def close(self) -> None:
+        """Release nothing."""

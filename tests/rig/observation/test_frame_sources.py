@@ -10,8 +10,8 @@ import pytest
 
 from rig.config import loader
 from rig.hardware.trackers.base import ClockEstimate, TrackerError, TrackerReading
-from rig.observation import tracker_source
-from rig.observation.tracker_source import TrackerSource
+from rig.observation import frame_sources
+from rig.observation.frame_sources import TrackerSource
 
 
 class Waiting:
@@ -44,7 +44,7 @@ def test_a_driver_that_waits_in_spite_of_its_time_out_does_not_keep_the_reader(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     tracker = Patient()
-    monkeypatch.setattr(tracker_source, "open_tracker", lambda *_: tracker)
+    monkeypatch.setattr(frame_sources, "open_tracker", lambda *_: tracker)
     source = TrackerSource(loader.load("mock-tracker"), seed=0)
     source.await_all(1.0)
     source.read(1.0)
@@ -52,7 +52,7 @@ def test_a_driver_that_waits_in_spite_of_its_time_out_does_not_keep_the_reader(
 
 
 def test_a_late_reader_takes_the_newest_pose_and_counts_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracker_source, "open_tracker", lambda *_: Waiting(8))
+    monkeypatch.setattr(frame_sources, "open_tracker", lambda *_: Waiting(8))
     source = TrackerSource(loader.load("mock-tracker"), seed=0)
     source.await_all(1.0)
     first = source.read(1.0)
@@ -84,7 +84,7 @@ class Broken:
 def test_a_reading_that_breaks_the_contract_is_an_error_of_the_tracker(
     monkeypatch: pytest.MonkeyPatch, broken: dict[str, object], says: str
 ) -> None:
-    monkeypatch.setattr(tracker_source, "open_tracker", lambda *_: Broken(**broken))
+    monkeypatch.setattr(frame_sources, "open_tracker", lambda *_: Broken(**broken))
     source = TrackerSource(loader.load("mock-tracker"), seed=0)
     source.await_all(1.0)
     with pytest.raises(TrackerError, match=f"tracker pose: read of its driver returned {says}"):
@@ -92,7 +92,7 @@ def test_a_reading_that_breaks_the_contract_is_an_error_of_the_tracker(
 
 
 def test_any_error_in_the_code_of_a_driver_is_an_error_of_its_tracker(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracker_source, "open_tracker", lambda *_: Waiting(0))
+    monkeypatch.setattr(frame_sources, "open_tracker", lambda *_: Waiting(0))
     monkeypatch.setattr(Waiting, "read", lambda self, timeout_s: {}["cable"])
     with pytest.raises(TrackerError, match="tracker pose: read of its driver failed: KeyError: 'cable'"):
         TrackerSource(loader.load("mock-tracker"), seed=0).await_all(1.0)
