@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-import model
-from model.dynamics import Dynamics
-from model.statics import statics
 from rig.config.arm_model import TipLoad, model_arm
 from rig.execution.plan import RunPlan, observation_rows
 from rig.experiment.run import RunRequest, header
-from rig.observation.live_model import motion_model
+from rig.observation.live_model import LiveModel
 from rig.observation.overlay import backbone
+from rig.observation.sample_interpolator import SampleInterpolator
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
 from runs.records import MODEL_ALONE, DetectionStatus, RunFooter, Status, blank, sample_dtype
-
-_Solve = Callable[[NDArray[np.float64], model.Loads | None], model.Shape]
 
 
 def simulate(request: RunRequest, plan: RunPlan) -> Path:
@@ -38,7 +32,6 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
     dt_s = 1.0 / rate_hz
     steps = int(trajectory.duration_s * rate_hz) + 1
     pressures = trajectory.sample(np.arange(steps) * dt_s)
-    dynamics = motion_model(model_arm(config, plan.variant), dt_s, config.model.mode == "static")
     samples = blank(steps, sample_dtype(config.actuators, len(config.valves)))
     samples["cycle"] = np.arange(steps)
     samples["t_ns"] = np.round(np.arange(steps) * dt_s * 1e9)
@@ -54,7 +47,7 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
     rows["predicted_m"] = trajectory.tip.predicted_m(rows["protocol_s"])
     places = np.array([trajectory.tip.motion_and_period(t_s) for t_s in rows["protocol_s"].tolist()])
     rows["tip_motion"], rows["tip_period"] = places.T
-    _solve_rows(rows, plan, dynamics)
+    _solve_rows(rows, plan)
 
     title = f"{request.protocol.title} (model alone, {config.model.mode})"
     about = replace(
@@ -76,28 +69,20 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
     return finalise(journal.path)
 
 
-def _solve_rows(rows: NDArray[np.void], plan: RunPlan, dynamics: Dynamics | None) -> None:
+def _solve_rows(rows: NDArray[np.void], plan: RunPlan) -> None:
     """Set weight, tip, backbone and sections of the rows (n,) by the model at their pressures."""
-    config, arm = plan.config, model_arm(plan.config, plan.variant)
+    config = plan.config
+    static = config.model.mode == "static"
+    live = LiveModel(model_arm(config, plan.variant), 1 / config.observation_hz, static)
+    pressures = SampleInterpolator(config.actuators)
+    pressures.extend(rows["t_ns"], rows["pressure_pa"])
     sections_m = np.array([section.at_mm * 1e-3 for section in config.sections.values()])
-    tip_load, shape, tip_m = TipLoad(config), None, np.full(3, np.nan)
+    tip_load, tip_m = TipLoad(config), np.full(3, np.nan)
     for row in rows:
         row["weight_kg"] = weight_kg = plan.trajectory.weight_kg(float(row["protocol_s"]))
-        if dynamics is None:
-            solve: _Solve = partial(statics, arm, doubt_units=False)
-        else:
-            solve = dynamics.start if shape is None else dynamics.step
-        shape = _solved(solve, row["pressure_pa"], tip_load.carrying(weight_kg))
+        shape = live.step(int(row["t_ns"]), pressures, tip_load.carrying(weight_kg))
         if shape is not None:
             tip_m = shape.tip_m
-        if shape is not None and len(sections_m):
-            row["section_model_m"] = shape.frames_at(sections_m)[0]
+            if len(sections_m):
+                row["section_model_m"] = shape.frames_at(sections_m)[0]
         row["model_m"], row["backbone_m"], row["model_ok"] = tip_m, backbone(shape), shape is not None
-
-
-def _solved(solve: _Solve, pressure_pa: NDArray[np.float64], loads: model.Loads | None) -> model.Shape | None:
-    try:
-        shape = solve(pressure_pa, loads)
-    except model.NotConverged:
-        return None
-    return shape if shape.ok else None

@@ -18,16 +18,6 @@ _MOST_STEPS = 10
 _EVEN = 1e-6
 
 
-def motion_model(arm: model.Arm, dt_s: float, static: bool) -> Dynamics | None:
-    """Return the stepper of an arm [s]; None where each prediction is a static solution.
-
-    A static arm that remembers moves without inertia.
-    """
-    if not static:
-        return Dynamics(arm, dt_s)
-    return Dynamics(replace(arm, inertia=False), dt_s) if arm.remembers else None
-
-
 class LiveModel:
     """The arm from frame to frame: statics at each frame, or dynamics over the time between two frames.
 
@@ -37,7 +27,10 @@ class LiveModel:
 
     def __init__(self, arm: model.Arm, period_s: float, static: bool) -> None:
         """The arm is observed every `period_s`; with `static` there are no dynamics, where possible."""
-        self._dynamics, self._remembers = motion_model(arm, period_s, static), arm.remembers
+        self._remembers = arm.remembers
+        # A static arm that remembers moves without inertia.
+        moving = replace(arm, inertia=False) if static else arm
+        self._dynamics = Dynamics(moving, period_s) if arm.remembers or not static else None
         self._solve: Callable[..., model.Shape] = partial(statics, arm, doubt_units=False)
         if self._dynamics is not None:
             self._solve = self._dynamics.start

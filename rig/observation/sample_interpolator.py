@@ -39,7 +39,7 @@ class SampleInterpolator:
         if not self._t_ns.size:
             return np.full(self._values.shape[1], np.nan)
         after = int(np.searchsorted(self._t_ns, t_ns))
-        if after == 0 or after == len(self._t_ns):
+        if after == 0 or after == len(self._t_ns) or self._t_ns[after] == t_ns:
             return np.array(self._values[min(after, len(self._t_ns) - 1)])
         # Subtract in int64: a float64 cannot represent nanoseconds since boot exactly.
         before_ns = int(self._t_ns[after - 1])
