@@ -16,7 +16,6 @@ from rig.hardware.bench import Bench, open_bench
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import followed_by
 from rig.hardware.vent_verification import VentOutcome, VentVerification, real_time
-from rig.realtime import sampling_clocks
 from rig.realtime.child_process import (
     ChildJob,
     ProcessMonitor,
@@ -64,7 +63,7 @@ def main() -> int:
         memory.unverified_cards = len(bench.arm())
         bench.start()
         _warm_up(job, bench)
-        sampling_clocks.publish(memory, bench)
+        memory.publish_clocks(bench.clocks)
         memory.control_granted = enable_realtime_scheduling(CONTROL_PRIORITY)
         memory.publish_stage("control", Stage.READY)
         fault = _run(job, memory, bench, supervisor)
@@ -206,7 +205,7 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
         memory.damaged_lines = loop.damaged
         memory.setpoint_source = loop.setpoint_source
         if cycle % clocks_cycles == 0:
-            sampling_clocks.publish(memory, bench)
+            memory.publish_clocks(bench.clocks)
         memory.protocol_s = loop.position.protocol_s
         memory.waiting_prompt = loop.position.prompts_passed if loop.position.waiting else -1
         memory.heartbeat("control", now)

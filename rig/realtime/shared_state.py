@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import mmap
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
 from typing import Any, Generic, TypeVar
 
@@ -242,6 +242,27 @@ class SharedState:
     def _process(self, name: str) -> NDArray[np.void]:
         """Row (1,) of a process: stage, heartbeat and message."""
         return self._tip_controller if name == TIP_CONTROLLER else self.flags[name]
+
+    def publish_clocks(self, clocks: Mapping[int, tuple[float, float]]) -> None:
+        """Publish period [ns] and drift [ppm] of the sampling clock of each card by number, of at most CLOCKS cards."""
+        for number, clock in clocks.items():
+            if number < CLOCKS:
+                self.flags["scan_period_ns"][0, number], self.flags["scan_drift_ppm"][0, number] = clock
+
+    def clock_counters(self, cards: Iterable[str]) -> dict[str, int]:
+        """Counters of each card with its own sampling clock; their names begin with the name of the card.
+
+        `scan_period_ns` is the period as rounded by the driver; `scan_drift_ppb` its estimated relative error by the
+        computer's clock in parts per billion (1e-9).
+        """
+        counters = {}
+        for name, period_ns, drift_ppm in zip(
+            cards, *self.flags[0][["scan_period_ns", "scan_drift_ppm"]], strict=False
+        ):
+            if period_ns > 0:
+                counters[f"{name}_scan_period_ns"] = round(period_ns)
+                counters[f"{name}_scan_drift_ppb"] = round(drift_ppm * 1e3)
+        return counters
 
     def push_event(self, event: Event) -> None:
         """Publish an event to viewers."""

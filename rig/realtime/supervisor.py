@@ -10,7 +10,6 @@ from rig.execution.plan import OpenRecord, OperatorInterface, RunPlan, StartErro
 from rig.hardware.cards.base import CardError, card_type
 from rig.hardware.safe_state import UNSAFE, armed_sentence
 from rig.hardware.vent_verification import UNCONFIRMED
-from rig.realtime import sampling_clocks
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.operator_session import OperatorSession
 from rig.realtime.process_group import PROCESSES, WATCHDOG_TRIPPED, ProcessGroup
@@ -220,8 +219,6 @@ class Supervisor:
         start_ns = time.monotonic_ns() + START_DELAY_NS
         self.record = DataRecorder(self._plan, memory, open_record(start_ns), self._operator, start_ns)
         self._event(Level.INFO, "control", armed_sentence(memory.unverified_cards))
-        for sentence in sampling_clocks.descriptions(memory, config):
-            self._event(Level.INFO, "card", sentence)
         self._report_timing()
         self._raise_controller_priority()
         if unattachable:
@@ -281,7 +278,7 @@ class Supervisor:
             **self.record.counters(),
             **self._session.stream_counts,
             "stolen_cpu_ms": stolen,
-            **sampling_clocks.clock_counters(memory, self._plan.config),
+            **memory.clock_counters(self._plan.config.cards),
         }
         return RunFooter(safe_ns or time.monotonic_ns(), status, message, counters)
 

@@ -17,7 +17,6 @@ import rig.config.loader
 from rig.config.loader import load
 from rig.hardware.bench import open_bench
 from rig.hardware.cards.base import CardError
-from rig.realtime import sampling_clocks
 from rig.realtime.failsafe import force_safe_state
 from rig.realtime.shared_state import SharedState
 from tests.hardware.kernel_card import CARD, COUNT_V, OpenCard, bipolar
@@ -90,8 +89,8 @@ def test_the_period_of_the_cards_own_clock_reaches_the_record(memory: SharedStat
     while time.monotonic() < until:
         bench.read()
         time.sleep(0.01)
-    sampling_clocks.publish(memory, bench)
+    memory.publish_clocks(bench.clocks)
     bench.close()
-    counters = sampling_clocks.clock_counters(memory, config)
+    counters = memory.clock_counters(config.cards)
     assert counters["daq_scan_period_ns"] == 810_000
     assert abs(counters["daq_scan_drift_ppb"]) <= 1_000_000

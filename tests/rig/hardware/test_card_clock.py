@@ -19,7 +19,6 @@ from rig.cli.archive_output import summary_table
 from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import Scans
-from rig.realtime import sampling_clocks
 from rig.realtime.shared_state import SharedState
 from runs.archive.writer import finalise
 from runs.records import RunFooter, Status
@@ -75,20 +74,17 @@ def test_rounded_period_and_drift_are_reported_for_a_card_with_a_clock(
     two_cards: RigConfig, memory: SharedState
 ) -> None:
     bench = Bench(two_cards, {"daq": FakeCard(), "other": ClockedCard(999_900.0, -31.2504)})
-    sampling_clocks.publish(memory, bench)
-    assert sampling_clocks.clock_counters(memory, two_cards) == {
+    memory.publish_clocks(bench.clocks)
+    assert memory.clock_counters(two_cards.cards) == {
         "other_scan_period_ns": 999_900,
         "other_scan_drift_ppb": -31_250,
     }
-    assert sampling_clocks.descriptions(memory, two_cards) == [
-        "card other samples by its own clock every 999.900 us (requested: 1000.000 us)"
-    ]
 
 
 def test_a_card_read_by_instruction_reports_no_clock(two_cards: RigConfig, memory: SharedState) -> None:
-    sampling_clocks.publish(memory, Bench(two_cards, {"daq": FakeCard(), "other": ClockedCard(None, None)}))
-    assert sampling_clocks.clock_counters(memory, two_cards) == {}
-    assert sampling_clocks.descriptions(memory, two_cards) == []
+    bench = Bench(two_cards, {"daq": FakeCard(), "other": ClockedCard(None, None)})
+    memory.publish_clocks(bench.clocks)
+    assert memory.clock_counters(two_cards.cards) == {}
 
 
 def test_the_archive_keeps_the_clock_and_the_run_is_shown_with_it(tmp_path: Path) -> None:
