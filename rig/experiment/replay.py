@@ -58,7 +58,7 @@ def replay(
     if not config.cameras:
         expected = "a rig with a camera: this one has none to measure the tip in the run's pictures"
         raise bad_input("--rig", config.name, expected)
-    rows = np.array(list(_referred(run, _observed(run, config, chosen))))
+    rows = np.array(list(_observed(run, config, chosen)))
     now = datetime.now(UTC)
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -130,9 +130,9 @@ def _picture(run: Run, k: int) -> NDArray[np.uint8]:
 
 
 def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray[np.void]]:
-    """Yield the observations of the stored frames in order."""
+    """Yield the observations of the stored frames in order, with the reference of the tip that the run had."""
     observer = Observer(config, variant)
-    tip = run.tip
+    tip, reference = run.tip, run.reference
     clock = run.header.started_t_ns
     samples = blank(len(run.pressure.time_s), sample_rows(config))
     samples["t_ns"] = _nanoseconds(run.pressure.time_s, clock)
@@ -161,8 +161,14 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
         dropped = 0 if before is None else index - before - 1
         before = index
         weight_kg = float(tip.weight_g[row]) * 1e-3
-        yield observer.step(frame_set, samples[seen:until], float(tip.protocol_s[row]), dropped, weight_kg)
+        found = observer.step(frame_set, samples[seen:until], float(tip.protocol_s[row]), dropped, weight_kg)
         seen = until
+        if reference is not None:
+            found["reference_m"], found["predicted_m"] = (
+                values[row] * 1e-3 for values in (reference.reference_mm, reference.predicted_mm)
+            )
+            found["tip_motion"], found["tip_period"] = reference.motion[row], reference.period[row]
+        yield found
 
 
 def _auxiliary(run: Run, config: RigConfig) -> NDArray[np.float64]:
@@ -186,19 +192,6 @@ def _auxiliary(run: Run, config: RigConfig) -> NDArray[np.float64]:
         if run.auxiliary is not None and name in recorded:
             aux[:, k] = run.auxiliary.value[:, recorded.index(name)]
     return aux
-
-
-def _referred(run: Run, observed: Iterator[NDArray[np.void]]) -> Iterator[NDArray[np.void]]:
-    """Yield the observations with the reference of the tip that the run had."""
-    reference, row_of = run.reference, {int(frame): row for row, frame in enumerate(run.tip.frame)}
-    for row in observed:
-        if reference is not None:
-            k = row_of[int(row["frame"])]
-            row["reference_m"], row["predicted_m"] = (
-                values[k] * 1e-3 for values in (reference.reference_mm, reference.predicted_mm)
-            )
-            row["tip_motion"], row["tip_period"] = reference.motion[k], reference.period[k]
-        yield row
 
 
 def _cameras(run: Run, config: RigConfig) -> dict[str, int]:

@@ -8,7 +8,6 @@ import signal
 import threading
 import traceback
 import warnings
-from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -111,8 +110,7 @@ class FramePipeline:
         self.in_flight = 0
         """Frame sets whose results have not been returned."""
         self._unsent: list[FrameRequest] = []
-        self._received: deque[FrameResult | FrameProcessError] = deque()
-        self._batches: SimpleQueue[list[FrameResult | FrameProcessError] | None] = SimpleQueue()
+        self._received: SimpleQueue[FrameResult | FrameProcessError | None] = SimpleQueue()
         requests, self._requests = _wide_pipe()
         self._results, results = _wide_pipe()
 
@@ -161,14 +159,11 @@ class FramePipeline:
         Raises:
             FrameProcessError: the child has failed or ended; no frame set is in flight then.
         """
-        if not self._received and self.in_flight == len(self._unsent):
+        if self.in_flight == len(self._unsent):
             self._send()
-        if not self._received:
-            batch = self._batches.get()
-            if batch is None:
-                raise self._ended()
-            self._received.extend(batch)
-        result = self._received.popleft()
+        result = self._received.get()
+        if result is None:
+            raise self._ended()
         if isinstance(result, FrameProcessError):
             self.in_flight = 0
             raise result
@@ -184,11 +179,11 @@ class FramePipeline:
 
     def _read(self) -> None:
         """Receive batches of results; None says that no more will come."""
-        try:
+        with suppress(*_CLOSED):
             while True:
-                self._batches.put(self._results.recv())
-        except _CLOSED:
-            self._batches.put(None)
+                for result in self._results.recv():
+                    self._received.put(result)
+        self._received.put(None)
 
     def _ended(self) -> FrameProcessError:
         self.in_flight = 0
