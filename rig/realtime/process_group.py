@@ -25,10 +25,11 @@ LATE_NS = 200_000_000
 
 
 class ProcessFault(NamedTuple):
-    """A process with a fault, and the message."""
+    """A process with a fault, and the message; `died`: it has exited without one."""
 
     source: str
     message: str
+    died: bool = False
 
 
 class ProcessGroup:
@@ -71,10 +72,6 @@ class ProcessGroup:
         """True while a process is stopped by a signal or a debugger."""
         return name in self._monitors and self._monitors[name].stopped
 
-    def died(self, name: str) -> bool:
-        """True for a process that has exited without a message."""
-        return name in self._monitors and self._monitors[name].exited and self._memory.stage(name) <= Stage.RUNNING
-
     def silent(self, name: str, limit_ns: int) -> bool:
         """True if a process has exited or sent its last heartbeat more than `limit_ns` ago."""
         return self._monitors[name].exited or time.monotonic_ns() - self._memory.heartbeat_ns(name) > limit_ns
@@ -82,10 +79,6 @@ class ProcessGroup:
     def await_exit(self, name: str, timeout_s: float) -> bool:
         """Wait for the exit of a process; True once it has exited."""
         return ended_within(self._children[name], timeout_s)
-
-    def exit_status(self, name: str) -> str:
-        """Exit status of a process that has died, as a suffix of its message; empty if it is not known."""
-        return f" (exit status {self._children[name].returncode})" if self.await_exit(name, EXIT_STATUS_S) else ""
 
     def failure(self, names: Iterable[str] = (*PROCESSES, TIP_CONTROLLER)) -> ProcessFault | None:
         """The first of the started processes `names` that has failed or died; None if there is none."""
@@ -96,12 +89,14 @@ class ProcessGroup:
             if stage is Stage.FAILED:
                 return ProcessFault(name, self._memory.message(name))
             if exited and stage is not Stage.DONE:
-                return ProcessFault(name, f"the {name} process died")
+                return ProcessFault(name, f"the {name} process died", died=True)
         return None
 
     def explained(self, fault: ProcessFault) -> str:
-        """The message of a fault, with the exit status of a process that has died."""
-        return fault.message + (self.exit_status(fault.source) if self.died(fault.source) else "")
+        """The message of a fault, with the exit status of a process that has died if it is known."""
+        if fault.died and self.await_exit(fault.source, EXIT_STATUS_S):
+            return f"{fault.message} (exit status {self._children[fault.source].returncode})"
+        return fault.message
 
     def fault(self, timing: TimingLimits) -> ProcessFault | None:
         """A process of a running experiment that has failed, died or been silent for too long, else None."""
@@ -129,16 +124,13 @@ class ProcessGroup:
                 return ProcessFault("simulator", f"the simulator has stalled for {late_ns * 1e-9:.1f} s")
         return None
 
-    def completed(self, fault: ProcessFault, timing: TimingLimits, *, died: bool) -> ProcessFault:
-        """The fault with what is known once the valves are safe: exit status, or the reason of the watchdog.
-
-        `died` says whether the process had `died` when the fault was found; a process killed since has no status.
-        """
+    def completed(self, fault: ProcessFault, timing: TimingLimits) -> ProcessFault:
+        """The fault with what is known once the valves are safe: exit status, or the reason of the watchdog."""
         if self._memory.watchdog_trip_ns:
             # The reason of the watchdog comes first: other faults may follow from it. It is published at its end.
             self.await_exit("watchdog", timing.ending_s)
             return ProcessFault("watchdog", self._memory.message("watchdog") or fault.message)
-        return fault._replace(message=fault.message + (self.exit_status(fault.source) if died else ""))
+        return fault._replace(message=self.explained(fault))
 
     def end(self, timeout_s: float) -> set[str]:
         """Wait until every process has exited, the watchdog last; kill those that do not. Returns the killed ones.

@@ -141,12 +141,10 @@ class Supervisor:
                 self._event(Level.FAULT, "supervisor", STOP_MESSAGES[stop])
                 return Status.ABORTED, STOP_MESSAGES[stop]
             if fault := self.processes.fault(self.timing):
-                # Evaluated before a silent process is killed: its exit status would not show the cause.
-                died = self.processes.died(fault.source)
                 # First of all, because the exit of a process may take long.
                 self.shutdown.make_safe(self.timing)
-                fault = self.processes.completed(fault, self.timing, died=died)
-                self._event(Level.FAULT, *fault)
+                fault = self.processes.completed(fault, self.timing)
+                self._event(Level.FAULT, fault.source, fault.message)
                 return Status.ABORTED, fault.message
             if failure := self.record.failure:
                 return Status.ABORTED, failure

@@ -244,8 +244,8 @@ def test_the_exit_status_of_a_process_killed_for_silence_is_not_reported(
     parent: supervisor.Supervisor, died: bool, said: str
 ) -> None:
     child(parent.processes, "control", SLEEPS).kill()
-    fault = parent.processes.completed(ProcessFault("control", "a fault"), parent.timing, died=died)
-    assert fault == ("control", f"a fault{said}")
+    fault = parent.processes.completed(ProcessFault("control", "a fault", died), parent.timing)
+    assert fault == ("control", f"a fault{said}", died)
     assert parent.end() == ""
 
 
