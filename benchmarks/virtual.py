@@ -100,6 +100,7 @@ def parts(protocol: str) -> None:
     from rig.observation.camera_estimator import CameraTipEstimator
     from rig.observation.live_model import LiveModel
     from rig.observation.observer import Observer
+    from rig.realtime.data_recorder import DataRecorder
     from rig.simulator.mock_camera import MockCamera
     from rig.simulator.plant import Plant
     from rig.virtual import executor
@@ -118,7 +119,7 @@ def parts(protocol: str) -> None:
     watch.around(CameraTipEstimator, "measure", "vision")
     watch.around(LiveModel, "step", "model")
     watch.around(picture_recorder.PictureRecorder, "pictures", "pictures stored")
-    watch.around(executor._VirtualRun, "_flush", "recording")
+    watch.around(DataRecorder, "drain", "recording")
     watch.around(writer, "finalise", "archive")
     watch.around(report_process, "write_here", "report")
     with tempfile.TemporaryDirectory() as folder:

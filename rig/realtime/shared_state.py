@@ -148,8 +148,9 @@ class SharedState:
             (pulse_dtype(), PULSES),
             (_EVENT, EVENTS),
         )
-        # A slot holds the largest picture of a camera, with its marks.
-        slot = max((c.width_px * c.height_px for c in config.cameras.values()), default=0) * 3 + 4096
+        # A slot holds the largest picture of a camera, with its marks. One process alone passes none on.
+        cameras = config.cameras.values() if fd >= 0 else ()
+        slot = max((c.width_px * c.height_px for c in cameras), default=0) * 3 + 4096
         sizes = (
             -(-_FLAGS.itemsize // 64) * 64,
             PictureRing.row_bytes(),
