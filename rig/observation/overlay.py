@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 import model
@@ -55,13 +53,8 @@ def backbone(shape: model.Shape | None) -> Array:
     """Return the arm's centre line (BACKBONE_POINTS, 3) [m], evenly spaced in rest length; NaN without a shape."""
     if shape is None:
         return np.full((BACKBONE_POINTS, 3), np.nan)
-    at = _evenly(float(shape.s_m[0]), float(shape.s_m[-1]))
+    at = np.linspace(float(shape.s_m[0]), float(shape.s_m[-1]), BACKBONE_POINTS)
     line = np.empty((BACKBONE_POINTS, 3))
     for axis in range(3):
         line[:, axis] = np.interp(at, shape.s_m, shape.p_m[:, axis])
     return line
-
-
-@lru_cache(maxsize=8)
-def _evenly(first_m: float, last_m: float) -> Array:
-    return np.linspace(first_m, last_m, BACKBONE_POINTS)

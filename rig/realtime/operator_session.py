@@ -24,7 +24,7 @@ class OperatorSession:
     ) -> None:
         """`event` records an event; it is called only after the run has begun."""
         self._plan, self._memory, self._operator, self._event = plan, memory, operator, event
-        self._stream = StreamReceiver(plan, memory, event)
+        self.stream = StreamReceiver(plan, memory, event)
         self._socket: ControlSocket | None = None
         self._shown = 0.0
         self._shown_prompt = -1
@@ -34,15 +34,10 @@ class OperatorSession:
     def open(self) -> str:
         """Open the control socket; return why pages cannot attach, else empty."""
         try:
-            self._socket = ControlSocket(self._plan, self._memory, self._stream)
+            self._socket = ControlSocket(self._plan, self._memory, self.stream)
         except OSError as error:
             return f"no page can watch this run: {error}"
         return ""
-
-    @property
-    def stream_counts(self) -> dict[str, int]:
-        """Lost and refused set-points of other programs; empty for a protocol without a step `stream`."""
-        return self._stream.counts if self._plan.trajectory.streams else {}
 
     def close(self) -> None:
         if self._socket is not None:
@@ -77,7 +72,7 @@ class OperatorSession:
         elif waiting >= 0 and self._memory.prompts_answered <= waiting and self._operator.answered():
             self._command_of_terminal(CommandKind.ANSWER)
         if self._socket is not None:
-            self._stream.update(str(self._socket.path))
+            self.stream.update(str(self._socket.path))
         if new_prompt or now - self._shown > SHOW_S:
             self._shown = now
             self._operator.show(record.progress())

@@ -23,12 +23,8 @@ class Shutdown:
     def __init__(self, config: RigConfig, memory: SharedState, processes: ProcessGroup) -> None:
         self._config, self._memory, self._processes = config, memory, processes
         self._verified = False
-        self._written_message = ""
-
-    @property
-    def written_message(self) -> str:
+        self.written_message = ""
         """Why the supervisor has written the safe state itself, or has failed to; empty if it did not have to."""
-        return self._written_message
 
     @property
     def pending(self) -> bool:
@@ -41,19 +37,19 @@ class Shutdown:
         memory = self._memory
         memory.request_stop(Stop.SAFE)
         deadline = time.monotonic() + timing.ending_s
-        while (time.monotonic() < deadline or self._verifying(timing)) and not self._written_message:
+        while (time.monotonic() < deadline or self._verifying(timing)) and not self.written_message:
             memory.heartbeat("supervisor", time.monotonic_ns())
             if memory.stage("control") in (Stage.DONE, Stage.FAILED) or memory.watchdog_trip_ns:
                 return
             if all(self._processes.silent(name, timing.failsafe_silent_ns) for name in ("control", "watchdog")):
                 break
             time.sleep(POLL_S)
-        if self._written_message or memory.safe_ns:
+        if self.written_message or memory.safe_ns:
             return
         failure = force_safe_state(self._config, memory)
-        self._written_message = "neither control nor the watchdog acts: the supervisor has written the safe state"
+        self.written_message = "neither control nor the watchdog acts: the supervisor has written the safe state"
         if failure:
-            self._written_message = f"neither control nor the watchdog acts, and the supervisor failed: {failure}"
+            self.written_message = f"neither control nor the watchdog acts, and the supervisor failed: {failure}"
 
     def verify(self, timing: TimingLimits) -> str:
         """Why the valves are not safe; empty if a process has written the safe state and it reads back."""
@@ -70,25 +66,25 @@ class Shutdown:
                 return ""
             if failure := force_safe_state(self._config, self._memory):
                 return f"{UNSAFE}: {off}, though it had been made safe; {failure}"
-            self._written_message = (
+            self.written_message = (
                 f"{off}, though it had been made safe: the supervisor has written the safe state once more"
             )
             return ""
-        if not self._written_message and not force_safe_state(self._config, self._memory):
-            self._written_message = (
+        if not self.written_message and not force_safe_state(self._config, self._memory):
+            self.written_message = (
                 "neither control nor the watchdog could write the safe state: the supervisor has written it"
             )
             return ""
         for name in ("watchdog", "control"):
             if UNSAFE in (message := self._memory.message(name)):
                 return message
-        why = self._written_message or "neither control nor the watchdog has reported that it was"
+        why = self.written_message or "neither control nor the watchdog has reported that it was"
         return f"{UNSAFE}: {why}"
 
     def confirm(self, timing: TimingLimits) -> VentOutcome:
         """Whether the pressures confirm the safe state: by the readings of control, else by this process's own."""
         memory = self._memory
-        if memory.confirmation and not (memory.watchdog_trip_ns or self._written_message):
+        if memory.confirmation and not (memory.watchdog_trip_ns or self.written_message):
             return VentOutcome(True, memory.confirmation)
         # A card that admits one process at a time, or one command, is free once these have exited.
         for name in ("control", "watchdog"):

@@ -76,7 +76,9 @@ class StreamReceiver:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Set-points of the run that were lost on the way, and refused ones."""
+        """Lost and refused set-points of the run; empty for a protocol without a step `stream`."""
+        if not self._plan.trajectory.streams:
+            return {}
         return {"lost_setpoints": min(self._lost, MOST_COUNTED), "refused_setpoints": self._refused}
 
     def update(self, place: str) -> None:

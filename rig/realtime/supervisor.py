@@ -274,7 +274,7 @@ class Supervisor:
             status, message = _aborted(message, self.record.failure)
         counters = {
             **self.record.counters(),
-            **self._session.stream_counts,
+            **self._session.stream.counts,
             "stolen_cpu_ms": stolen,
             **memory.clock_counters(self._plan.config.cards),
         }

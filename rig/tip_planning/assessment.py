@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.identify.memory_parameters import ALL_NAMES
-from calibration.identify.parameter import Parameter
 from calibration.identify.parameters import groups, known
 from calibration.identify.setup import Setup
 from model import batch, sensitivities
@@ -104,7 +103,7 @@ def _propagated(
         # At rest nothing is remembered.
         if name.startswith(NOT_OF_THE_ARM) or name in ALL_NAMES:
             continue
-        std = stated.get(name, _usual(parameter, start))
+        std = stated.get(name, parameter.uncertainty(parameter.read(start)))
         changed = parameter.write(start, parameter.read(start) + std)
         tips = batch.statics(changed.turned_arm, changed.pressure_pa(pressure)).tip_m
         shift = np.nan_to_num(tips - reference)[:, axes]
@@ -118,7 +117,3 @@ def _by_parameter(config: RigConfig, actuators: int) -> dict[str, float]:
     several = groups(actuators)
     stated = config.uncertainties.stated()
     return {one: std for name, std in stated.items() for one in several.get(name, (name,))}
-
-
-def _usual(parameter: Parameter, setup: Setup) -> float:
-    return parameter.uncertainty(parameter.read(setup))
