@@ -21,9 +21,7 @@ VIEWS = 4
 LINE_POINTS = 16
 """Points of a line of the overlay: the axis of the arm or of an actuator."""
 
-_PICTURE = np.dtype(
-    [("t_ns", "<i8"), ("frame", "<i8"), ("camera", "<i8"), ("slot", "<i8"), ("size", "<i8"), ("marks", "<i8")]
-)
+_PICTURE = np.dtype([("t_ns", "<i8"), ("frame", "<i8"), ("camera", "<i8"), ("size", "<i8"), ("marks", "<i8")])
 
 
 def view_dtype(config: RigConfig) -> np.dtype[np.void]:
@@ -68,10 +66,9 @@ class PictureRing:
         size = len(picture.data)
         if size + len(marks) > self._slot_bytes:
             return False
-        slot = self._rows.written % PICTURES
-        start = slot * self._slot_bytes
+        start = self._rows.written % PICTURES * self._slot_bytes
         self._slots[start : start + size + len(marks)] = b"".join((picture.data, marks))
-        self._rows.push(np.array((picture.t_ns, picture.frame, camera, slot, size, len(marks)), _PICTURE))
+        self._rows.push(np.array((picture.t_ns, picture.frame, camera, size, len(marks)), _PICTURE))
         return True
 
     def read(self, cameras: Sequence[str], encoding: str) -> list[Picture]:
@@ -79,16 +76,16 @@ class PictureRing:
         pictures = []
         rows = self._rows.read()
         for number, row in enumerate(rows, self._rows.taken - len(rows)):
-            start = int(row["slot"]) * self._slot_bytes
-            end = start + int(row["size"])
-            data, seen = bytes(self._slots[start:end]), bytes(self._slots[end : end + int(row["marks"])])
+            t_ns, frame, camera, size, marks_size = row.tolist()
+            start = number % PICTURES * self._slot_bytes
+            end = start + size
+            data, seen = bytes(self._slots[start:end]), bytes(self._slots[end : end + marks_size])
             # After a stall of this reader the writer may have overwritten the slot while it was copied.
             if self._rows.written - number >= PICTURES:
                 self._rows.lost += 1
                 continue
             _, _, marks = marks_from_bytes(seen)
-            camera = cameras[int(row["camera"])]
-            pictures.append(Picture(int(row["t_ns"]), int(row["frame"]), camera, encoding, data, marks))
+            pictures.append(Picture(t_ns, frame, cameras[camera], encoding, data, marks))
         return pictures
 
     @property
