@@ -26,8 +26,8 @@ from runs.journal.journal import JournalWriter
 from runs.records import (
     BACKBONE_POINTS,
     ImageAnnotations,
-    Interval,
     Picture,
+    PlayedSegment,
     RunFooter,
     RunHeader,
     Status,
@@ -43,7 +43,7 @@ CAMERA_HZ = 30
 def header(options: argparse.Namespace) -> RunHeader:
     """A run of steps of 4 s."""
     intervals = tuple(
-        Interval(float(t), t + 4.0, "dwell", f"{t} s", (1e4 + 10.0 * t,) * options.channels)
+        PlayedSegment(float(t), t + 4.0, "dwell", f"{t} s", (1e4 + 10.0 * t,) * options.channels)
         for t in range(0, options.seconds, 4)
     )
     return RunHeader(

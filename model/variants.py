@@ -7,16 +7,16 @@ from dataclasses import dataclass, field
 
 from model.laws.base import ConstitutiveLaw, TubeLaw
 from model.laws.constant_modulus import ConstantModulus
-from model.laws.quadratic_compliance import FrozenCompliance, QuadraticCompliance
+from model.laws.quadratic_compliance import QuadraticCompliance, UniformCompliance
 
 POINTWISE = "pointwise"
 DEFAULT_TUBE_LAW: TubeLaw = QuadraticCompliance()
 """The tube law of the kernels for an arm whose tubes follow none."""
 _FROZEN = (
-    FrozenCompliance("secant", tangent=False, passive_share=False),
-    FrozenCompliance("tangent", tangent=True, passive_share=False),
-    FrozenCompliance("paper-secant", tangent=False, passive_share=True),
-    FrozenCompliance("paper-tangent", tangent=True, passive_share=True),
+    UniformCompliance("secant", tangent=False, passive_share=False),
+    UniformCompliance("tangent", tangent=True, passive_share=False),
+    UniformCompliance("paper-secant", tangent=False, passive_share=True),
+    UniformCompliance("paper-tangent", tangent=True, passive_share=True),
 )
 MODULUS_RULES = (POINTWISE, *(law.name for law in _FROZEN))
 

@@ -94,7 +94,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Interval:
+class PlayedSegment:
     """One segment of the protocol as it was played, in protocol time."""
 
     start_s: float
@@ -213,7 +213,7 @@ class RunHeader:
     versions: dict[str, str] = field(default_factory=dict)
     git_commit: str = ""
     git_diff: str = ""
-    intervals: tuple[Interval, ...] = ()
+    intervals: tuple[PlayedSegment, ...] = ()
     quantities: tuple[Quantity, ...] = ()
     parent: str = ""
     """Run id of the replayed run; empty if this is not a replay."""

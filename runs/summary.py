@@ -19,7 +19,7 @@ from runs.arrays import Array
 from runs.columns import Tip
 from runs.columns.conversions import PA_PER_BAR
 from runs.periodic_motion import PeriodicMotion, periodic_motions
-from runs.records import DetectionStatus, Interval, Level, Status
+from runs.records import DetectionStatus, Level, PlayedSegment, Status
 from runs.tip_error import TipErrorSummary, tip_error
 from runs.tip_plans import TipPlans, tip_plans
 
@@ -269,7 +269,7 @@ def _steps(run: ArchiveReader, measured: NDArray[np.bool_], plane: Array | None)
 
 
 def _step(
-    run: ArchiveReader, interval: Interval, measured: NDArray[np.bool_], plane: Array | None, rest: Array
+    run: ArchiveReader, interval: PlayedSegment, measured: NDArray[np.bool_], plane: Array | None, rest: Array
 ) -> StepSummary:
     tip, pressure = run.tip, run.pressure
     settled_from = interval.stop_s - SETTLED_PART * (interval.stop_s - interval.start_s)

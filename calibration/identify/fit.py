@@ -23,7 +23,7 @@ from calibration.identify.solution import Solution
 from calibration.identify.undetermined import (
     PRIOR_SPANS,
     UNDETERMINED_SPANS,
-    Held,
+    HeldUnknown,
     determined_fit,
     open_directions,
     partners_of,
@@ -131,7 +131,7 @@ def _estimates(
     problem: LeastSquaresProblem,
     solution: Solution,
     joint: Solution,
-    fixed: Mapping[int, Held],
+    fixed: Mapping[int, HeldUnknown],
     nuisances: Collection[str],
     wide: Array,
 ) -> tuple[tuple[Estimate, ...], Array]:

@@ -47,7 +47,7 @@ def memory_groups() -> dict[str, tuple[str, ...]]:
 
 
 @dataclass(frozen=True)
-class MemoryNumber:
+class MemoryParameter:
     """One number of these: as a `Parameter`, of an arm alone. scale: it is a time or a width, not a share."""
 
     name: str
@@ -68,7 +68,7 @@ class MemoryNumber:
         return SCALE_SHARE * self.span(x) if self.scale else SHARE
 
 
-def memory_numbers() -> tuple[MemoryNumber, ...]:
+def memory_numbers() -> tuple[MemoryParameter, ...]:
     """All that an arm may have of these."""
     out = []
     for k in range(MOST_BRANCHES):
@@ -124,8 +124,8 @@ def _number(
     attribute: str,
     lower: float = 0.0,
     upper: float = 1.0,
-) -> MemoryNumber:
-    return MemoryNumber(
+) -> MemoryParameter:
+    return MemoryParameter(
         name, unit, about, unit != "1", lower, upper,
         lambda arm: elements.read(arm, k, attribute), lambda arm, x: elements.write(arm, k, attribute, x),
     )  # fmt: skip

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
-from calibration.identify.memory_parameters import MemoryNumber, memory_groups, memory_numbers
+from calibration.identify.memory_parameters import MemoryParameter, memory_groups, memory_numbers
 from calibration.identify.parameter import MOUNTING_M, MOUNTING_RAD, Parameter, constant
 from calibration.identify.section_mounts import mount_parameter
 from calibration.identify.setup import Setup
@@ -229,7 +229,7 @@ def _grown(setup: Setup, x: float) -> Setup:
     return replace(setup, arm=replace(setup.arm, actuation=replace(law, growth_per_bar=x))) if law.grows else setup
 
 
-def _remembered(number: MemoryNumber) -> Parameter:
+def _remembered(number: MemoryParameter) -> Parameter:
     return Parameter(
         number.name, number.unit, number.about, lambda s: number.read(s.arm),
         lambda s, x: replace(s, arm=number.write(s.arm, x)), number.span, number.uncertainty, number.lower,

@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.mounted_change import MountedChange, PoseDerivatives, rotation_between
 from calibration.identify.pose_solutions import (
     Solved,
     dynamic_sensitivities,
@@ -31,6 +30,7 @@ from calibration.identify.pressure_response import (
 )
 from calibration.identify.pressure_samples import PressureSamples
 from calibration.identify.setup import Setup
+from calibration.identify.setup_changes import PoseDerivatives, SetupChanges, rotation_between
 from model import sensitivities
 from model.arrays import Array
 from model.variation import Variation
@@ -179,9 +179,9 @@ class Predictor:
             )
             for k in new
         ]
-        return self._slopes(changes, MountedChange(setup, perturbed, steps, new))
+        return self._slopes(changes, SetupChanges(setup, perturbed, steps, new))
 
-    def _slopes(self, changes: Sequence[Variation], changed: MountedChange) -> Array:
+    def _slopes(self, changes: Sequence[Variation], changed: SetupChanges) -> Array:
         """Derivatives (K, D, P) of predictions by changes of a setup, of which `changes` are those of its arm."""
         poses, setup = self.poses, changed.setup
         rows, wrench = self._pressure(setup), tip_wrench(setup, poses, self.substeps if poses.moving else 1)
@@ -209,7 +209,7 @@ class Predictor:
         arm = setup.turned_arm
         changes = [Variation(step, arm, Predictor(one, self.substeps)._pressure(setup)) for one in pressed]
         count = len(pressed)
-        return self._slopes(changes, MountedChange(setup, [setup] * count, [step] * count, range(count)))
+        return self._slopes(changes, SetupChanges(setup, [setup] * count, [step] * count, range(count)))
 
     def slopes_by_load(self, setup: Setup) -> Array:
         """Derivatives (K, D) of predictions by a relative change of the load; zero without a load."""

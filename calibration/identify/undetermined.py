@@ -47,7 +47,7 @@ class JointPosterior:
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldUnknown:
     """Why an unknown is held, and the information on it, in spans, if the model error obscures it; else None."""
 
     verdict: Verdict
@@ -59,7 +59,7 @@ class DeterminedFit:
     """The fit of what the data determine, the unknowns that are held, by number, and the posterior."""
 
     solution: Solution
-    held: Mapping[int, Held]
+    held: Mapping[int, HeldUnknown]
     posterior: JointPosterior
 
 
@@ -79,13 +79,13 @@ def determined_fit(
     from their start, if the model error leaves them open: fine data determine such a value although it is an error of
     the model that moved it.
     """
-    solution, held = joint, dict[int, Held]()
+    solution, held = joint, dict[int, HeldUnknown]()
     free = [i for i, unknown in enumerate(problem.unknowns) if unknown.parameter.name not in nuisances]
     beside = [i for i in range(len(problem.unknowns)) if i not in free]
     while True:
         left = [i for i in free if hold and i not in held]
         by_data = _worst_first(scaled_information(solution.information, solution.z), left, beside)
-        more = {i: Held(_verdict(one.alone)) for i, one in by_data.items()}
+        more = {i: HeldUnknown(_verdict(one.alone)) for i, one in by_data.items()}
         if not more:
             progress("posterior of the parameters and of the effects that the model lacks")
             posterior = _posterior(problem, solution, held, with_model_error)
@@ -106,7 +106,7 @@ def _obscured(
     held: Collection[int],
     error: ModelErrorPosterior,
     left: Sequence[int],
-) -> dict[int, Held]:
+) -> dict[int, HeldUnknown]:
     """Those of the unknowns `left` that are far from their start, and open if the effects are fitted, too.
 
     The linearised model cannot tell: where the fit has taken up an effect, it no longer shows how they exchange. The
@@ -125,11 +125,11 @@ def _obscured(
     undetermined = _worst_first(scaled_information(information, z), far, others)
     if undetermined:
         factors = span_factors(z)
-        return {i: Held(Verdict.OBSCURED, 1 / (one.std * factors[i]) ** 2) for i, one in undetermined.items()}
+        return {i: HeldUnknown(Verdict.OBSCURED, 1 / (one.std * factors[i]) ** 2) for i, one in undetermined.items()}
     ratios = {i: _likelihood_ratio(effects, found, i, held) for i in far}
     least = min(ratios, key=ratios.__getitem__)
     # The curvature is no measure of what such data say, so they are taken to say nothing.
-    return {least: Held(Verdict.OBSCURED, 0.0)} if ratios[least] < _EXCLUDED else {}
+    return {least: HeldUnknown(Verdict.OBSCURED, 0.0)} if ratios[least] < _EXCLUDED else {}
 
 
 def _far(problem: LeastSquaresProblem, i: int, z: float) -> bool:
@@ -151,7 +151,7 @@ def _likelihood_ratio(effects: EffectsProblem, found: Solution, i: int, held: Co
 
 
 def _posterior(
-    problem: LeastSquaresProblem, solution: Solution, held: Mapping[int, Held], with_model_error: bool
+    problem: LeastSquaresProblem, solution: Solution, held: Mapping[int, HeldUnknown], with_model_error: bool
 ) -> JointPosterior:
     assumed, alone = _joint_covariance(problem, solution, held)
     return JointPosterior(alone, model_error_posterior(problem, solution, assumed) if with_model_error else None)
@@ -224,7 +224,7 @@ def standard_deviations(information: Array) -> Array:
 
 
 def _joint_covariance(
-    problem: LeastSquaresProblem, solution: Solution, held: Mapping[int, Held]
+    problem: LeastSquaresProblem, solution: Solution, held: Mapping[int, HeldUnknown]
 ) -> tuple[Array, Array]:
     """Information (n,) that is assumed of the held unknowns, and the covariance (n, n) of all with it, in spans.
 

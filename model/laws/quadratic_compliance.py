@@ -55,7 +55,7 @@ class QuadraticCompliance(TubeLaw):
 
 
 @dataclass(frozen=True)
-class FrozenCompliance(ConstitutiveLaw):
+class UniformCompliance(ConstitutiveLaw):
     """The modulus of each tube is that of eq 32 at the wall force n of eq 33, the same along the rod.
 
     n is the push of the tube's own pressure; with `passive_share`, passive tubes take the paper's n, an even share of

@@ -18,7 +18,7 @@ from rig.control.control_loop import ValveOutputs
 from rig.control.interlocks import evaluation
 from rig.control.interlocks.base import Sample, Trip
 from rig.control.sensor_state import RegulatorDemand, SensorState
-from rig.control.step import StallExcuse
+from rig.control.step import StallAllowance
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import CardError
 from rig.valves.metering import MeteringRegulator
@@ -76,7 +76,7 @@ class BenchDriver:
         self._pressure_pa = np.full(config.actuators, np.nan)
         self._longest_stop_ns = longest_stop_ns
         self._scan_interval_s = 1.0 / min(card.sampling_hz for card in config.cards.values())
-        self._excuse = StallExcuse()
+        self._excuse = StallAllowance()
         self._late_ns, self._passed_s = 0, self._period_s
         self._scan_t_ns = 0
         self._stops_closed = (True,) * len(config.emergency_stops)

@@ -160,9 +160,9 @@ def _pictures_and_instructions(
 ) -> Iterator[tuple[Callable[[float], Image], Callable[[str], None]]]:
     """Yield how to take a picture with the cap at an angle [deg], and how to ask for an action."""
     if config.cameras[name].is_mock:
-        from rig.simulator.simulated_operator import CapTurner
+        from rig.simulator.simulated_operator import RotatedCapCamera
 
-        yield CapTurner(config, name, seed).picture, lambda text: operator.tell(f"(simulated hands) {text}")
+        yield RotatedCapCamera(config, name, seed).picture, lambda text: operator.tell(f"(simulated hands) {text}")
         return
     camera = open_camera(config.free_running, name)
     try:

@@ -35,7 +35,7 @@ YamlPath = tuple[str | int, ...]
 File = TypeVar("File", bound=CalibrationFile)
 
 
-class Subject(NamedTuple):
+class CalibratedPart(NamedTuple):
     """One part of a rig that a file calibrates: its path in the file's YAML, a unique key, a description."""
 
     path: YamlPath
@@ -51,7 +51,7 @@ class CalibrationOverlay(ABC, Generic[File]):
         self.found = found
 
     @abstractmethod
-    def subjects(self) -> Iterator[Subject]:
+    def subjects(self) -> Iterator[CalibratedPart]:
         """Yield what the file calibrates."""
 
     @abstractmethod
@@ -75,9 +75,9 @@ class CalibrationOverlay(ABC, Generic[File]):
 class LensOverlay(CalibrationOverlay[CameraFile]):
     """The lens of a camera."""
 
-    def subjects(self) -> Iterator[Subject]:
+    def subjects(self) -> Iterator[CalibratedPart]:
         name = self.found.camera.name
-        yield Subject(("camera", "name"), ("lens", name), f"the lens of camera '{name}'")
+        yield CalibratedPart(("camera", "name"), ("lens", name), f"the lens of camera '{name}'")
 
     def apply(self, data: dict[str, Any], config: RigConfig) -> None:
         data["cameras"][self.found.camera.name]["lens"] = self.found.lens.model_dump(mode="json")
@@ -92,10 +92,10 @@ class LensOverlay(CalibrationOverlay[CameraFile]):
 class PlacementOverlay(CalibrationOverlay[DLTFile]):
     """The places of cameras."""
 
-    def subjects(self) -> Iterator[Subject]:
+    def subjects(self) -> Iterator[CalibratedPart]:
         for i, item in enumerate(self.found.cameras):
             name = item.camera.name
-            yield Subject(("cameras", i, "camera", "name"), ("place", name), f"the place of camera '{name}'")
+            yield CalibratedPart(("cameras", i, "camera", "name"), ("place", name), f"the place of camera '{name}'")
 
     def apply(self, data: dict[str, Any], config: RigConfig) -> None:
         for camera in self.found.cameras:
@@ -126,8 +126,8 @@ class PlacementOverlay(CalibrationOverlay[DLTFile]):
 class BoardOverlay(CalibrationOverlay[ToolFile]):
     """The board on the tip."""
 
-    def subjects(self) -> Iterator[Subject]:
-        yield Subject(("kind",), ("tool", ""), "the board on the tip")
+    def subjects(self) -> Iterator[CalibratedPart]:
+        yield CalibratedPart(("kind",), ("tool", ""), "the board on the tip")
 
     def apply(self, data: dict[str, Any], config: RigConfig) -> None:
         data["board"]["placement"] = self.found.placement.model_dump(mode="json")
@@ -156,12 +156,12 @@ class BoardOverlay(CalibrationOverlay[ToolFile]):
 class PressureOverlay(CalibrationOverlay[PressureFile]):
     """The scales of pressure sensors, and the flow curves of valves."""
 
-    def subjects(self) -> Iterator[Subject]:
+    def subjects(self) -> Iterator[CalibratedPart]:
         for i, scale in enumerate(self.found.sensors):
             description = f"the sensor of actuator {scale.actuator}"
-            yield Subject(("sensors", i, "actuator"), ("sensor", scale.actuator), description)
+            yield CalibratedPart(("sensors", i, "actuator"), ("sensor", scale.actuator), description)
         for i, sweep in enumerate(self.found.valves):
-            yield Subject(("valves", i, "valve"), ("valve", sweep.valve), f"valve {sweep.valve}")
+            yield CalibratedPart(("valves", i, "valve"), ("valve", sweep.valve), f"valve {sweep.valve}")
 
     def apply(self, data: dict[str, Any], config: RigConfig) -> None:
         for scale in self.found.sensors:
@@ -215,8 +215,8 @@ class PressureOverlay(CalibrationOverlay[PressureFile]):
 class GravityOverlay(CalibrationOverlay[GravityFile]):
     """The direction of gravity."""
 
-    def subjects(self) -> Iterator[Subject]:
-        yield Subject(("direction",), ("gravity", ""), "the direction of gravity")
+    def subjects(self) -> Iterator[CalibratedPart]:
+        yield CalibratedPart(("direction",), ("gravity", ""), "the direction of gravity")
 
     def apply(self, data: dict[str, Any], config: RigConfig) -> None:
         data["arm"]["gravity_direction"] = list(self.found.direction)

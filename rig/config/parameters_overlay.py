@@ -24,7 +24,7 @@ _SAME = 1e-6
 """Relative tolerance for equal lengths and angles."""
 
 
-class Origin(Section):
+class InitialArm(Section):
     """The model variant and the arm's geometry before identification."""
 
     variant: Variant
@@ -67,7 +67,7 @@ class ParametersFile(Section):
     """
 
     softrig_parameters: Literal[2] = Field(description="version of this format")
-    identified: Origin
+    identified: InitialArm
     arm: IdentifiedArm
     mounting: MountingSection
     sensing: Sensing

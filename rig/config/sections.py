@@ -258,7 +258,7 @@ def _actuation_law(name: str) -> str:
     return name
 
 
-class StopConfig(Section):
+class StopElementConfig(Section):
     """A stop element of every actuator: a spring in series with a slider."""
 
     weight: NonNegative = Field(le=1, description="share of the pressure that the spring takes")
@@ -272,7 +272,7 @@ class ActuationConfig(Section):
         Proportional.name
     )
     growth_per_bar: Number = Field(default=0.0, ge=-0.5, le=5, description="k, relative growth of the push per bar")
-    stops: Annotated[tuple[StopConfig, ...], Field(max_length=MOST_STOPS)] = Field(
+    stops: Annotated[tuple[StopElementConfig, ...], Field(max_length=MOST_STOPS)] = Field(
         default=(), description="Prandtl-Ishlinskii elements of the hysteresis"
     )
 

@@ -70,7 +70,7 @@ class ControlLoop:
         """Lines between computer and cards that were damaged."""
         self._has_voltage = np.array([valve.output_unit == "V" for valve in config.valves])
         self._scan_t_ns = 0
-        self._excuse = control.StallExcuse()
+        self._excuse = control.StallAllowance()
         self._pressure_pa: NDArray[np.float64] = np.full(config.actuators, np.nan)
         self._signals: NDArray[np.float64] = np.full(config.actuators, np.nan)
 

@@ -68,7 +68,7 @@ class ControlOutput(NamedTuple):
     trip: Trip | None
 
 
-class StallExcuse:
+class StallAllowance:
     """Remembers the last stall of a control loop, whose duration does not count against the bench for a while."""
 
     def __init__(self) -> None:

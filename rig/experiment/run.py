@@ -34,8 +34,8 @@ from runs.data_folder import free_id
 from runs.journal.append_only_file import JournalError, JournalExistsError
 from runs.records import (
     Event,
-    Interval,
     Level,
+    PlayedSegment,
     Quantity,
     RecordedFile,
     RunFooter,
@@ -375,7 +375,8 @@ def _id_ending(request: RunRequest) -> str:
     return f"{place.study}-{place.number:03d}{role}"
 
 
-def _intervals(trajectory: SetPointTrajectory) -> tuple[Interval, ...]:
+def _intervals(trajectory: SetPointTrajectory) -> tuple[PlayedSegment, ...]:
     return tuple(
-        Interval(s.start_s, s.stop_s, s.kind, s.label, tuple(float(p) for p in s.level_pa)) for s in trajectory.segments
+        PlayedSegment(s.start_s, s.stop_s, s.kind, s.label, tuple(float(p) for p in s.level_pa))
+        for s in trajectory.segments
     )

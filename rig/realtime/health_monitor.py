@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.realtime.repeated_warnings import SHARE_TIME_CONSTANT_S, Condition, Losses, RepeatedWarning, warning_event
+from rig.realtime.repeated_warnings import SHARE_TIME_CONSTANT_S, Condition, LossWarning, RepeatedWarning, warning_event
 from runs.records import DATAGRAM_COUNTS, DetectionStatus, Event, SolveStatus
 
 LATE_S = 0.25
@@ -76,8 +76,8 @@ class HealthMonitor:
         self._repeated.append(warning := RepeatedWarning(source, self._start_ns))
         return warning
 
-    def _losses(self, words: str, source: str = "card") -> Losses:
-        self._repeated.append(losses := Losses(source, words, self._start_ns))
+    def _losses(self, words: str, source: str = "card") -> LossWarning:
+        self._repeated.append(losses := LossWarning(source, words, self._start_ns))
         return losses
 
     def samples(self, rows: NDArray[np.void]) -> Iterator[Event]:

@@ -14,7 +14,7 @@ from rig.realtime.child_process import ChildJob, ProcessMonitor, ended_within, s
 from rig.realtime.scheduling import HeartbeatMonitor, set_niceness
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage
 from rig.realtime.timing_limits import TimingLimits
-from rig.simulator.plant_launcher import Simulation
+from rig.simulator.plant_launcher import PlantProcess
 
 PROCESSES = ("watchdog", "control", "observer")
 """The processes without which a run ends, in the order of their start."""
@@ -35,7 +35,7 @@ class ProcessFault(NamedTuple):
 class ProcessGroup:
     """The processes of one run; a tip controller and a simulated plant if it has them."""
 
-    def __init__(self, plan: RunPlan, memory: SharedState, plant: Simulation | None, period_s: float) -> None:
+    def __init__(self, plan: RunPlan, memory: SharedState, plant: PlantProcess | None, period_s: float) -> None:
         """`period_s` is the period at which `fault` is called."""
         self._plan, self._memory, self._plant = plan, memory, plant
         self._children: dict[str, subprocess.Popen[bytes]] = {}

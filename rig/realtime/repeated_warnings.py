@@ -62,7 +62,7 @@ class RepeatedWarning:
         return message
 
 
-class Losses(RepeatedWarning):
+class LossWarning(RepeatedWarning):
     """Losses that are counted: the message has the number since the last report."""
 
     def __init__(self, source: str, words: str, start_ns: int) -> None:

@@ -17,7 +17,7 @@ from rig.realtime.scheduling import PLANNING_NICENESS, REAL_TIME, Scheduling, ob
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, Stop
 from rig.realtime.shutdown import Shutdown
 from rig.realtime.timing_limits import TimingProfile, timing_limits, timing_sentence
-from rig.simulator.plant_launcher import Simulation, started
+from rig.simulator.plant_launcher import PlantProcess, started
 from rig.tip_control.monitor import SOURCE as TIP_CONTROLLER_SOURCE
 from rig.tip_control.monitor import TipControlMonitor
 from rig.tip_control.plan_follower import LOST_S
@@ -78,7 +78,7 @@ class Supervisor:
         self,
         plan: RunPlan,
         operator: OperatorInterface,
-        plant: Simulation | None,
+        plant: PlantProcess | None,
         expected: Scheduling = Scheduling.NONE,
     ) -> None:
         """`plant` is the simulated plant, if the rig has one; `expected` is the scheduling that can be had."""

@@ -21,7 +21,7 @@ POLL_S = 0.005
 EXIT_S = 2.0
 
 
-class Simulation:
+class PlantProcess:
     """A running plant process, for the supervisor."""
 
     def __init__(self, process: subprocess.Popen[bytes], config: RigConfig) -> None:
@@ -80,7 +80,7 @@ class Simulation:
 
 
 @contextmanager
-def started(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None = None) -> Iterator[Simulation | None]:
+def started(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None = None) -> Iterator[PlantProcess | None]:
     """Run the plant of the rig's mock devices within the context; None for a rig without mock devices.
 
     Its cards exist once it is `ready`. With `waits_ns` its time stops while open valves are not written for longer.
@@ -98,7 +98,7 @@ def started(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None =
         bufsize=0,
         start_new_session=True,
     )
-    simulation = Simulation(process, config)
+    simulation = PlantProcess(process, config)
     try:
         yield simulation
     finally:
@@ -106,7 +106,9 @@ def started(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None =
 
 
 @contextmanager
-def simulated(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None = None) -> Iterator[Simulation | None]:
+def simulated(
+    config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None = None
+) -> Iterator[PlantProcess | None]:
     """As `started`, but ready. Raises CardError: the plant did not start."""
     with started(config, rig_file, seed, waits_ns) as simulation:
         while simulation is not None and not simulation.ready():

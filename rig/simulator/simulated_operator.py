@@ -52,7 +52,7 @@ def shown_boards(config: RigConfig, camera: str, board: Board, seed: int) -> Ite
             index += 1
 
 
-class TurnedTip:
+class RotatedTip:
     """A source of tip poses: the arm at rest, its end cap turned about the central axis by hand."""
 
     def __init__(self, config: RigConfig) -> None:
@@ -65,11 +65,11 @@ class TurnedTip:
         return TipPose(t_ns, self._position_m, np.asarray(self._rotation @ turn))
 
 
-class CapTurner:
+class RotatedCapCamera:
     """Pictures of the mock camera while the cap is turned by hand, with a random error of the angle."""
 
     def __init__(self, config: RigConfig, camera: str, seed: int) -> None:
-        self._tip = TurnedTip(config)
+        self._tip = RotatedTip(config)
         self._camera = MockCamera(config, self._tip, camera, seed)
         self._rng = np.random.default_rng([seed, 0x7001])
         self._index = 0

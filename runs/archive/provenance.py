@@ -10,7 +10,7 @@ import numpy as np
 from runs.archive.fields import QUANTITY_GROUPS, Field, Group, named
 from runs.columns.conversions import PA_PER_BAR
 from runs.journal.journal import Journal
-from runs.records import Interval, Quantity, RecordedFile, StudyRole, StudyRun
+from runs.records import PlayedSegment, Quantity, RecordedFile, StudyRole, StudyRun
 
 SPECIMEN = "specimen"
 """The name of the metadata that names the specimen; `name` in the NXsample."""
@@ -19,7 +19,7 @@ SPECIMEN = "specimen"
 def protocol(journal: Journal) -> Group:
     """The protocol: its text, and every segment as it was expanded."""
     header = journal.header
-    intervals: tuple[Interval, ...] = header.intervals
+    intervals: tuple[PlayedSegment, ...] = header.intervals
     level = np.full((len(intervals), header.actuators), np.nan)
     for row, interval in zip(level, intervals, strict=True):
         known = interval.level_pa[: header.actuators]

@@ -37,8 +37,8 @@ from runs.columns.declaration import Column, Table, Values
 from runs.records import (
     AuxiliaryChannel,
     Event,
-    Interval,
     Level,
+    PlayedSegment,
     Quantity,
     RecordedFile,
     RunHeader,
@@ -277,9 +277,9 @@ def _sources(g: dict[str, Any], text: str) -> tuple[RecordedFile, ...]:
     return tuple(RecordedFile(*row) for row in zip(*columns, strict=True))
 
 
-def _intervals(g: dict[str, Any]) -> tuple[Interval, ...]:
+def _intervals(g: dict[str, Any]) -> tuple[PlayedSegment, ...]:
     return tuple(
-        Interval(float(start), float(stop), kind, label, tuple(float(v) * PA_PER_BAR for v in level))
+        PlayedSegment(float(start), float(stop), kind, label, tuple(float(v) * PA_PER_BAR for v in level))
         for start, stop, kind, label, level in zip(
             g["start"], g["stop"], g["kind"], g["label"], g["level_bar"], strict=True
         )

@@ -22,7 +22,7 @@ from runs.journal.row_kinds import ROW_KINDS
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
 from runs.records import (
     AuxiliaryChannel,
-    Interval,
+    PlayedSegment,
     Quantity,
     RecordedFile,
     RunFooter,
@@ -166,7 +166,7 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         seed=0 if everything else None,
         metadata={"specimen": "", "email": "-"} if everything else {},
         versions={"library": ""} if everything else {},
-        intervals=(Interval(0.0, 0.0, "", "", ()),),
+        intervals=(PlayedSegment(0.0, 0.0, "", "", ()),),
         quantities=quantities if everything else (),
         protocol_files=files if everything else (),
         calibrations=files if everything else (),

@@ -17,7 +17,7 @@ import tests.support.synthetic_runs as made_up
 from runs import summary
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
-from runs.records import DetectionStatus, Event, Interval, Level, RunFooter, Status
+from runs.records import DetectionStatus, Event, Level, PlayedSegment, RunFooter, Status
 from runs.run import Run
 from runs.summary import plane_of_motion, statistics, summarise
 
@@ -123,8 +123,8 @@ def test_the_tracking_of_a_run_is_that_of_all_its_moving_samples(tmp_path: Path)
     setpoint = np.zeros((n, 3))
     setpoint[:, 0] = 35000 + 25000 * np.sin(np.arange(n) / 200)
     intervals = (
-        Interval(0.0, 0.5, "sine", "fast", (0.0, 0.0, 0.0)),
-        Interval(0.5, 3.0, "sine", "slow", (0.0, 0.0, 0.0)),
+        PlayedSegment(0.0, 0.5, "sine", "fast", (0.0, 0.0, 0.0)),
+        PlayedSegment(0.5, 3.0, "sine", "slow", (0.0, 0.0, 0.0)),
     )
     samples, observations = made_up.samples(3.0), made_up.observations(3.0)
     samples["setpoint_pa"], samples["measured_pa"] = setpoint, setpoint
@@ -146,8 +146,8 @@ def test_a_chamber_under_vacuum_is_not_at_rest(tmp_path: Path) -> None:
     later = observations["protocol_s"] >= 1.5
     observations["pressure_pa"] = np.where(later[:, None], [-60000.0, 0.0, 0.0], 0.0)
     intervals = (
-        Interval(0.0, 1.5, "hold", "rest", (0.0, 0.0, 0.0)),
-        Interval(1.5, 3.0, "hold", "vacuum", (-60000.0, 0.0, 0.0)),
+        PlayedSegment(0.0, 1.5, "hold", "rest", (0.0, 0.0, 0.0)),
+        PlayedSegment(1.5, 3.0, "hold", "vacuum", (-60000.0, 0.0, 0.0)),
     )
     writer = JournalWriter(tmp_path / "a.mcap", dataclasses.replace(made_up.header("a", n), intervals=intervals))
     writer.samples(samples)
@@ -227,7 +227,7 @@ def test_a_run_without_measured_tips_has_a_summary(tmp_path: Path) -> None:
 
 def test_segments_after_the_end_of_an_aborted_run_are_empty(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    late = Interval(100.0, 101.0, "dwell", "never reached", (5000.0, 0.0, 0.0))
+    late = PlayedSegment(100.0, 101.0, "dwell", "never reached", (5000.0, 0.0, 0.0))
     writer = JournalWriter(path, dataclasses.replace(made_up.header("a", 1.0), intervals=(late,)))
     writer.samples(made_up.samples(1.0))
     writer.close(RunFooter(made_up.START_NS + 10**9, Status.ABORTED, "over-pressure"))
@@ -271,10 +271,10 @@ def test_the_constants_are_those_of_the_distributions() -> None:
 def test_a_prompt_is_no_step_and_weights_make_settled_steps(tmp_path: Path) -> None:
     path = tmp_path / "weights.mcap"
     intervals = (
-        Interval(0.0, 1.0, "hold", "0 g", (0.0, 0.0, 0.0)),
-        Interval(1.0, 1.1, "prompt", "hang 100 g", (0.0, 0.0, 0.0)),
-        Interval(1.1, 2.0, "hold", "100 g", (0.0, 0.0, 0.0)),
-        Interval(2.0, 3.0, "hold", "200 g", (0.0, 0.0, 0.0)),
+        PlayedSegment(0.0, 1.0, "hold", "0 g", (0.0, 0.0, 0.0)),
+        PlayedSegment(1.0, 1.1, "prompt", "hang 100 g", (0.0, 0.0, 0.0)),
+        PlayedSegment(1.1, 2.0, "hold", "100 g", (0.0, 0.0, 0.0)),
+        PlayedSegment(2.0, 3.0, "hold", "200 g", (0.0, 0.0, 0.0)),
     )
     samples, observations = made_up.samples(3.0), made_up.observations(3.0)
     samples["setpoint_pa"] = 0.0

@@ -16,9 +16,9 @@ from runs.records import (
     DetectionStatus,
     Event,
     ImageAnnotations,
-    Interval,
     Level,
     Picture,
+    PlayedSegment,
     Quantity,
     RunFooter,
     RunHeader,
@@ -34,10 +34,10 @@ VALVES = 2
 ARMED = Event(START_NS, Level.INFO, "control", "armed")
 
 
-def intervals(duration_s: float) -> tuple[Interval, ...]:
+def intervals(duration_s: float) -> tuple[PlayedSegment, ...]:
     """Dwells of 1 s, 0.05 bar apart, of actuator 1."""
     return tuple(
-        Interval(float(i), min(i + 1.0, duration_s), "step", f"step {i + 1}", ((i + 1) * 5000.0, 0.0, 0.0))
+        PlayedSegment(float(i), min(i + 1.0, duration_s), "step", f"step {i + 1}", ((i + 1) * 5000.0, 0.0, 0.0))
         for i in range(int(np.ceil(duration_s)))
     )
 

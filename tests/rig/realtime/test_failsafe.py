@@ -118,7 +118,7 @@ def test_a_process_held_by_a_debugger_counts_as_stalled_and_its_kill_does_not_bl
         wait_until(lambda: monitor.stopped)
         assert not monitor.exited
         leaving = threading.Thread(
-            target=plant_launcher.Simulation(sleeper, rig.config.loader.load("mock")).close, daemon=True
+            target=plant_launcher.PlantProcess(sleeper, rig.config.loader.load("mock")).close, daemon=True
         )
         leaving.start()
         leaving.join(20)

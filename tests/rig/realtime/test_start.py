@@ -28,7 +28,7 @@ from rig.realtime.process_group import ProcessGroup
 from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.stream_receiver import StreamReceiver
 from rig.realtime.timing_limits import TimingLimits, TimingProfile
-from rig.simulator.plant_launcher import Simulation
+from rig.simulator.plant_launcher import PlantProcess
 from runs.records import Event
 from tests.support.child_programs import SLEEPS, child
 
@@ -121,7 +121,7 @@ def test_a_simulator_that_does_not_start_is_reported(plan: RunPlan, program: str
     process = subprocess.Popen(
         [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     )
-    simulation = Simulation(process, plan.config)
+    simulation = PlantProcess(process, plan.config)
 
     def wait() -> None:
         limit = time.monotonic() + 30

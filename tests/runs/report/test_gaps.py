@@ -14,7 +14,7 @@ import tests.support.synthetic_runs as made_up
 from rig.cli.archive_output import summary_table
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
-from runs.records import Interval, RunFooter, Status
+from runs.records import PlayedSegment, RunFooter, Status
 from runs.report import comparison, figures, gaps
 from runs.report.drawing import POINTS, decimated_indices, path_indices
 from runs.run import Run
@@ -25,8 +25,8 @@ from runs.summary import summarise
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A dwell and a sine of 4 s, in which 16 frames are dropped, and a stretch of cycles is lost."""
     played = (
-        Interval(0.0, 2.0, "dwell", "rest", (5000.0, 0.0, 0.0)),
-        Interval(2.0, 4.0, "sine", "", (5000.0, 0.0, 0.0)),
+        PlayedSegment(0.0, 2.0, "dwell", "rest", (5000.0, 0.0, 0.0)),
+        PlayedSegment(2.0, 4.0, "sine", "", (5000.0, 0.0, 0.0)),
     )
     path = tmp_path_factory.mktemp("gaps") / "run.mcap"
     writer = JournalWriter(path, replace(made_up.header("run", 4.0), intervals=played))

@@ -38,7 +38,7 @@ class PoseDerivatives:
 
 
 @dataclass(frozen=True)
-class MountedChange:
+class SetupChanges:
     """Changes of a setup: `perturbed` (P,) has one each, of the size `steps`; `new` are those that change the arm."""
 
     setup: Setup
