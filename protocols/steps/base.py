@@ -9,14 +9,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Protocol, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
-from protocols.tip_paths import TipPath
+from protocols.trajectory_builder import TrajectoryBuilder
 from protocols.validation import ValidationFault, faults
-from protocols.waveforms import Waveform
 
 MOST_SEGMENTS = 20_000
 LONGEST_S = 1e6
@@ -53,39 +52,6 @@ class StepPart(BaseModel):
     """A mapping of the YAML: unknown keys are errors, nothing is coerced."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
-
-
-class TrajectoryBuilder(Protocol):
-    """The interface of the expansion for a step: the present set-points [Pa], and methods that append segments."""
-
-    def level_pa(self, actuators: Sequence[int]) -> list[float]:
-        """The present set-points of some actuators, numbered from 1."""
-
-    def data(self, step: LeafStep) -> Any:
-        """The result of `LeafStep.read`."""
-
-    def move(
-        self, kind: str, label: str, actuators: tuple[int, ...], duration_s: float, waves: Sequence[Waveform]
-    ) -> None:
-        """Append a segment that moves the set-points, one waveform [Pa] for each actuator."""
-
-    def hold(
-        self, kind: str, label: str, actuators: tuple[int, ...], duration_s: float, levels_pa: Sequence[float] = ()
-    ) -> None:
-        """Append a segment of constant set-points; with `levels_pa` its actuators jump to these first."""
-
-    def follow(
-        self, label: str, path: TipPath, coordinates: tuple[int, ...], lead_in_s: float, tolerance_m: float
-    ) -> None:
-        """Append the segments in which the tip follows a path."""
-
-    def stream(
-        self, label: str, actuators: tuple[int, ...], duration_s: float, timeout_s: float, connect_s: float
-    ) -> None:
-        """Append a segment in which another program sets the pressures of these actuators."""
-
-    def prompt(self, message: str, weight_g: float | None) -> None:
-        """Pause here until the operator confirms the message."""
 
 
 class LeafStep(StepPart, ABC):

@@ -8,8 +8,9 @@ from typing import Literal
 from pydantic import Field
 
 from protocols.decimals import pa
-from protocols.steps.base import PressureStep, SecondsOrNone, Text, TrajectoryBuilder
+from protocols.steps.base import PressureStep, SecondsOrNone, Text
 from protocols.steps.csv_samples import read_samples
+from protocols.trajectory_builder import TrajectoryBuilder
 from protocols.waveforms import Samples, Smooth
 
 

@@ -22,12 +22,12 @@ from protocols.steps.base import (
     PressureStep,
     Seconds,
     SecondsOrNone,
-    TrajectoryBuilder,
     each,
     fits,
     levels_text,
     one_of,
 )
+from protocols.trajectory_builder import TrajectoryBuilder
 from protocols.validation import ValidationFault, faults
 from protocols.waveforms import LinearSegment, Sinusoid, SinusoidLeadIn, Smooth
 

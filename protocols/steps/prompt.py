@@ -5,7 +5,8 @@ from __future__ import annotations
 from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
-from protocols.steps.base import Grams, LeafStep, Text, TrajectoryBuilder
+from protocols.steps.base import Grams, LeafStep, Text
+from protocols.trajectory_builder import TrajectoryBuilder
 
 PROMPT_S = 0.1
 """Duration of a prompt's segment, in which the set-points are constant."""

@@ -14,9 +14,10 @@ from pydantic.json_schema import SkipJsonSchema
 
 from protocols.arrays import Array
 from protocols.problems import BadInputError, Problem
-from protocols.steps.base import MotionStep, Positive, Seconds, SecondsOrNone, StepPart, Text, TrajectoryBuilder, one_of
+from protocols.steps.base import MotionStep, Positive, Seconds, SecondsOrNone, StepPart, Text, one_of
 from protocols.steps.csv_samples import read_columns
 from protocols.tip_paths import HarmonicPath, PiecewisePath, TipPath, closed_polyline, length_m
+from protocols.trajectory_builder import TrajectoryBuilder
 from protocols.validation import ValidationFault, faults
 
 M_PER_MM = 1e-3
