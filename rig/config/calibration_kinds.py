@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -16,7 +17,6 @@ from rig.config.calibration_schema import (
     CalibrationFile,
     CameraFile,
     CameraIdentity,
-    CardIdentity,
     DLTFile,
     GravityFile,
     PressureFile,
@@ -27,6 +27,7 @@ from rig.config.calibration_schema import (
 from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
 from rig.config.sections import LensConfig, Placement, Sensor
+from rig.sections.base import Section
 from rig.valves.base import ValveSection
 from rig.valves.metering import CALIBRATED_KEYS, MeteringValve
 
@@ -146,11 +147,7 @@ class BoardOverlay(CalibrationOverlay[ToolFile]):
             expected = f"a {wanted.kind}, as the board of rig {config.name}"
             yield self.source.problem(("board",), expected, f"a {board.kind}")
             return
-        for key, wants in wanted.model_dump().items():
-            has = getattr(board, key)
-            if _differs(has, wants):
-                expected = f"{_short(wants)}, as the board of rig {config.name}"
-                yield self.source.problem(("board", key), expected, _short(has))
+        yield from _unlike(self.source, ("board",), board, wanted.model_dump(), f"as the board of rig {config.name}")
 
 
 class PressureOverlay(CalibrationOverlay[PressureFile]):
@@ -190,9 +187,9 @@ class PressureOverlay(CalibrationOverlay[PressureFile]):
             if sensor.unit != "V":
                 expected = f"a sensor in volts; that of actuator {scale.actuator} gives {sensor.unit}"
                 yield self.source.problem((*path, "actuator"), expected)
-            elif tuple(scale.span_V) != tuple(sensor.span_V):
-                expected = f"{list(sensor.span_V)}, as the sensor of rig {config.name}"
-                yield self.source.problem((*path, "span_V"), expected, str(list(scale.span_V)))
+            else:
+                why = f"as the sensor of rig {config.name}"
+                yield from _unlike(self.source, path, scale, {"span_V": sensor.span_V}, why)
 
     def _other_valves(self, config: RigConfig) -> Problems:
         for i, sweep in enumerate(self.found.valves):
@@ -237,16 +234,22 @@ def overlay_of(calibration: LoadedCalibration) -> CalibrationOverlay[Any]:
     return OVERLAYS[type(calibration.found)](calibration.source, calibration.found)
 
 
-def _differs(has: object, wants: object) -> bool:
-    """Whether a count, a name or a length on a print is another one; lengths are measured to a thousandth."""
-    if isinstance(has, float) and isinstance(wants, float):
-        return abs(has - wants) > 1e-3 * wants
-    return has != wants
+def _unlike(source: Document, path: YamlPath, part: Section, stated: Mapping[str, object], why: str) -> Problems:
+    """Yield what a part of the file has otherwise than the rig states; lengths on a print are good to a thousandth."""
+    for key, wants in stated.items():
+        has = getattr(part, key)
+        same = (
+            math.isclose(has, wants, rel_tol=1e-3)
+            if isinstance(has, float) and isinstance(wants, float)
+            else has == wants
+        )
+        if has is not None and not same:
+            yield source.problem((*path, key), f"{_short(wants)}, {why}", _short(has))
 
 
 def _short(value: object) -> str:
-    """A length without needless digits."""
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    """A value as the YAML has it, a length without needless digits."""
+    return f"{value:g}" if isinstance(value, float) else str(list(value) if isinstance(value, tuple) else value)
 
 
 def _place_camera(data: dict[str, Any], config: RigConfig, name: str, found: Placement) -> None:
@@ -266,15 +269,11 @@ def _other_camera(config: RigConfig, source: Document, path: YamlPath, identity:
         return
     camera = config.cameras[identity.name]
     where = f"cameras, {identity.name} of rig {config.name}"
-    for key in ("width_px", "height_px"):
-        has, wants = getattr(identity, key), getattr(camera, key)
-        if has != wants:
-            expected = f"{wants}, as {where}: a calibration holds at its own resolution only"
-            yield source.problem((*path, key), expected)
-    for key in ("driver", "device"):
-        has, wants = getattr(identity, key), getattr(camera, key)
-        if has is not None and has != wants:
-            yield source.problem((*path, key), f"{wants}, as {where}: this is another camera's calibration")
+    for keys, why in (
+        ({"width_px", "height_px"}, "a calibration holds at its own resolution only"),
+        ({"driver", "device"}, "this is another camera's calibration"),
+    ):
+        yield from _unlike(source, path, identity, camera.model_dump(include=keys), f"as {where}: {why}")
 
 
 def _other_channel(
@@ -286,12 +285,8 @@ def _other_channel(
     what: str,
 ) -> Problems:
     card = config.cards[stated.card]
-    identity = CardIdentity(name=stated.card, driver=card.driver, device=card.device)
-    for key in ("name", "driver", "device"):
-        has, wants = getattr(part.card, key), getattr(identity, key)
-        if has != wants:
-            expected = f"{wants}, the card of {what} in rig {config.name}: this was measured through another card"
-            yield source.problem((*path, "card", key), expected)
-    if part.channel != stated.channel:
-        expected = f"{stated.channel}, the channel of {what} in rig {config.name}"
-        yield source.problem((*path, "channel"), expected)
+    identity = {"name": stated.card, "driver": card.driver, "device": card.device}
+    why = f"the card of {what} in rig {config.name}: this was measured through another card"
+    yield from _unlike(source, (*path, "card"), part.card, identity, why)
+    channel = f"the channel of {what} in rig {config.name}"
+    yield from _unlike(source, path, part, {"channel": stated.channel}, channel)
