@@ -5,9 +5,7 @@ The console prints control characters visibly, obeys no markup, and keeps number
 
 from __future__ import annotations
 
-import dataclasses
 import json
-import math
 import re
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -136,14 +134,6 @@ def facts_table(facts: Iterable[tuple[RenderableType, RenderableType]] = ()) -> 
 
 def print_json(facts: Any) -> None:
     """Print indented JSON; a dataclass becomes an object, NaN and infinity become null."""
-    typer.echo(json.dumps(_plain(facts), indent=2))
+    from pydantic_core import to_jsonable_python
 
-
-def _plain(value: Any) -> Any:
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return _plain(dataclasses.asdict(value))
-    if isinstance(value, dict):
-        return {key: _plain(v) for key, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    typer.echo(json.dumps(to_jsonable_python(facts, inf_nan_mode="null"), indent=2))
