@@ -8,8 +8,8 @@ from typing import Literal
 from pydantic import Field
 
 from protocols.decimals import pa
-from protocols.steps.base import PressureStep, SecondsOrNone, Text
-from protocols.steps.csv_samples import read_samples
+from protocols.steps.base import HIGHEST_BAR, LOWEST_BAR, PressureStep, SecondsOrNone, Text
+from protocols.steps.csv_samples import read_columns
 from protocols.trajectory_builder import TrajectoryBuilder
 from protocols.waveforms import Samples, Smooth
 
@@ -37,8 +37,7 @@ class Csv(PressureStep):
 
     def read(self, folder: Path) -> tuple[tuple[Samples, ...], dict[str, str]]:
         """The waveform of each actuator, and the text of the file."""
-        columns, text = read_samples(folder / self.file, self.actuators)
+        bounds = {f"actuator_{number}_bar": (LOWEST_BAR, HIGHEST_BAR, "bar") for number in self.actuators}
+        (times, *levels), text = read_columns(folder / self.file, bounds)
         held = self.between == "hold"
-        return tuple(Samples(columns.times_s, tuple(map(pa, column)), held) for column in columns.values), {
-            self.file: text
-        }
+        return tuple(Samples(times, tuple(map(pa, level)), held) for level in levels), {self.file: text}

@@ -4,43 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from protocols.document import read_text
 from protocols.problems import BadInputError, Problem, closest, raise_all
 from protocols.source_positions import shortened
-from protocols.steps.base import HIGHEST_BAR, LONGEST_S, LOWEST_BAR
+from protocols.steps.base import LONGEST_S
 
 LARGEST_FILE = 20_000_000
 MOST_PROBLEMS = 20
 TIME = "time_s"
 
 
-@dataclass(frozen=True)
-class SampleColumns:
-    """Times (n,) from the first row on [s], empty if none were asked for, and the requested columns (n,)."""
-
-    times_s: tuple[float, ...]
-    values: tuple[tuple[float, ...], ...]
-
-
+Columns = tuple[tuple[float, ...], ...]
+"""Columns of numbers (n,), in the order in which they were asked for."""
 Bounds = Mapping[str, tuple[float, float, str]]
 """Lowest and highest value of a column, and its unit, by the column's name."""
 
 
-def column_name(actuator: int) -> str:
-    """The header of an actuator's column."""
-    return f"actuator_{actuator}_bar"
-
-
-def read_samples(path: Path, actuators: tuple[int, ...]) -> tuple[SampleColumns, str]:
-    """The set-points [bar] of actuators; as `read_columns`."""
-    return read_columns(path, dict.fromkeys(map(column_name, actuators), (LOWEST_BAR, HIGHEST_BAR, "bar")))
-
-
-def read_columns(path: Path, columns: Bounds, *, timed: bool = True) -> tuple[SampleColumns, str]:
-    """Columns of a CSV file and its text; `timed`: with a column of ascending times.
+def read_columns(path: Path, columns: Bounds, *, timed: bool = True) -> tuple[Columns, str]:
+    """Columns of a CSV file and its text; `timed`: first the ascending times [s], which count from the first row.
 
     Raises:
         BadInputError: line and column of everything that is wrong.
@@ -77,11 +60,11 @@ def read_columns(path: Path, columns: Bounds, *, timed: bool = True) -> tuple[Sa
     if not problems and len(table) < 2:
         problems.append(Problem(str(path), 0, 0, "", "", "the file needs two rows of numbers at least"))
     raise_all(problems)
-    read = tuple(zip(*table, strict=True))
-    if not timed:
-        return SampleColumns((), read), text
-    first = read[0][0]
-    return SampleColumns(tuple(t - first for t in read[0]), read[1:]), text
+    found: Columns = tuple(zip(*table, strict=True))
+    if timed:
+        times = found[0]
+        found = (tuple(t - times[0] for t in times), *found[1:])
+    return found, text
 
 
 def _header_wish(wanted: Iterable[str]) -> str:

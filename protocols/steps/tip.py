@@ -205,7 +205,7 @@ class PathFile(TipShape):
         """Times (k,) [s] and points (k, 3) [m]; and the text of the file."""
         coordinates = dict.fromkeys(("x_mm", "y_mm", "z_mm"), (-FARTHEST_MM, FARTHEST_MM, "mm"))
         columns, text = read_columns(folder / self.file, coordinates, timed=self.speed_mm_per_s is None)
-        points = np.column_stack(columns.values) * M_PER_MM
+        points = np.column_stack(columns[-3:]) * M_PER_MM
         if fault := self._fault(points):
             lines = [number for number, row in enumerate(text.split("\n"), start=1) if row.strip()]
             x, y, z = (f"{round(value / M_PER_MM, 3):g}" for value in points[-1])
@@ -217,7 +217,7 @@ class PathFile(TipShape):
             ways = np.linalg.norm(np.diff(points, axis=0), axis=1)
             times = np.r_[0.0, np.cumsum(ways)] / (self.speed_mm_per_s * M_PER_MM)
         else:
-            times = np.array(columns.times_s)
+            times = np.array(columns[0])
         return (times, points), {self.file: text}
 
     def _fault(self, points: Array) -> str:
