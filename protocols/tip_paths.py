@@ -50,13 +50,11 @@ class HarmonicPath(TipPath):
     duration_s: float
 
     def positions_m(self, t_s: Array) -> Array:
-        """Positions (n, 3) [m] at times (n,)."""
         angles, _ = self._angles(t_s)
         found: Array = self.centre + np.cos(angles) @ self.cosines + np.sin(angles) @ self.sines
         return found
 
     def velocities_m_s(self, t_s: Array) -> Array:
-        """Velocities (n, 3) [m/s] at times (n,)."""
         angles, rate = self._angles(t_s)
         found: Array = (np.cos(angles) * rate) @ self.sines - (np.sin(angles) * rate) @ self.cosines
         return found
@@ -103,7 +101,6 @@ class PiecewisePath(TipPath):
         return float(self.times_s[-1])
 
     def positions_m(self, t_s: Array) -> Array:
-        """Positions (n, 3) [m] at times (n,)."""
         left, share, _ = self._place(t_s)
         if self.smooth:
             share = smooth_weight(share)
@@ -111,7 +108,6 @@ class PiecewisePath(TipPath):
         return found
 
     def velocities_m_s(self, t_s: Array) -> Array:
-        """Velocities (n, 3) [m/s] at times (n,)."""
         left, share, inside = self._place(t_s)
         slope = 30 * share**2 * (1 - share) ** 2 if self.smooth else np.ones_like(share)
         slope = slope * inside / (self.times_s[left + 1] - self.times_s[left])
@@ -167,12 +163,10 @@ class ScaledPath(TipPath):
         return self.path.has_corners
 
     def positions_m(self, t_s: Array) -> Array:
-        """Positions (n, 3) [m] at times (n,)."""
         centre = self.path.centre_m()
         return centre + self.size * (self.path.positions_m(t_s * self.speed) - centre)
 
     def velocities_m_s(self, t_s: Array) -> Array:
-        """Velocities (n, 3) [m/s] at times (n,)."""
         return self.size * self.speed * self.path.velocities_m_s(t_s * self.speed)
 
     def centre_m(self) -> Array:

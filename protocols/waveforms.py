@@ -49,13 +49,11 @@ class LinearSegment(Waveform):
     duration_s: float
 
     def at(self, t_s: float) -> float:
-        """The value."""
         if t_s >= self.duration_s:
             return self.stop
         return self.start + (self.stop - self.start) * (t_s / self.duration_s)
 
     def slope(self, t_s: float) -> float:
-        """Its rate of change per second."""
         return (self.stop - self.start) / self.duration_s
 
     def knots(self, duration_s: float) -> tuple[float, ...]:
@@ -72,13 +70,11 @@ class Smooth(Waveform):
     duration_s: float
 
     def at(self, t_s: float) -> float:
-        """The value."""
         if t_s >= self.duration_s:
             return self.stop
         return self.start + (self.stop - self.start) * _rise(t_s / self.duration_s)
 
     def slope(self, t_s: float) -> float:
-        """Its rate of change per second."""
         return (self.stop - self.start) / self.duration_s * _rise_slope(min(t_s / self.duration_s, 1.0))
 
     def knots(self, duration_s: float) -> tuple[float, ...]:
@@ -96,11 +92,9 @@ class Sinusoid(Waveform):
     phase_rad: float
 
     def at(self, t_s: float) -> float:
-        """The value."""
         return self.mean + self.amplitude * math.sin(self.omega_rad_s * t_s + self.phase_rad)
 
     def slope(self, t_s: float) -> float:
-        """Its rate of change per second."""
         return self.amplitude * self.omega_rad_s * math.cos(self.omega_rad_s * t_s + self.phase_rad)
 
     def knots(self, duration_s: float) -> tuple[float, ...]:
@@ -122,12 +116,10 @@ class SinusoidLeadIn(Waveform):
     duration_s: float
 
     def at(self, t_s: float) -> float:
-        """The value."""
         weight = _rise(min(t_s / self.duration_s, 1.0))
         return self.start + weight * (self.target.at(t_s - self.duration_s) - self.start)
 
     def slope(self, t_s: float) -> float:
-        """Its rate of change per second."""
         portion, before = min(t_s / self.duration_s, 1.0), t_s - self.duration_s
         change = _rise_slope(portion) / self.duration_s * (self.target.at(before) - self.start)
         return change + _rise(portion) * self.target.slope(before)
@@ -146,7 +138,6 @@ class Samples(Waveform):
     held: bool
 
     def at(self, t_s: float) -> float:
-        """The value."""
         i = bisect_right(self.times_s, t_s) - 1
         if i + 1 >= len(self.times_s):
             return self.values[-1]
@@ -156,7 +147,6 @@ class Samples(Waveform):
         return self.values[i] + (self.values[i + 1] - self.values[i]) * portion
 
     def slope(self, t_s: float) -> float:
-        """Its rate of change per second."""
         i = bisect_right(self.times_s, t_s) - 1
         if self.held or i < 0 or i + 1 >= len(self.times_s):
             return 0.0
