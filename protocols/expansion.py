@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from protocols.problems import Problem
-from protocols.schema import InnerSteps, Step
+from protocols.schema import InnerSteps, Step, leaves
 from protocols.source_positions import Document
 from protocols.steps.base import MOST_SEGMENTS, LeafStep
 from protocols.tip_inverse import TipInverse
@@ -53,15 +53,7 @@ def expand(
     data: results of `LeafStep.read`. inverse: solves for the set-points of `tip` steps.
     """
     builder = TrajectoryBuilder(actuators, document, data, inverse)
-    _play(steps, ("steps",), builder)
-    return builder.trajectory()
-
-
-def _play(steps: Sequence[Step], base: Path, builder: TrajectoryBuilder) -> None:
-    for index, step in enumerate(steps):
-        body, here = step.body, (*base, index, step.kind)
-        if isinstance(body, InnerSteps):
-            for _ in range(body.times):
-                _play(body.steps, (*here, *body.path), builder)
-        elif builder.begin(here, getattr(body, "actuators", None) or ()):
+    for here, body in leaves(steps, unrolled=True):
+        if builder.begin(here, getattr(body, "actuators", None) or ()):
             body.play(builder)
+    return builder.trajectory()

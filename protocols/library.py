@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +19,7 @@ from protocols.document import Document
 from protocols.expansion import expand, too_long
 from protocols.parameters import ParameterValue
 from protocols.problems import BadInputError, Problem, bad_input
-from protocols.schema import InnerSteps, ProtocolFile, Step
+from protocols.schema import ProtocolFile, Step, leaves
 from protocols.source_positions import path_text, shortened
 from protocols.steps.base import LeafStep
 from protocols.substitution import KEY, Substitution, substitute
@@ -60,11 +60,11 @@ class Protocol:
     @property
     def moves_tip(self) -> bool:
         """True if a step gives a path of the tip."""
-        return any(step.moves_tip for _, step in _leaves(self.steps, ("steps",)))
+        return any(step.moves_tip for _, step in leaves(self.steps))
 
     def step_at(self, line: int) -> tuple[str, int]:
         """The path in words and the column of the step that a segment's `line` points to."""
-        paths = [path for path, _ in _leaves(self.steps, ("steps",)) if self._document.position(path).key_line == line]
+        paths = [path for path, _ in leaves(self.steps) if self._document.position(path).key_line == line]
         if len(paths) != 1:
             return "steps", 0
         return path_text(paths[0]), self._document.position(paths[0]).key_column
@@ -121,7 +121,7 @@ def _loaded(source: Document, path: Path, settings: Mapping[str, float]) -> Prot
     problems = too_long(body.steps, document)
     data: dict[LeafStep, Any] = {}
     files: dict[str, str] = {}
-    for here, step in _leaves(body.steps, ("steps",)):
+    for here, step in leaves(body.steps):
         if step not in data:
             try:
                 data[step], texts = step.read(path.parent)
@@ -177,16 +177,6 @@ def find(name: str, folder: Path, what: str) -> Path:
     expected = f"there is no such file, and no {what} of that name; the names are {', '.join(names)}"
     shown = shortened(name if name.isprintable() else repr(name)) or "''"
     raise bad_input(shown, "", expected, " or ".join(nearby))
-
-
-def _leaves(steps: Sequence[Step], base: tuple[str | int, ...]) -> Iterator[tuple[tuple[str | int, ...], LeafStep]]:
-    """Path and content of every step that is not made of steps."""
-    for index, step in enumerate(steps):
-        body, here = step.body, (*base, index, step.kind)
-        if isinstance(body, InnerSteps):
-            yield from _leaves(body.steps, (*here, *body.path))
-        else:
-            yield here, body
 
 
 def _named_by(problem: Problem, document: Document, path: tuple[str | int, ...]) -> Problem:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
@@ -96,6 +97,19 @@ class Step(StepPart):
         if isinstance(body, Repeat):
             return InnerSteps(body.steps, ("steps",), body.times, ("times",))
         return body if isinstance(body, LeafStep) else InnerSteps(body)
+
+
+def leaves(
+    steps: Sequence[Step], base: tuple[str | int, ...] = ("steps",), *, unrolled: bool = False
+) -> Iterator[tuple[tuple[str | int, ...], LeafStep]]:
+    """Path and content of every step that is not made of steps; `unrolled`: as often as it is played."""
+    for index, step in enumerate(steps):
+        body, here = step.body, (*base, index, step.kind)
+        if isinstance(body, InnerSteps):
+            for _ in range(body.times if unrolled else 1):
+                yield from leaves(body.steps, (*here, *body.path), unrolled=unrolled)
+        else:
+            yield here, body
 
 
 class ProtocolFile(StepPart):
