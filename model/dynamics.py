@@ -48,9 +48,9 @@ class SavedMotion:
 class Dynamics:
     """Time integrator of one arm, by default with a fixed time step [s].
 
-    scheme, alpha: a scheme of Table 2 (model/schemes.py). nodes: steps along the arm; by default as many as the time
-    step and a slender arm need. ValueError for fewer than can follow the waves of so short a step, an unknown scheme,
-    or a time step that is not positive.
+    scheme, alpha: a scheme of `model/schemes.py`. nodes: steps along the arm; by default as many as the time step and
+    a slender arm need. ValueError for fewer than can follow the waves of so short a step, an unknown scheme, or a time
+    step that is not positive.
     """
 
     def __init__(
@@ -61,8 +61,8 @@ class Dynamics:
         alpha: float = DEFAULT_ALPHA,
         nodes: int | None = None,
     ) -> None:
-        self._rule, self._alpha, self._dt_s = scheme_named(scheme), alpha, dt_s
-        self._scheme = self._rule.coefficients(dt_s, alpha)
+        self._scheme, self._alpha, self._dt_s = scheme_named(scheme), alpha, dt_s
+        self._coefficients = self._scheme.coefficients(dt_s, alpha)
         self._arm = arm
         growth = self._growth()
         if not growth < MOST_NODES / 2:
@@ -77,8 +77,8 @@ class Dynamics:
             )
         self._even_growth = growth
         self._segments = _segments(self._nodes, growth)
-        self._even = self._scheme
-        self._coefficients = _array(self._scheme)
+        self._even = self._coefficients
+        self._coefficient_array = _array(self._coefficients)
         self._started = False
         self._loads: Loads | None = None
 
@@ -95,7 +95,7 @@ class Dynamics:
     @property
     def c0(self) -> float:
         """Coefficient c0 of the time scheme (eq 26) [1/s]."""
-        return self._scheme.c0
+        return self._coefficients.c0
 
     @property
     def shortest_step_s(self) -> float:
@@ -128,22 +128,22 @@ class Dynamics:
     def start_from(self, at_rest: KernelArguments, pressure: Array, tip: Array, load: Array, loaded: bool) -> None:
         """Start at rest as `start` does, from the arguments of the static solution; tip, load: as of `ArmArguments`."""
         n = self._nodes
-        self._last_s, self._step_s, self._scheme_last_s = self._dt_s, self._dt_s, self._dt_s
-        self._scheme, self._segments = self._even, _segments(n, self._even_growth)
-        self._coefficients = _array(self._scheme)
+        self._last_s, self._step_s, self._coefficients_last_s = self._dt_s, self._dt_s, self._dt_s
+        self._coefficients, self._segments = self._even, _segments(n, self._even_growth)
+        self._coefficient_array = _array(self._coefficients)
         self._x, stable = states(at_rest, pressure, tip, load, loaded)
         if not stable:
             raise Unstable.at(pressure)
-        self._arguments = KernelArguments.of(self._arm, pressure[None], self._scheme.c0, self._dt_s)
+        self._arguments = KernelArguments.of(self._arm, pressure[None], self._coefficients.c0, self._dt_s)
         self._work = self._arguments.work()
         branches = len(self._arm.material.branches)
         self._pool = aligned(workspace_size(n, branches))
         self._workspace = workspace_in(self._pool, n, branches)
         self._past_states = aligned(2, 2 * n + 2, STATE)
-        initialise_history(self._coefficients, self._x, self._past_states, at_rest.length_m, self._workspace)
+        initialise_history(self._coefficient_array, self._x, self._past_states, at_rest.length_m, self._workspace)
         self._hysteresis = Hysteresis(self._arm.actuation.stops, pressure)
         self._branch_strains = np.zeros((branches, 2 * n + 2, 6))
-        self._branch_factors = branch_factors(self._arm.material, self._scheme.c0, self._dt_s)
+        self._branch_factors = branch_factors(self._arm.material, self._coefficients.c0, self._dt_s)
         self._compute_past_strains()
         self._last_pressures = np.stack([pressure] * 3)
         self._loads, self._tip, self._load, self._loaded = None, tip, load, loaded
@@ -208,28 +208,28 @@ class Dynamics:
 
         The weight d1 of the rate y_t of the last step does not depend on the length of a step.
         """
-        if dt_s == self._step_s and self._last_s == self._scheme_last_s:
+        if dt_s == self._step_s and self._last_s == self._coefficients_last_s:
             return
-        scheme = self._rule.varying_coefficients(dt_s, self._last_s, self._alpha)
-        if scheme == self._scheme:
+        coefficients = self._scheme.varying_coefficients(dt_s, self._last_s, self._alpha)
+        if coefficients == self._coefficients:
             return
         if dt_s < self.shortest_step_s:
             raise ValueError(f"a time step of {dt_s} s is shorter than {self.shortest_step_s:.3g} s")
-        self._segments = _segments(self._nodes, self._even_growth * scheme.c0 / self._even.c0)
-        last = self._scheme
+        self._segments = _segments(self._nodes, self._even_growth * coefficients.c0 / self._even.c0)
+        last = self._coefficients
         size, history = self._x.size, self._workspace.history
         for weight, past in (
-            (scheme.c1 - last.c1, self._x),
-            (scheme.c2 - last.c2, self._past_states[0]),
-            (scheme.c3 - last.c3, self._past_states[1]),
+            (coefficients.c1 - last.c1, self._x),
+            (coefficients.c2 - last.c2, self._past_states[0]),
+            (coefficients.c3 - last.c3, self._past_states[1]),
         ):
             history[:size] += weight * past.ravel()
         _fill_between(history, size, self._arguments.length_m / self._nodes)
-        self._scheme, self._coefficients = scheme, _array(scheme)
-        self._step_s, self._scheme_last_s = dt_s, self._last_s
-        self._branch_factors = branch_factors(self._arm.material, scheme.c0, dt_s)
+        self._coefficients, self._coefficient_array = coefficients, _array(coefficients)
+        self._step_s, self._coefficients_last_s = dt_s, self._last_s
+        self._branch_factors = branch_factors(self._arm.material, coefficients.c0, dt_s)
         self._compute_past_strains()
-        self._arguments = KernelArguments.of(self._arm, self._last_pressures[:1], scheme.c0, dt_s)
+        self._arguments = KernelArguments.of(self._arm, self._last_pressures[:1], coefficients.c0, dt_s)
         self._work = self._arguments.work()
         self._prepare()
 
@@ -237,8 +237,8 @@ class Dynamics:
         """Collect the arguments of the kernels, which most time steps share."""
         self._arm_fields = tuple(self._arguments.arm(self._work, self._tip, self._load, self._loaded))
         self._state = MotionState(
-            self._last_pressures, self._segments, self._coefficients, self._past_states, self._x, self._branch_factors,
-            self._branch_strains,
+            self._last_pressures, self._segments, self._coefficient_array, self._past_states, self._x,
+            self._branch_factors, self._branch_strains,
         )  # fmt: skip
         self._state_fields = tuple(self._state)
 
@@ -251,7 +251,7 @@ class Dynamics:
 
     def _advance(self, rows: Array) -> ArmTrajectory:
         if self._arm.by_pressure and len(rows):
-            self._arguments = KernelArguments.of(self._arm, rows, self._scheme.c0, self._step_s)
+            self._arguments = KernelArguments.of(self._arm, rows, self._coefficients.c0, self._step_s)
             self._work = self._arguments.work()
             self._prepare()
         count = len(rows)
@@ -276,11 +276,12 @@ class Dynamics:
         material, geometry = self._arm.material, self._arm.geometry
         stiffness = self._arm.law.softest * float(self._arm.stiffness_n(np.zeros(geometry.actuators)).min())
         slowest = math.sqrt(material.shear_ratio * stiffness / (material.density_kg_m3 * geometry.wall_area_m2))
-        return self._scheme.c0 * geometry.length_m / slowest
+        return self._coefficients.c0 * geometry.length_m / slowest
 
 
-def _array(scheme: Coefficients) -> Array:
-    return np.array([scheme.c0, scheme.c1, scheme.c2, scheme.c3, scheme.d1])
+def _array(coefficients: Coefficients) -> Array:
+    c = coefficients
+    return np.array([c.c0, c.c1, c.c2, c.c3, c.d1])
 
 
 def _fill_between(history: Array, size: int, h: float) -> None:

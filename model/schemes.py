@@ -1,4 +1,4 @@
-"""Time discretisation: the BDF family of Table 2 as coefficients of one formula.
+"""Time discretisation: schemes as coefficients of one formula, among them the BDF family of Table 2.
 
 y_t(t_i) = c0 y(t_i) + c1 y(t_{i-1}) + c2 y(t_{i-2}) + c3 y(t_{i-3}) + d1 y_t(t_{i-1})      (eq 26)
 """
@@ -26,7 +26,7 @@ class Coefficients:
 
 @dataclass(frozen=True)
 class Scheme:
-    """A scheme of Table 2. formula: coefficients for a time step [s] and alpha, which most schemes ignore."""
+    """A scheme of the form of eq 26. formula: coefficients for a time step [s] and alpha, which most schemes ignore."""
 
     name: str
     formula: Callable[[float, float], Coefficients]

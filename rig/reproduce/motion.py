@@ -15,7 +15,7 @@ from model.units import PA_PER_BAR
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
 from rig.reproduce.experiments import PaperComparison, PaperFigure, ResultOrigin, origin
-from rig.reproduce.table4 import SCHEMES, Space
+from rig.reproduce.table4 import PRINTED_SCHEMES, Space
 from runs.records import DetectionStatus
 from runs.report.colours import MEASURED, MODEL
 from runs.report.drawing import decimated, decimated_indices, legend
@@ -30,12 +30,12 @@ TABLE4_MM: dict[tuple[Space, int], tuple[float | None, ...]] = {
     ("rk4", 50): (1.1393, 1.1724, 1.1254, 1.1221, 1.2923, None, None),
     ("rk4", 200): (1.1395, 1.1707, 1.1259, 1.1224, 1.2817, None, None),
 }
-"""Printed average RMSE, in the order of `rig.reproduce.table4.SCHEMES`; None where it says Unstable."""
+"""Printed average RMSE, in the order of `rig.reproduce.table4.PRINTED_SCHEMES`; None where it says Unstable."""
 WINDOW_S = 1.0
 
 Errors = Sequence[float | None]
 ErrorsMm = dict[tuple[Space, int], tuple[float, ...]]
-"""Errors in the order of `rig.reproduce.table4.SCHEMES`, by rule along the arm and N."""
+"""Errors in the order of `rig.reproduce.table4.PRINTED_SCHEMES`, by rule along the arm and N."""
 
 
 class SinusoidalRun:
@@ -102,7 +102,7 @@ def errors_of_methods(
     for space in spaces:
         for steps in (50, 200):
             errors = []
-            for label, scheme, alpha in SCHEMES:
+            for label, scheme, alpha in PRINTED_SCHEMES:
                 report(f"Table 4: {space} N = {steps}, {label}")
                 pairs = [case.rmse_mm(case.second, case.by_method(space, scheme, alpha, steps)) for case in cases]
                 errors.append(float(np.mean(pairs)))
@@ -114,7 +114,7 @@ def table4(cases: tuple[SinusoidalRun, SinusoidalRun], errors_mm: ErrorsMm) -> I
     """The error columns of Table 4."""
     how = origin(*(case.run for case in cases))
     for (space, steps), errors in errors_mm.items():
-        for (label, *_), computed, printed in zip(SCHEMES, errors, TABLE4_MM[space, steps], strict=True):
+        for (label, *_), computed, printed in zip(PRINTED_SCHEMES, errors, TABLE4_MM[space, steps], strict=True):
             why = (
                 "over one second no method differs by more than its own discretisation; E_i by the secant rule"
                 if printed is not None
@@ -138,8 +138,8 @@ def table4_verdict(computed: ErrorsMm, origin: ResultOrigin) -> str:
         else:
             best = paper[0]
             parts.append(
-                f"{where}: the ranking is contradicted: {SCHEMES[best][0]} is best in the paper and number "
-                f"{ours.index(best) + 1} of {len(ours)} here, where {SCHEMES[ours[0]][0]} is best"
+                f"{where}: the ranking is contradicted: {PRINTED_SCHEMES[best][0]} is best in the paper and number "
+                f"{ours.index(best) + 1} of {len(ours)} here, where {PRINTED_SCHEMES[ours[0]][0]} is best"
             )
     for space in dict.fromkeys(space for space, _ in computed):
         grids = sorted(steps for name, steps in computed if name == space)

@@ -23,7 +23,7 @@ Space = Literal["euler", "rk4"]
 FRAME_S = 1 / 30
 HORIZON_S = 20.0
 """How long stability is tried."""
-SCHEMES: tuple[tuple[str, str, float], ...] = (
+PRINTED_SCHEMES: tuple[tuple[str, str, float], ...] = (
     ("Backward Euler", "bdf1", 0.0),
     ("BDF2", "bdf2", 0.0),
     ("BDF-alpha, -0.1", "bdf-alpha", -0.1),
@@ -39,7 +39,7 @@ PRINTED_S: dict[tuple[str, int], tuple[float | None, ...]] = {
     ("rk4", 50): (1.6683, 1.7196, 1.6926, 1.7942, 2.0735, None, None),
     ("rk4", 200): (6.4893, 6.5137, 6.5439, 6.7770, 7.7402, None, None),
 }
-UNPRINTED = (None,) * len(SCHEMES)
+UNPRINTED = (None,) * len(PRINTED_SCHEMES)
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,9 @@ def table4(
     spaces: tuple[Space, ...] = ("euler", "rk4")
     for space in spaces:
         for steps in steps_along:
-            for (label, scheme, alpha), printed in zip(SCHEMES, PRINTED_S.get((space, steps), UNPRINTED), strict=True):
+            for (label, scheme, alpha), printed in zip(
+                PRINTED_SCHEMES, PRINTED_S.get((space, steps), UNPRINTED), strict=True
+            ):
                 report(f"{space} N = {steps}, {label}")
                 rod = PaperRod(arm, FRAME_S, scheme, alpha, space=space, steps=steps)
                 rod.start(start)
