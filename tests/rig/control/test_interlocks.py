@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control import step as control
+from rig.control.interlocks.evaluation import ACTUATOR_INTERLOCKS, SAMPLE_INTERLOCKS
 from rig.hardware.safe_state import safe_outputs
 from tests.support.plant_bench import mock_rig
 
@@ -307,3 +309,11 @@ def test_whatever_the_readings_every_command_lies_in_the_valves_range(
         sample = control.Sample(t_ns, t_ns, np.array([bar, bar, volts]), np.array([bar, bar, volts]) * 1e5)
         state, command = control.step(SETTINGS, state, sample, np.full(3, setpoint * 1e5), np.full(3, rate * 1e5))
         assert np.all((command.outputs >= 0.0) & (command.outputs <= 10.0))
+
+
+def test_the_page_lists_the_interlocks_in_the_order_in_which_their_trips_are_reported() -> None:
+    page = Path(__file__).parents[3] / "docs" / "explanation" / "control.md"
+    table = page.read_text(encoding="utf-8").split("## Interlocks")[1].split("\n\n")[2]
+    listed = dict.fromkeys(re.findall(r"\| `(\w+)` \|$", table, re.MULTILINE))
+    registered = [kind.__name__ for kind in (*SAMPLE_INTERLOCKS, *ACTUATOR_INTERLOCKS)]
+    assert list(listed) == registered, f"{page.name}, table of interlocks: one row for each class, in this order"
