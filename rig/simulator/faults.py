@@ -1,8 +1,8 @@
 """Fault injection of the simulated bench: faults of sensors, valves, supply, card and camera.
 
 The faults are one structured row: in the shared file of a mock card in real time, in the plant in virtual time. Tests
-write it; the plant (`rig.simulator.faulty_devices`), the mock card and the mock camera apply it; no other module uses
-it. Every process of a run imports this module, so it must not import the compiler.
+and the fault campaign (`scripts.faults`) write it; the plant (`rig.simulator.faulty_devices`), the mock card, the mock
+camera and the mock tracker apply it. Every process of a run imports this module, so it must not import the compiler.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ FAULTS_DTYPE = np.dtype(
     [
         ("active", "<i8"),
         ("sensor", "<i8", (MOST,)),
-        ("sensor_pa", "<f8", (MOST,)),
+        ("sensor_value", "<f8", (MOST,)),
         ("valve", "<i8", (MOST,)),
         ("valve_value", "<f8", (MOST,)),
         ("supply_lost", "<i8"),
@@ -40,9 +40,10 @@ FAULTS_DTYPE = np.dtype(
 )
 """`active` is set after the others; `failing_reads`, `failing_writes` and `lost_scans` count down. Pressures are gauge.
 
-`sensor_pa` is the standard deviation of the noise or the offset; `valve_value` the voltage at which a valve is stuck
-(NaN: its present one), or its leakage [l/min at 6 -> 5 bar]. `camera_number` is the camera with the fault, 1 for the
-first of the rig, 0 for all. `contact` is 1 where the contact at a digital input is open, `contact_1` that of channel 0.
+`sensor_value` is the standard deviation of the noise or the offset [Pa]; `valve_value` the voltage at which a valve is
+stuck (NaN: its present one), or its leakage [l/min at 6 -> 5 bar]. `camera_number` is the camera with the fault, 1 for
+the first of the rig, 0 for all. `contact` is 1 where the contact at a digital input is open, `contact_1` that of
+channel 0.
 """
 
 

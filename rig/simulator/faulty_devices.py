@@ -80,7 +80,7 @@ class FaultySensors:
     def _wrong(self, fault: SensorFault, a: int, step: int, volts: NDArray[np.float64]) -> NDArray[np.float64]:
         sensors = self._sensors
         low, high = float(sensors.range_low_v[a]), float(sensors.range_high_v[a])
-        by_v = float(self._faults.row["sensor_pa"][0, a]) * float(sensors.v_per_pa[a])
+        by_v = float(self._faults.row["sensor_value"][0, a]) * float(sensors.v_per_pa[a])
         match fault:
             case SensorFault.OPEN:
                 # The multiplexer charges an open input until it saturates.

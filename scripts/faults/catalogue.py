@@ -71,9 +71,9 @@ SENSORS = (
     _sensor("sensor open", "sensor 1 reads 10.000 V", sensor_1=SensorFault.OPEN),
     _sensor("sensor short", PRESSURE, sensor_1=SensorFault.SHORT),
     _sensor("sensor frozen", PRESSURE, sensor_1=SensorFault.FROZEN),
-    _sensor("sensor noisy, 0.3 bar", PRESSURE, sensor_1=SensorFault.NOISY, sensor_pa_1=30e3),
-    _sensor("sensor reads 0.3 bar too much", PRESSURE, sensor_1=SensorFault.OFFSET, sensor_pa_1=30e3),
-    _sensor("sensor reads 0.3 bar too little", PRESSURE, sensor_1=SensorFault.OFFSET, sensor_pa_1=-30e3),
+    _sensor("sensor noisy, 0.3 bar", PRESSURE, sensor_1=SensorFault.NOISY, sensor_value_1=30e3),
+    _sensor("sensor reads 0.3 bar too much", PRESSURE, sensor_1=SensorFault.OFFSET, sensor_value_1=30e3),
+    _sensor("sensor reads 0.3 bar too little", PRESSURE, sensor_1=SensorFault.OFFSET, sensor_value_1=-30e3),
     _sensor(
         "every sensor short",
         r"sensor \d|actuator \d",

@@ -100,7 +100,7 @@ class Fault:
     virtual: bool = True
     safe: bool = True
     within_s: float = 3.0
-    """Time limit for safe valves if the run ends."""
+    """Time limit for safe valves if the run ends, from the injection."""
     remark: str = field(default="", kw_only=True)
     moving_s: float = field(default=MOVING_S, kw_only=True)
     """How long the protocol moves the valves."""

@@ -57,7 +57,8 @@ def test_a_frozen_sensor_repeats_its_last_reading_until_it_is_repaired(bench: Ri
 def test_a_noisy_sensor_is_noisy_and_an_offset_moves_a_reading(bench: Rig) -> None:
     bench.card.write(np.array([5.0, 5.0]))
     before = bench.volts(50)
-    bench.faults.inject(sensor_1=SensorFault.NOISY, sensor_pa_1=30e3, sensor_2=SensorFault.OFFSET, sensor_pa_2=20e3)
+    bench.faults.inject(sensor_1=SensorFault.NOISY, sensor_value_1=30e3)
+    bench.faults.inject(sensor_2=SensorFault.OFFSET, sensor_value_2=20e3)
     after = bench.volts(200)
     assert 0.1 < after[:, 0].std() < 0.4
     assert np.median(after[:, 1]) - np.median(before[:, 1]) == pytest.approx(0.2, abs=0.02)
