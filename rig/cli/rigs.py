@@ -22,8 +22,7 @@ EXPLAINED = {
     "metadata": "Facts for the archive: `values` by name (specimen, batch, fibre_angle_deg, ..), and the names that "
     "`required` makes every run give, here or with `rig run --meta NAME=VALUE`.",
     "cards": "Data-acquisition cards. The name before the braces is yours; valves and sensors refer to "
-    "it. `outputs` and `inputs` are the channels that the card has. Drivers: comedi (a card), serial "
-    "(a microcontroller), nidaqmx, mock (simulated); `rig drivers` lists those of plug-ins.",
+    "it. `outputs` and `inputs` are the channels that the card has.",
     "valves": "One valve for each actuator; a valve may drive several. `type: flow` meters flow and needs "
     "the program's pressure regulator; `type: pressure` is a regulator that takes a set-point "
     "voltage. `closed_V` is where all ports are shut (5 V by default). `safe_state` says what "
@@ -43,7 +42,7 @@ EXPLAINED = {
     "trackers": "Optional, in place of cameras: a device that gives the pose of the tip itself.",
     "cameras": "Optional: cameras that see the board at the arm's tip. `lens` comes from `rig calibrate camera`. "
     "`placement` is the camera (x right, y down, z forward) in the rod-base frame, "
-    "`rotation_deg` a rotation vector. Drivers: opencv, realsense, mock.",
+    "`rotation_deg` a rotation vector.",
     "board": "The checkerboard on the end cap: its squares, not its inner corners. `placement` is its "
     "centre in the tip frame; `rig calibrate tool` finds it.",
     "sections": "Optional: boards with markers along the arm, each with the arc length `at_mm` of its section. "
@@ -58,7 +57,7 @@ EXPLAINED = {
     "numbers intentionally differ from the model's. A rig without a mock device has no such "
     "section.",
 }
-"""Comment of each section of a rig file."""
+"""Comment of each section of a rig file; `commented` adds the drivers of devices."""
 
 SUPPLY = (
     "The test moves every output of the rig's real cards. Shut the air off and vent the line, "
@@ -76,15 +75,23 @@ _SECTION = re.compile(r"([a-z_]+):")
 
 def commented(text: str) -> str:
     """Return a rig's YAML with a comment for every section, without its leading comments."""
+    from rig.config.card_sections import CARD_DRIVERS
+    from rig.config.sections import CAMERA_DRIVERS
+    from rig.config.tracker_sections import TRACKER_DRIVERS
+
+    explained = dict(EXPLAINED)
+    for registry in (CARD_DRIVERS, CAMERA_DRIVERS, TRACKER_DRIVERS):
+        names = ", ".join(registry.built_in)
+        explained[registry.kind] += f" Drivers: {names}; `rig drivers` explains them and those of plug-ins."
     lines = text.splitlines()
     while lines and (lines[0].startswith("#") or not lines[0]):
         lines.pop(0)
     out = [_HEAD]
     for line in lines:
-        if (section := _SECTION.match(line)) and section[1] in EXPLAINED:
+        if (section := _SECTION.match(line)) and section[1] in explained:
             if not out[-1].startswith("#") and section[1] != "description":
                 out.append("")
-            out += [f"# {part}" for part in textwrap.wrap(EXPLAINED[section[1]], _WIDTH)]
+            out += [f"# {part}" for part in textwrap.wrap(explained[section[1]], _WIDTH)]
         out.append(line)
     return re.sub(r"\n{3,}", "\n\n", "\n".join(out)) + "\n"
 
