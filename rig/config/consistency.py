@@ -9,16 +9,18 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from protocols.problems import closest
 from protocols.validation import ValidationFault
 from rig.config import tip_source_consistency as tip_sources
+from rig.config.sections import Sensor
+from rig.valves.registry import VALVES
 
 if TYPE_CHECKING:
     from rig.config.card_sections import CardConfig
     from rig.config.input_sections import AuxiliaryInput, EmergencyStop
-    from rig.config.sections import ArmConfig, CameraConfig, GeometryConfig, Sensor
+    from rig.config.sections import ArmConfig, CameraConfig, GeometryConfig
     from rig.config.simulator_sections import Simulator
     from rig.config.tracker_sections import TrackerConfig
     from rig.sections.control import Control, Limits
@@ -30,10 +32,6 @@ if TYPE_CHECKING:
     Trackers = Mapping[str, TrackerConfig | None]
     Valves = Sequence[ValveSection | None]
     Sensors = Sequence[Sensor | None]
-
-
-SIGNAL_UNITS = frozenset(("V", "bar"))
-"""Units of softrig's own valves and sensors."""
 
 
 def check(parts: Mapping[str, Any]) -> list[ValidationFault]:
@@ -127,17 +125,24 @@ def _stop_channels(cards: Cards, stops: Mapping[str, EmergencyStop | None]) -> I
 
 def check_units(cards: Cards, valves: Valves, sensors: Sensors, inputs: Inputs) -> Iterator[ValidationFault]:
     """Yield a fault for each number that the card would take or give in another unit."""
-    users = [((*path, "type"), user.card, user.output_unit) for path, _, user in _listed("valves", valves)]
-    users += [((*path, "unit"), user.card, user.unit) for path, _, user in _listed("sensors", sensors)]
-    users += [((*path, "card"), user.card, "V") for path, _, user in _by_name("inputs", inputs)]
-    for path, name, unit in users:
+    types = {f"`type: {name}`": kind.output_unit for name, kind in VALVES.built_in.items()}
+    units = {f"`unit: {unit}`": unit for unit in get_args(Sensor.model_fields["unit"].annotation)}
+    users = [((*path, "type"), user.card, user.output_unit, types) for path, _, user in _listed("valves", valves)]
+    users += [((*path, "unit"), user.card, user.unit, units) for path, _, user in _listed("sensors", sensors)]
+    users += [((*path, "card"), user.card, "V", {}) for path, _, user in _by_name("inputs", inputs)]
+    for path, name, unit, choices in users:
         card = cards.get(name)
         if card is None or card.signal_units is None or unit in card.signal_units:
             continue
-        units = " or ".join(card.signal_units)
-        expected = f"one with signals in {units}: card '{name}' ({card.driver}) has no signals in {unit}"
-        if not SIGNAL_UNITS.intersection(card.signal_units):
-            expected += f"; its driver converts {units} to {' or '.join(sorted(SIGNAL_UNITS))} (signal_units)"
+        of_card = " or ".join(card.signal_units)
+        fitting = [choice for choice, own in choices.items() if own in card.signal_units]
+        expected = " or ".join(fitting) or f"a card with signals in {unit}"
+        if fitting and choices is types:
+            expected += f" (output in {of_card})"
+        expected += f": card '{name}' ({card.driver}) has no signals in {unit}"
+        if choices and not fitting:
+            known = " or ".join(dict.fromkeys(choices.values()))
+            expected += f"; its driver converts {of_card} to {known} (signal_units)"
         yield ValidationFault(path, expected)
 
 

@@ -11,7 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -101,16 +101,13 @@ class SimulatedValve(Section):
 class ValveSection(Section, ABC):
     """One valve of the rig file: the keys and methods that every type has. A type adds `type` and keys of its own."""
 
+    output_unit: ClassVar[str] = "V"
+    """Unit of what the card's output takes; the outputs of every method are in it."""
     type: str
     actuators: Annotated[tuple[ActuatorNumber, ...], Field(min_length=1)]
     card: Word
     channel: Index
     safe_state: Literal["vent", "hold"] = "vent"
-
-    @property
-    def output_unit(self) -> str:
-        """Unit of what the card's output takes; the outputs of every other method are in it."""
-        return "V"
 
     @property
     @abstractmethod

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
@@ -131,14 +131,10 @@ class BusValve(RegulatingValve):
     range begins below it.
     """
 
+    output_unit: ClassVar[str] = "bar"
     type: Literal["bus"]
-    safe_state: Literal["vent"] = "vent"
     range_bar: BarSpan
     vent_bar: Number = Field(default=0.0, ge=-1, le=1)
-
-    @property
-    def output_unit(self) -> str:
-        return "bar"
 
     @property
     def output_range(self) -> tuple[float, float]:

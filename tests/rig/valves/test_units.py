@@ -63,7 +63,7 @@ def test_an_external_write_is_reported_in_bar() -> None:
     ("text", "says"),
     [
         (bus_text(", range_V: [0, 10]"), "unknown key 'range_V'"),
-        (bus_text(", safe_state: hold"), '"vent"'),
+        (bus_text(", safe_state: hold"), "a valve of type bus has no closed position"),
         (bus_text(", vent_bar: 1.6"), "vent_bar"),
         (bus_text(", vent_bar: -0.9"), "a pressure inside range_bar, -0.8 to 1.5 bar"),
         (bus_text().replace("[-0.8, 1.5]", "[0.1, 1.5]"), "a range from 0 to limits, pressure_bar (0.7 bar) at least"),
@@ -96,7 +96,11 @@ def test_a_card_in_volts_refuses_set_points_in_bar() -> None:
     """Its driver would write 0.7 bar as 0.7 V."""
     with pytest.raises(BadInputError) as refused:
         loader.parse(_on_a_real_card(bus_text(), SERIAL.replace("serial", "comedi")), "bus.yaml")
-    assert str(refused.value).count("card 'daq' (comedi) has no signals in bar") == 5
+    message = str(refused.value)
+    assert (
+        message.count("`type: flow` or `type: pressure` (output in V): card 'daq' (comedi) has no signals in bar") == 2
+    )
+    assert message.count("`unit: V`: card 'daq' (comedi) has no signals in bar") == 3
 
 
 def test_a_card_in_bar_refuses_voltages() -> None:
@@ -104,7 +108,16 @@ def test_a_card_in_bar_refuses_voltages() -> None:
     text = _on_a_real_card(loader.text("mock"), SERIAL)
     with pytest.raises(BadInputError) as refused:
         loader.parse(text, "serial.yaml")
-    assert str(refused.value).count("one with signals in bar: card 'daq' (serial) has no signals in V") == 5
+    message = str(refused.value)
+    assert message.count("`type: bus` (output in bar): card 'daq' (serial) has no signals in V") == 2
+    assert message.count("`unit: bar`: card 'daq' (serial) has no signals in V") == 3
+
+
+def test_an_input_on_a_card_in_bar_needs_another_card() -> None:
+    card = SimpleNamespace(signal_units=("bar",), driver="serial")
+    recorded = SimpleNamespace(card="daq")
+    (fault,) = consistency.check_units({"daq": card}, (), (), {"force": recorded})  # type: ignore[dict-item]
+    assert fault.expected == "a card with signals in V: card 'daq' (serial) has no signals in V"
 
 
 def test_a_rig_on_a_bus_survives_its_dump() -> None:
