@@ -21,7 +21,7 @@ from rig.experiment.preflight import peak_pa, trough_pa
 from rig.experiment.run import RunRequest, RunResult
 from rig.hardware.safe_state import safe_outputs
 from rig.realtime.scheduling import obtainable, remedies
-from rig.realtime.timing_limits import has_real_valves, timing_sentence
+from rig.realtime.timing_limits import timing_sentence
 from runs.printable_text import printable
 from runs.records import Status
 
@@ -64,7 +64,7 @@ def check_screen(request: RunRequest, plan: RunPlan) -> Group:
     if not request.fast:
         granted = obtainable()
         facts.add_row("timing", timing_sentence(config, granted))
-        if has_real_valves(config) and (refused := remedies(granted)):
+        if config.has_real_valves and (refused := remedies(granted)):
             facts.add_row("", refused)
     peak = peak_bar(plan)
     table = ColumnTable()

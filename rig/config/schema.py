@@ -133,6 +133,11 @@ class RigConfig(Section):
         return cards or any(source.is_mock for source in self.tip_sources)
 
     @property
+    def has_real_valves(self) -> bool:
+        """True when a card of the rig is real hardware."""
+        return any(not card.is_mock for card in self.cards.values())
+
+    @property
     def as_built(self) -> RigConfig:
         """The rig with the simulator's true parts: calibrations change the stated values only."""
         built = None if self.simulator is None else self.simulator.built

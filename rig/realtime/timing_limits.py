@@ -65,11 +65,6 @@ class TimingLimits:
         return 2 * self.frame_s
 
 
-def has_real_valves(config: RigConfig) -> bool:
-    """True if a card of the rig is real hardware."""
-    return any(not card.is_mock for card in config.cards.values())
-
-
 def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
     """The limits of one run; `granted` is what both control and the watchdog were granted.
 
@@ -79,7 +74,7 @@ def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
     of the newest sample (`stale_s`), at most 0.1 s. Simulated valves: seconds, because no hardware can be damaged.
     """
     limits = config.limits
-    if limits.hung_s is not None or (has_real_valves(config) and REAL_TIME in granted):
+    if limits.hung_s is not None or (config.has_real_valves and REAL_TIME in granted):
         strict_ns = round((limits.hung_s or STRICT_HUNG_S) * 1e9)
         strict = TimingLimits(TimingProfile.STRICT, strict_ns, frame_s=limits.no_tip_s)
         return replace(
@@ -89,7 +84,7 @@ def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
             supervised_control_s=max(strict.supervised_control_s, strict_ns * 1e-9),
             supervised_watchdog_s=max(strict.supervised_watchdog_s, strict_ns * 1e-9),
         )
-    if has_real_valves(config):
+    if config.has_real_valves:
         hung_s = max(STRICT_HUNG_S, min(limits.stale_s, ORDINARY_HUNG_S))
         return TimingLimits(TimingProfile.ORDINARY, round(hung_s * 1e9), frame_s=limits.no_tip_s)
     real_sources = any(not source.is_mock for source in config.tip_sources)

@@ -19,7 +19,6 @@ from rig.experiment import report_process
 from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest, RunResult
 from rig.experiment.simulate import simulate
-from rig.realtime.timing_limits import has_real_valves
 from rig.session.operators import Answer, FunctionOperator, FunctionStudyOperator
 from rig.study import execution
 from rig.study.study import load as load_study
@@ -225,7 +224,7 @@ def _parameters_file(parameters: Path | str | None) -> Path | None:
 
 def _check_arming(request: RunRequest, plan: RunPlan, yes: bool, answer: Answer | None) -> None:
     problems = []
-    if has_real_valves(request.config) and not yes:
+    if request.config.has_real_valves and not yes:
         expected = f"yes=True: rig {request.config.name} has real valves, and this arms them without a question"
         problems.append(Problem("yes", 0, 0, "", "False", expected))
     if not request.fast and plan.trajectory.prompts and answer is None:

@@ -16,6 +16,7 @@ import pytest
 import rig
 import runs
 from protocols import BadInputError
+from rig.config.schema import RigConfig
 from rig.execution.plan import Progress
 from rig.identify import identify
 from rig.session.operators import FunctionOperator
@@ -95,7 +96,7 @@ def test_a_rig_that_is_not_open_runs_nothing(folder: Path) -> None:
 
 
 def test_real_valves_are_armed_only_on_request(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.session.session.has_real_valves", lambda config: True)
+    monkeypatch.setattr(RigConfig, "has_real_valves", True)
     with rig.open("mock") as bench, pytest.raises(BadInputError, match="yes=True"):
         bench.run(folder / "step.yaml", fast=True, out=folder / "none")
 
