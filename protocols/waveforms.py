@@ -78,8 +78,9 @@ class Smooth(Waveform):
         return (self.stop - self.start) / self.duration_s * _rise_slope(min(t_s / self.duration_s, 1.0))
 
     def knots(self, duration_s: float) -> tuple[float, ...]:
-        """Both ends, and the middle, where it is steepest."""
-        return (0.0, duration_s / 2, duration_s)
+        """Both ends, and the middle of the whole rise, where it is steepest."""
+        steepest_s = self.duration_s / 2
+        return (0.0, steepest_s, duration_s) if steepest_s < duration_s else (0.0, duration_s)
 
 
 @dataclass(frozen=True)
@@ -153,8 +154,8 @@ class Samples(Waveform):
         return (self.values[i + 1] - self.values[i]) / (self.times_s[i + 1] - self.times_s[i])
 
     def knots(self, duration_s: float) -> tuple[float, ...]:
-        """The given times."""
-        return self.times_s
+        """Both ends, and the given times between them."""
+        return (0.0, *(t for t in self.times_s if 0 < t < duration_s), duration_s)
 
     def values_at(self, t_s: Array) -> Array:
         """The values (n,), without a loop: a tip path has hundreds of thousands."""
