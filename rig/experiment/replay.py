@@ -24,10 +24,12 @@ from rig.execution.plan import sample_rows
 from rig.experiment.provenance import quantities, section_places, software
 from rig.hardware.cameras.base import Frame, FrameSet
 from rig.observation.observer import MeasuredTipForce, Observer
+from runs.archive.column_groups import clock_ns
 from runs.archive.writer import ArchiveError, finalise
 from runs.data_folder import DATA, free_id
 from runs.journal.journal import SUFFIX, JournalWriter
-from runs.records import RunFooter, blank, sample_dtype
+from runs.journal.row_kinds import ROW_KINDS
+from runs.records import RunFooter, blank
 from runs.run import Run
 
 
@@ -80,8 +82,9 @@ def replay(
         adapted=(),
     )
     journal = JournalWriter(folder / f"{header.run_id}{SUFFIX}", header)
-    journal.samples(_samples(run))
-    journal.observations(rows)
+    for kind in ROW_KINDS:
+        if kind.recorded(header):
+            getattr(journal, kind.name)(rows if kind.name == "observations" else run.rows(kind))
     for event in run.events:
         journal.event(event)
     journal.close(RunFooter(int(rows["t_ns"][-1]), run.status, run.message, run.timing.counters))
@@ -130,12 +133,15 @@ def _picture(run: Run, k: int) -> NDArray[np.uint8]:
 
 
 def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray[np.void]]:
-    """Yield the observations of the stored frames in order, with the reference of the tip that the run had."""
+    """Yield the observations of the stored frames in order.
+
+    With the reference and the learned disturbance of the tip that the run had.
+    """
     observer = Observer(config, variant)
-    tip, reference = run.tip, run.reference
+    tip, given = run.tip, [table for table in (run.reference, run.learning) if table is not None]
     clock = run.header.started_t_ns
     samples = blank(len(run.pressure.time_s), sample_rows(config))
-    samples["t_ns"] = _nanoseconds(run.pressure.time_s, clock)
+    samples["t_ns"] = clock_ns(run.pressure.time_s, clock)
     samples["measured_pa"] = run.pressure.measured_bar * PA_PER_BAR
     aux = _auxiliary(run, config)
     if config.inputs:
@@ -153,7 +159,7 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
         row = row_of[index]
         frames: list[Frame | None] = [None] * len(config.cameras)
         for k in picture_indices:
-            t_ns = int(_nanoseconds(run.frames.time_s[k], clock))
+            t_ns = int(clock_ns(run.frames.time_s[k], clock))
             truth_m = truth_mm[row] * 1e-3
             frames[camera_of[run.frames.camera[k]]] = Frame(index, t_ns, _picture(run, k), truth_m)
         frame_set = FrameSet(index, tuple(frames))
@@ -163,11 +169,8 @@ def _observed(run: Run, config: RigConfig, variant: Variant) -> Iterator[NDArray
         weight_kg = float(tip.weight_g[row]) * 1e-3
         found = observer.step(frame_set, samples[seen:until], float(tip.protocol_s[row]), dropped, weight_kg)
         seen = until
-        if reference is not None:
-            found["reference_m"], found["predicted_m"] = (
-                values[row] * 1e-3 for values in (reference.reference_mm, reference.predicted_mm)
-            )
-            found["tip_motion"], found["tip_period"] = reference.motion[row], reference.period[row]
+        for table in given:
+            table.set_fields(found, row)
         yield found
 
 
@@ -200,23 +203,3 @@ def _cameras(run: Run, config: RigConfig) -> dict[str, int]:
     if set(names).isdisjoint(run.header.cameras):
         return dict(zip(run.header.cameras, range(len(names)), strict=False))
     return {name: names.index(name) for name in run.header.cameras if name in names}
-
-
-def _samples(run: Run) -> NDArray[np.void]:
-    """Return the run's recorded control cycles."""
-    pressure = run.pressure
-    rows = blank(len(pressure.time_s), sample_dtype(run.header.actuators, run.header.valves, len(run.header.auxiliary)))
-    rows["t_ns"] = _nanoseconds(pressure.time_s, run.header.started_t_ns)
-    rows["cycle"], rows["protocol_s"], rows["scans"] = pressure.cycle, pressure.protocol_s, pressure.scans
-    rows["setpoint_pa"] = pressure.setpoint_bar * PA_PER_BAR
-    rows["measured_pa"] = pressure.measured_bar * PA_PER_BAR
-    rows["valve_v"] = pressure.valve_v
-    rows["lateness_ns"] = np.round(run.timing.lateness_us * 1e3)
-    rows["missed"] = run.timing.overruns
-    if run.auxiliary is not None:
-        rows["aux"] = run.auxiliary.value
-    return rows
-
-
-def _nanoseconds(time_s: NDArray[np.float64] | float, clock_ns: int) -> NDArray[np.int64]:
-    return np.round(np.asarray(time_s) * 1e9).astype(np.int64) + clock_ns

@@ -129,6 +129,11 @@ def seconds(journal: Journal, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.asarray((t_ns - journal.header.started_t_ns) / 1e9)
 
 
+def clock_ns(time_s: NDArray[np.float64] | float, started_t_ns: int) -> NDArray[np.int64]:
+    """Return the times on the own clock [ns] of times [s] since the start of a run: the inverse of `seconds`."""
+    return np.round(np.asarray(time_s) * 1e9).astype(np.int64) + started_t_ns
+
+
 def _field(journal: Journal, column: Column, rows: RowTable) -> Field:
     clock = column.record == "t_ns"
     return Field(

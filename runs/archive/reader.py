@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs.archive.checked import content_sha256, opened
+from runs.archive.column_groups import TABLE_GROUPS, clock_ns
 from runs.archive.fields import QUANTITY_GROUPS
 from runs.archive.provenance import metadata, study_run
 from runs.arrays import Array
@@ -34,6 +35,7 @@ from runs.columns import (
 )
 from runs.columns.conversions import PA_PER_BAR
 from runs.columns.declaration import Column, Table, Values
+from runs.journal.row_kinds import RowKind
 from runs.records import (
     AuxiliaryChannel,
     Event,
@@ -44,6 +46,7 @@ from runs.records import (
     RunHeader,
     SectionPlace,
     Status,
+    blank,
 )
 
 Ints = NDArray[np.int64]
@@ -215,6 +218,21 @@ class ArchiveReader:
         with opened(self.path) as archive:
             data: bytes = archive.row("entry/frames/image", k).tobytes()
             return data
+
+    def rows(self, kind: RowKind) -> NDArray[np.void]:
+        """Return the records (n,) of a kind, in SI units; a field that the archive does not hold is not set.
+
+        Raises:
+            TypeError: one of their columns has no `inverse`.
+        """
+        kinds = [group.kind for group in TABLE_GROUPS if group.rows == kind.name]
+        tables = [table for table in map(self._table, kinds) if table is not None]
+        time_s = tables[0].values["time_s"] if tables else np.empty(0)
+        rows = blank(len(time_s), kind.dtype(self.header))
+        rows["t_ns"] = clock_ns(time_s, self.header.started_t_ns)
+        for table in tables:
+            table.set_fields(rows)
+        return rows
 
     def _table(self, kind: type[T]) -> T | None:
         """Return a table; None if the archive has no such group."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from runs.columns.conversions import COUNT, protocol_time_column, time_column, to_bar, to_us
+from runs.columns.conversions import COUNT, from_bar, from_us, protocol_time_column, time_column, to_bar, to_us
 from runs.columns.declaration import Column, Table
 
 
@@ -14,9 +14,16 @@ class Pressure(Table):
     time_s = time_column("time of the newest scan of the cycle")
     cycle = Column("cycle", "<i8", about="number of the control cycle")
     protocol_s = protocol_time_column()
-    setpoint_bar = Column("setpoint_pa", axes=("actuator",), unit="bar", about="set-point", convert=to_bar)
+    setpoint_bar = Column(
+        "setpoint_pa", axes=("actuator",), unit="bar", about="set-point", convert=to_bar, inverse=from_bar
+    )
     measured_bar = Column(
-        "measured_pa", axes=("actuator",), unit="bar", about="mean of the scans since the last cycle", convert=to_bar
+        "measured_pa",
+        axes=("actuator",),
+        unit="bar",
+        about="mean of the scans since the last cycle",
+        convert=to_bar,
+        inverse=from_bar,
     )
     valve_v = Column(
         "valve_v",
@@ -55,7 +62,9 @@ class Timing(Table):
 
     time_s = time_column("time of the newest scan of the cycle")
     overruns = Column("missed", "<i4", about="deadlines missed since the last cycle")
-    lateness_us = Column("lateness_ns", "<i8", unit="us", about="how late the control cycle began", convert=to_us)
+    lateness_us = Column(
+        "lateness_ns", "<i8", unit="us", about="how late the control cycle began", convert=to_us, inverse=from_us
+    )
 
 
 class TriggerPulse(Table):
@@ -74,4 +83,5 @@ class TriggerPulse(Table):
         unit="us",
         about="half of the duration of the write that set the output high",
         convert=lambda seconds: seconds * 0.5e6,
+        inverse=lambda us: us / 0.5e6,
     )

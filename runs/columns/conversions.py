@@ -44,6 +44,21 @@ def to_us(nanoseconds: Values) -> Values:
     return nanoseconds / 1e3
 
 
+def from_mm(millimetres: Values) -> Values:
+    """Millimetres in metres."""
+    return millimetres / MM_PER_M
+
+
+def from_bar(bars: Values) -> Values:
+    """Bar in pascals."""
+    return bars * PA_PER_BAR
+
+
+def from_us(microseconds: Values) -> Values:
+    """Microseconds in nanoseconds."""
+    return microseconds * 1e3
+
+
 def deviation(covariance: Values) -> Values:
     """Standard deviations (n, p) of covariances (n, p, p)."""
     return np.asarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))

@@ -30,7 +30,8 @@ class Column:
     `record` names the field, in SI units, of type `dtype` and of shape `shape` (by default `axes`). A column that the
     archive computes from other fields has none, but `of`: rows (n,) to values (n, ..). `axes` are the scales of the
     dataset's dimensions after the rows. `convert` gives the stored values of the field, `read` the attribute of the
-    stored values. `missing` is the value of a field that is not set; an integer is 0.
+    stored values, `inverse` the field of the attribute: a replay copies the columns that it does not compute again.
+    `missing` is the value of a field that is not set; an integer is 0.
 
     `dataset` is by default the name of the attribute. `among`, `limits` and `finite` are what a reader may rely on.
     `since` is the layout that the column came with: in an archive of an earlier one its values are `missing`.
@@ -45,6 +46,7 @@ class Column:
     convert: Callable[[Values], Values] = _same
     of: Callable[[NDArray[np.void]], Values] | None = None
     read: Callable[[Values], Values] = _same
+    inverse: Callable[[Values], Values] | None = None
     missing: float = float("nan")
     dataset: str = ""
     among: tuple[int, ...] = ()
@@ -82,6 +84,19 @@ class Column:
         beyond = np.abs(values) > LARGEST
         return np.where(beyond, np.nan, values) if beyond.any() else values
 
+    def recorded(self, values: Values) -> Values:
+        """Return the field of records of the attribute's values.
+
+        Raises:
+            TypeError: the column converts its field, and has no `inverse`.
+        """
+        if self.inverse is None:
+            if self.convert is not _same or self.read is not _same:
+                raise TypeError(f"column {self.name}: expected `inverse`, which gives {self.record} of its values")
+            return values
+        found = self.inverse(values)
+        return found if np.dtype(self.dtype).kind == "f" else np.round(found).astype(self.dtype)
+
 
 class Table:
     """The columns of one group of the archive, as it is read: each is an attribute, an array (n, ..)."""
@@ -105,6 +120,16 @@ class Table:
     def columns(cls) -> tuple[Column, ...]:
         """Return the columns in the order of their declaration."""
         return tuple(one for one in vars(cls).values() if isinstance(one, Column))
+
+    def set_fields(self, rows: NDArray[np.void], which: int | slice = slice(None)) -> None:
+        """Set the fields of records from rows of the table, except their time.
+
+        Raises:
+            TypeError: a column has no `inverse`.
+        """
+        for column in self.columns():
+            if column.record not in ("", "t_ns"):
+                rows[column.record] = column.recorded(self.values[column.name][which])
 
     def replaced(self, **values: Values) -> Self:
         """Return the table with other values in some columns."""

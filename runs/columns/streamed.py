@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from runs.columns.conversions import COUNT, protocol_time_column, time_column, to_bar
+from runs.columns.conversions import COUNT, from_bar, protocol_time_column, time_column, to_bar
 from runs.columns.declaration import Column, Table
 
 
@@ -38,6 +38,7 @@ class StreamedSetPoints(Table):
         unit="bar",
         about="set-point as it was sent; NaN if infinite or no number, and for actuators that the step does not name",
         convert=to_bar,
+        inverse=from_bar,
     )
     status = Column(
         "status",
@@ -46,5 +47,9 @@ class StreamedSetPoints(Table):
         among=tuple(StreamStatus),
     )
     late_ms = Column(
-        "late_s", unit="ms", about="from the arrival to the control cycle that took it", convert=lambda s: s * 1e3
+        "late_s",
+        unit="ms",
+        about="from the arrival to the control cycle that took it",
+        convert=lambda s: s * 1e3,
+        inverse=lambda ms: ms / 1e3,
     )

@@ -7,7 +7,18 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from runs.columns.conversions import COUNT, MM_PER_M, SECONDS, time_column, to_bar, to_mm, to_us
+from runs.columns.conversions import (
+    COUNT,
+    MM_PER_M,
+    SECONDS,
+    from_bar,
+    from_mm,
+    from_us,
+    time_column,
+    to_bar,
+    to_mm,
+    to_us,
+)
 from runs.columns.declaration import Column, Table, Values
 
 PLAN_AHEAD_S = (0.0, 0.1, 0.2, 0.3)
@@ -67,7 +78,12 @@ class Reference(Table):
 
     time_s = time_column("middle of the exposure")
     reference_mm = Column(
-        "reference_m", axes=("axis",), unit="mm", about="reference of the tool centre point", convert=to_mm
+        "reference_m",
+        axes=("axis",),
+        unit="mm",
+        about="reference of the tool centre point",
+        convert=to_mm,
+        inverse=from_mm,
     )
     predicted_mm = Column(
         "predicted_m",
@@ -75,6 +91,7 @@ class Reference(Table):
         unit="mm",
         about="tool centre point of the model under the feed-forward set-points, computed before the run",
         convert=to_mm,
+        inverse=from_mm,
     )
     motion = Column("tip_motion", "<i4", about="number of the protocol's tip path, from 1; 0 outside")
     period = Column(
@@ -103,6 +120,7 @@ class Learning(Table):
         unit="mm",
         about="learned difference between the tip and that of the controller's model; NaN outside tip paths",
         convert=to_mm,
+        inverse=from_mm,
     )
 
 
@@ -120,6 +138,7 @@ class TipControl(Table):
         unit="ms",
         about="from start_s to when the control loop took the plan; 0 in virtual time",
         convert=lambda s: s * 1e3,
+        inverse=lambda ms: ms / 1e3,
     )
     status = Column(
         "status",
@@ -135,6 +154,7 @@ class TipControl(Table):
         unit="us",
         about="time of the step; 0 in virtual time, which repeats bit for bit",
         convert=to_us,
+        inverse=from_us,
     )
     plan_bar = Column(
         "plan_pa",
@@ -142,6 +162,7 @@ class TipControl(Table):
         unit="bar",
         about="set-points of the plan at these times after its start; NaN beyond its end",
         convert=to_bar,
+        inverse=from_bar,
     )
     predicted_mm = Column(
         "predicted_m",
@@ -149,11 +170,20 @@ class TipControl(Table):
         unit="mm",
         about="tip that the controller expects at the start of the plan; NaN without a prediction",
         convert=to_mm,
+        inverse=from_mm,
     )
     payload_g = Column(
-        "payload_kg", unit="g", about="estimated payload beyond the cap of the rig file", convert=lambda kg: kg * 1e3
+        "payload_kg",
+        unit="g",
+        about="estimated payload beyond the cap of the rig file",
+        convert=lambda kg: kg * 1e3,
+        inverse=lambda g: g / 1e3,
     )
     payload_std_g = Column(
-        "payload_std_kg", unit="g", about="one standard deviation of payload_g", convert=lambda kg: kg * 1e3
+        "payload_std_kg",
+        unit="g",
+        about="one standard deviation of payload_g",
+        convert=lambda kg: kg * 1e3,
+        inverse=lambda g: g / 1e3,
     )
     nis = Column("nis", about="normalised innovation squared of the frame; 3 on average if the estimator is consistent")

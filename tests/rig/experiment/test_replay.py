@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -16,7 +17,10 @@ from rig.config import loader
 from rig.config.optics import board_of
 from rig.experiment.replay import replay
 from rig.observation.overlay import OverlayProjector
+from runs.archive import schema
 from runs.archive.writer import ArchiveError
+from runs.columns import Pressure
+from runs.columns.declaration import Column
 from runs.run import Run
 from tests.support.virtual_runs import protocol_file, virtual_run
 
@@ -44,6 +48,34 @@ def test_lossless_pictures_give_the_stored_tips_again(lossless: Run, tmp_path: P
     np.testing.assert_allclose(again.tip.model_mm, lossless.tip.model_mm, atol=1e-6)
     np.testing.assert_allclose(again.pressure.measured_bar, lossless.pressure.measured_bar, rtol=1e-12)
     np.testing.assert_array_equal(again.pressure.time_s, lossless.pressure.time_s)
+
+
+@pytest.fixture
+def humidity(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A column of the control cycles that is declared, and nothing else."""
+    column = Column(
+        "humidity",
+        unit="%",
+        about="of the air",
+        convert=lambda share: share * 100,
+        inverse=lambda percent: percent / 100,
+    )
+    column.__set_name__(Pressure, "humidity_percent")
+    monkeypatch.setattr(Pressure, "humidity_percent", column, raising=False)
+    schema.schema.cache_clear()
+    yield
+    schema.schema.cache_clear()
+
+
+def test_a_column_of_the_control_cycles_that_the_replay_does_not_name_is_in_it(
+    lossless: Run, humidity: None, tmp_path: Path
+) -> None:
+    copy = Path(shutil.copy(lossless.path, tmp_path / "copy.h5"))
+    percent = np.linspace(40, 50, len(lossless.pressure.time_s))
+    with h5py.File(copy, "r+") as file:
+        file["entry/pressure/humidity_percent"] = percent
+    again = runs.open(replay(Run(copy), tmp_path))
+    np.testing.assert_allclose(again.pressure.values["humidity_percent"], percent, rtol=1e-12)
 
 
 def test_corners_tips_and_backbone_stand_where_they_are_in_the_stored_pictures(lossless: Run) -> None:
