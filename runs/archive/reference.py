@@ -1,4 +1,4 @@
-"""The tables of declared columns in `docs/reference/archive.md`.
+"""The tables of declared columns in `docs/reference/archive.md`, and the layouts that are read.
 
 `python -m runs.archive.reference docs/reference/archive.md` writes them again, each between its two marks.
 """
@@ -8,8 +8,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from runs.archive import layout
 from runs.columns import AXES, TABLES
-from runs.columns.declaration import Table
+from runs.columns.declaration import OLDEST_LAYOUT, Table
 
 
 def table(kind: type[Table]) -> str:
@@ -25,19 +26,27 @@ def table(kind: type[Table]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def layouts() -> str:
+    """Return the sentence on the layouts that are written and read."""
+    newest = layout.VERSION
+    read = "other layout" if newest == OLDEST_LAYOUT else f"layout but {OLDEST_LAYOUT} to {newest}"
+    return f"`layout_version` is {newest}; a reader refuses every {read}.\n"
+
+
 def page(text: str) -> str:
     """Return the page with its tables as the columns are declared now.
 
     Raises:
         ValueError: the page has no place for a table.
     """
-    for kind in TABLES:
-        before, after = f"<!-- columns: {kind.group} -->\n", "<!-- end -->"
+    parts = {f"columns: {kind.group}": table(kind) for kind in TABLES} | {"layouts": layouts()}
+    for name, part in parts.items():
+        before, after = f"<!-- {name} -->\n", "<!-- end -->"
         found = text.count(before)
         if found != 1:
             raise ValueError(f"the page has {found} lines '{before.strip()}', expected 1")
         above, rest = text.split(before)
-        text = above + before + table(kind) + rest[rest.index(after) :]
+        text = above + before + part + rest[rest.index(after) :]
     return text
 
 

@@ -15,6 +15,7 @@ import runs
 import tests.support.synthetic_runs as made_up
 from runs.archive import layout
 from runs.archive.writer import ArchiveError, finalise, verify
+from runs.columns.declaration import OLDEST_LAYOUT
 from runs.journal import journal
 from runs.records import DetectionStatus, RunFooter, Status
 
@@ -262,12 +263,18 @@ def test_an_archive_damaged_on_the_disk_is_refused_in_one_sentence(path: Path, t
         verify(copy)
 
 
-@pytest.mark.parametrize(("step", "made"), [(1, "a newer"), (-1, "an older")])
-def test_another_layout_is_refused(path: Path, tmp_path: Path, step: int, made: str) -> None:
+@pytest.mark.parametrize("newest", [OLDEST_LAYOUT, OLDEST_LAYOUT + 1])
+@pytest.mark.parametrize("made", ["a newer", "an older"])
+def test_another_layout_is_refused(
+    path: Path, tmp_path: Path, made: str, newest: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(layout, "VERSION", newest)
+    known = {OLDEST_LAYOUT: f"{newest}", OLDEST_LAYOUT + 1: f"{OLDEST_LAYOUT} to {newest}"}[newest]
+    found = {"a newer": newest + 1, "an older": OLDEST_LAYOUT - 1}[made]
     copy = Path(shutil.copy(path, tmp_path / "copy.h5"))
     with h5py.File(copy, "r+") as file:
-        file.attrs["layout_version"] = layout.VERSION + step
-    with pytest.raises(ArchiveError, match=rf"found layout \d+, expected {layout.VERSION}: {made} softrig made it"):
+        file.attrs["layout_version"] = found
+    with pytest.raises(ArchiveError, match=rf"found layout {found}, expected {known}: {made} softrig made it"):
         runs.open(copy)
 
 

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 import tests.support.synthetic_runs as made_up
+from runs.archive import layout
 from runs.archive.provenance import USER
 from runs.archive.reference import page
 from runs.archive.writer import finalise
+from runs.columns.declaration import OLDEST_LAYOUT
 from runs.journal.journal import JournalWriter
 from runs.records import (
     BACKBONE_POINTS,
@@ -130,3 +132,12 @@ def test_sizes_and_units_are_as_the_page_says(written: dict[str, object], stored
 def test_the_tables_of_columns_are_as_the_columns_are_declared() -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert page(text) == text, "run: python -m runs.archive.reference docs/reference/archive.md"
+
+
+def test_the_page_says_which_layouts_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    monkeypatch.setattr(layout, "VERSION", OLDEST_LAYOUT)
+    assert f"`layout_version` is {OLDEST_LAYOUT}; a reader refuses every other layout." in page(text)
+    monkeypatch.setattr(layout, "VERSION", OLDEST_LAYOUT + 1)
+    both = f"{OLDEST_LAYOUT} to {OLDEST_LAYOUT + 1}"
+    assert f"`layout_version` is {OLDEST_LAYOUT + 1}; a reader refuses every layout but {both}." in page(text)
