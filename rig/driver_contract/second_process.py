@@ -24,7 +24,6 @@ from rig.driver_contract.check import BrokenContractError
 from rig.hardware.cards.base import CardBusyError, CardError, card_setup, open_card
 
 START_S = 30.0
-HELD_PERIOD_S = 0.005
 SETTLED_S = 0.02
 """Time for the read-back of a device on a bus."""
 
@@ -88,7 +87,7 @@ def main(mode: str, rig_file: str, name: str, outputs: str) -> None:
         return
     _tell(stands=stands)
     while mode == "hold":
-        time.sleep(HELD_PERIOD_S)
+        time.sleep(1 / config.control.rate_hz)
         card.read()
         card.write(written)
     card.close()

@@ -15,7 +15,9 @@ from rig.realtime.scheduling import REAL_TIME, Scheduling
 
 MS = 1_000_000
 STRICT_HUNG_S = 0.03
-"""Six control periods at 200 Hz: longer than any lateness measured under SCHED_FIFO with locked memory."""
+"""Longer than any lateness measured under SCHED_FIFO with locked memory."""
+HUNG_PERIODS = 3
+"""Control sends one heartbeat per cycle; the rig file may not state a shorter `hung_s` either."""
 ORDINARY_HUNG_S = 0.1
 """The longest silence allowed for real valves at ordinary priority; see `timing_limits`."""
 SIMULATED_HUNG_S = 5.0
@@ -71,11 +73,13 @@ def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
     `limits.hung_s` of the rig file applies with all other limits strict; a machine that may stand still for so long
     delays the other processes as well, so no process counts as silent earlier. Without it: strict for real valves with
     SCHED_FIFO and locked memory. Real valves at ordinary priority: control may be silent for the rig's limit of the age
-    of the newest sample (`stale_s`), at most 0.1 s. Simulated valves: seconds, because no hardware can be damaged.
+    of the newest sample (`stale_s`), at most 0.1 s. Neither is shorter than three control periods. Simulated valves:
+    seconds, because no hardware can be damaged.
     """
     limits = config.limits
+    shortest_s = max(STRICT_HUNG_S, HUNG_PERIODS / config.control.rate_hz)
     if limits.hung_s is not None or (config.has_real_valves and REAL_TIME in granted):
-        strict_ns = round((limits.hung_s or STRICT_HUNG_S) * 1e9)
+        strict_ns = round((limits.hung_s or shortest_s) * 1e9)
         strict = TimingLimits(TimingProfile.STRICT, strict_ns, frame_s=limits.no_tip_s)
         return replace(
             strict,
@@ -85,7 +89,7 @@ def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
             supervised_watchdog_s=max(strict.supervised_watchdog_s, strict_ns * 1e-9),
         )
     if config.has_real_valves:
-        hung_s = max(STRICT_HUNG_S, min(limits.stale_s, ORDINARY_HUNG_S))
+        hung_s = max(shortest_s, min(limits.stale_s, ORDINARY_HUNG_S))
         return TimingLimits(TimingProfile.ORDINARY, round(hung_s * 1e9), frame_s=limits.no_tip_s)
     real_sources = any(not source.is_mock for source in config.tip_sources)
     silent_ns = round(SIMULATED_HUNG_S * 1e9)

@@ -20,7 +20,6 @@ from rig.simulator.plant import Plant
 Setpoint = Callable[[float], tuple[Array, Array]]
 Disturb = Callable[[float, Plant, Array], Array]
 
-CYCLE_NS = 5_000_000
 BEGIN_NS = 100_000_000
 MOCK = Path(rig.__file__).parent / "rigs" / "mock-ideal.yaml"
 
@@ -40,7 +39,8 @@ def mock_rig(**changes: object) -> RigConfig:
 class Played:
     """What a closed loop did: columns over cycles; `true_pa` comes from the plant, `measured_pa` from the sensors."""
 
-    def __init__(self) -> None:
+    def __init__(self, period_s: float) -> None:
+        self.period_s = period_s
         self.t_s: list[float] = []
         self.rows: list[tuple[Array, Array, Array, Array]] = []
         self.trip: control.Trip | None = None
@@ -87,10 +87,11 @@ def play(
     settings = control.prepare(config)
     state = control.initial(settings)
     sensors = sorted(config.sensors, key=lambda s: s.actuator)
-    played = Played()
-    for cycle in range(round(duration_s * 1e9) // CYCLE_NS):
-        t_s = cycle * CYCLE_NS * 1e-9
-        now = BEGIN_NS + cycle * CYCLE_NS
+    period_ns = round(1e9 / config.control.rate_hz)
+    played = Played(period_ns * 1e-9)
+    for cycle in range(round(duration_s * 1e9) // period_ns):
+        t_s = cycle * period_ns * 1e-9
+        now = BEGIN_NS + cycle * period_ns
         plant.advance(now)
         scans = bench.read()
         volts = disturb(t_s, plant, scans.signals) if disturb else scans.signals
@@ -138,6 +139,6 @@ def steps_of(played: Played, pressure_pa: Array, levels_bar: list[float], dwell_
         since = played.time[during] - i * dwell_s
         error = pressure_pa[during] / 1e5 - levels_bar[i]
         outside = since[np.abs(error) > 0.01]
-        settled = float(outside.max()) + CYCLE_NS * 1e-9 if len(outside) else 0.0
+        settled = float(outside.max()) + played.period_s if len(outside) else 0.0
         out.append((settled, float((error * np.sign(levels_bar[i] - levels_bar[i - 1])).max())))
     return out

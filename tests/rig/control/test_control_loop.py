@@ -45,6 +45,17 @@ class TestOnTheMockRig:
             assert rms_bar(played, played.measured_pa, actuator) < 0.01
 
 
+@pytest.mark.parametrize("rate_hz", [100.0, 250.0, 500.0])
+def test_steps_settle_alike_at_another_control_rate(rate_hz: float) -> None:
+    levels = [0.0, 0.15, 0.2, 0.6]
+    played = play(mock_rig(control__rate_hz=rate_hz), staircase(levels, 0.7, [0]), 0.7 * len(levels))
+    assert played.trip is None
+    assert np.diff(played.time) == pytest.approx(1 / rate_hz)
+    for settled, overshoot in steps_of(played, played.true_pa[:, 0], levels, 0.7):
+        assert settled < 0.5
+        assert overshoot < 0.01
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("dead_zone_v", "leakage_l_min", "flow_scale"),

@@ -57,6 +57,16 @@ def test_real_valves_with_real_time_scheduling_get_the_strict_limits() -> None:
     )
 
 
+@pytest.mark.parametrize(("rate_hz", "hung_ms"), [(20.0, 150), (100.0, 30), (1000.0, 30)])
+@pytest.mark.parametrize("granted", [REAL_TIME, Scheduling.NONE])
+def test_a_slow_control_loop_does_not_count_as_hung_between_two_cycles(
+    granted: Scheduling, rate_hz: float, hung_ms: int
+) -> None:
+    slow = real_rig(stale_s=0.02)
+    slow = slow.model_copy(update={"control": slow.control.model_copy(update={"rate_hz": rate_hz})})
+    assert timing_limits(slow, granted).control_hung_ns == hung_ms * MS
+
+
 @pytest.mark.parametrize("granted", [Scheduling.NONE, Scheduling.FIFO, Scheduling.LOCKED])
 @pytest.mark.parametrize(("stale_s", "hung_ms"), [(0.05, 50), (0.1, 100), (5.0, 100), (0.02, 30)])
 def test_real_valves_without_real_time_scheduling_get_stale_s_and_at_most_a_tenth_of_a_second(
