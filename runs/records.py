@@ -243,6 +243,8 @@ class RunHeader:
     """Name of the tracker that measures the tip; empty without one."""
     auxiliary: tuple[AuxiliaryChannel, ...] = ()
     """Auxiliary inputs, in the order of the samples' columns."""
+    valve_units: tuple[str, ...] = ()
+    """Units of the valves' outputs; empty if every valve takes a voltage."""
     study: StudyRun | None = None
     """None for a run that belongs to no study."""
 
@@ -287,13 +289,16 @@ _SIZES = {axis: int(size) for axis, (size, _) in columns.AXES.items() if size.is
 _SIZES["station"] = columns.BACKBONE_POINTS
 
 
-def sample_dtype(actuators: int, valves: int, inputs: int = 0) -> np.dtype[np.void]:
+def sample_dtype(actuators: int, valves: int, inputs: int = 0, outputs: bool = False) -> np.dtype[np.void]:
     """One control cycle: `Pressure` and `Timing`, and `Auxiliary` for a rig with auxiliary inputs.
+
+    `outputs`: also `ValveOutput`, for a rig with a valve that takes another unit than V.
 
     `t_ns` is the time of the newest scan, `measured_pa` the mean of the `scans` scans since the last cycle,
     `valve_v` the voltage then commanded, NaN where an output is in another unit.
     """
-    tables = (columns.Pressure, columns.Timing, *([columns.Auxiliary] if inputs else []))
+    some = ((outputs, columns.ValveOutput), (inputs, columns.Auxiliary))
+    tables = (columns.Pressure, columns.Timing, *(table for present, table in some if present))
     return _dtype(*tables, actuator=actuators, valve=valves, input=inputs)
 
 

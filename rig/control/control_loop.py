@@ -176,6 +176,8 @@ class ControlLoop:
         row["setpoint_pa"] = setpoint_pa
         row["measured_pa"] = self._pressure_pa
         row["valve_v"] = np.where(self._has_voltage, command.outputs, np.nan)
+        if not self._has_voltage.all():
+            row["valve_output"] = command.outputs
         if self._auxiliary is not None:
             row["aux"] = self._auxiliary.value
         row["scans"] = taken

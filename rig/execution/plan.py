@@ -28,7 +28,13 @@ UNRECORDED = "the record could not be written"
 
 def sample_rows(config: RigConfig) -> np.dtype[np.void]:
     """The dtype of the rows of the control cycles of a rig."""
-    return sample_dtype(config.actuators, len(config.valves), len(config.inputs))
+    return sample_dtype(config.actuators, len(config.valves), len(config.inputs), bool(valve_units(config)))
+
+
+def valve_units(config: RigConfig) -> tuple[str, ...]:
+    """The units of the valves' outputs; empty if every valve takes a voltage."""
+    units = tuple(valve.output_unit for valve in config.valves)
+    return () if set(units) <= {"V"} else units
 
 
 def observation_rows(config: RigConfig) -> np.dtype[np.void]:

@@ -21,7 +21,7 @@ from protocols.problems import bad_input
 from rig.config.loader import RigChoice, RigFile, Source, read
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant, variant_named
-from rig.execution.plan import UNRECORDED, OperatorInterface, RunPlan, StartError, require_mocks
+from rig.execution.plan import UNRECORDED, OperatorInterface, RunPlan, StartError, require_mocks, valve_units
 from rig.experiment import report_process
 from rig.experiment.preflight import check
 from rig.experiment.provenance import protocol_parameters, quantities, section_places, software
@@ -364,6 +364,7 @@ def header(request: RunRequest, decided: RunPlan, t_ns: int, ahead_ns: int = 0) 
         sections=section_places(config),
         tracker=next(iter(config.trackers), ""),
         auxiliary=decided.auxiliary,
+        valve_units=valve_units(config),
         study=request.study,
     )
 

@@ -57,6 +57,7 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
         simulated=True,
         control_hz=rate_hz,
         auxiliary=(),
+        valve_units=(),
         triggered=False,
     )
     request.folder.mkdir(parents=True, exist_ok=True)

@@ -50,6 +50,11 @@ def _input_units(journal: Journal) -> tuple[Field, ...]:
     return (Field("input_unit", units, about="unit of each column of value", scales=("input",)),)
 
 
+def _valve_units(journal: Journal) -> tuple[Field, ...]:
+    units = list(journal.header.valve_units)
+    return (Field("valve_unit", units, about="unit of each column of output", scales=("valve",)),)
+
+
 def _tracker_name(journal: Journal) -> tuple[Field, ...]:
     return (Field("name", journal.header.tracker, about="of the tracker in the rig file"),)
 
@@ -107,6 +112,7 @@ def _has_reference(journal: Journal) -> bool:
 
 TABLE_GROUPS = (
     TableGroup(columns.Pressure, "samples"),
+    TableGroup(columns.ValveOutput, "samples", lambda j: j.header.valve_units, _valve_units),
     TableGroup(columns.Auxiliary, "samples", lambda j: j.header.auxiliary, _input_units),
     TableGroup(columns.Tip, "observations"),
     TableGroup(columns.TrackerClock, "observations", lambda j: j.header.tracker, _tracker_name),

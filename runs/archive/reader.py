@@ -32,6 +32,7 @@ from runs.columns import (
     TrackerClock,
     TriggeredFrame,
     TriggerPulse,
+    ValveOutput,
 )
 from runs.columns.conversions import PA_PER_BAR
 from runs.columns.declaration import Column, Table, Values
@@ -143,6 +144,7 @@ class ArchiveReader:
             tracker=str(self._group("entry/tracker").get("name", "")),
             study=study_run(self._group("entry/study")),
             auxiliary=_auxiliary(self._group("entry/aux", without="value")),
+            valve_units=tuple(self._group("entry/valve_output", without="output").get("valve_unit", ())),
         )
 
     @cached_property
@@ -171,6 +173,7 @@ class ArchiveReader:
     simulated = _optional(Simulated)
     sections = _optional(Sections)
     auxiliary = _optional(Auxiliary)
+    valve_outputs = _optional(ValveOutput)
     adaptation = _optional(Adaptation)
     reference = _optional(Reference)
     learning = _optional(Learning)

@@ -125,7 +125,8 @@ def _datasets(group: Group, required: set[str], first_of: dict[int, str]) -> Ite
         dimensions = tuple(own[name] if not group.open else own[item.name] for name in names)
         kind = _kind(item)
         limits = item.limits or ((-LARGEST, LARGEST) if kind[0] == "f" and not group.open else None)
-        fixed = dimensions and isinstance(dimensions[0], int) and kind[0] != "f"
+        # A scale has the same labels in every archive; the values that it labels are those of the run.
+        fixed = dimensions and not item.scales and isinstance(dimensions[0], int) and kind[0] != "f"
         yield ExpectedDataset(
             path=path,
             kind=kind,
@@ -179,6 +180,7 @@ def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:
         triggered=everything,
         sections=(SectionPlace("section", 0.0),) if everything else (),
         auxiliary=(AuxiliaryChannel("input", ""),) if everything else (),
+        valve_units=("",) * valves if everything else (),
         study=StudyRun("", StudyRole.RUN, 1, 1, 1, "", "") if everything else None,
     )
     rows = 1 if everything else 0

@@ -7,7 +7,7 @@ row in `docs/reference/archive.md` (`python -m runs.archive.reference docs/refer
 
 from __future__ import annotations
 
-from runs.columns.control_cycles import Auxiliary, Pressure, Timing, TriggerPulse
+from runs.columns.control_cycles import Auxiliary, Pressure, Timing, TriggerPulse, ValveOutput
 from runs.columns.conversions import COUNT, SECONDS
 from runs.columns.declaration import Column, Table
 from runs.columns.observations import (
@@ -53,6 +53,7 @@ __all__ = [
     "TrackerClock",
     "TriggerPulse",
     "TriggeredFrame",
+    "ValveOutput",
 ]
 
 AXES = {
@@ -74,6 +75,7 @@ AXES = {
 TABLES: tuple[type[Table], ...] = (
     Pressure,
     Timing,
+    ValveOutput,
     Auxiliary,
     Tip,
     Backbone,

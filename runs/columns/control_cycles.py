@@ -35,6 +35,18 @@ class Pressure(Table):
     scans = Column("scans", "<i4", about="number of scans in the mean")
 
 
+class ValveOutput(Table):
+    """Outputs of the valves (n, V), each in its own unit. Only for rigs with a valve that takes another unit than V."""
+
+    group, rows, signal = "valve_output", "N", "output"
+    about = "outputs of the valves of a rig on which not all take a voltage, one row per control cycle"
+    facts = (("units", "valve_unit"),)
+    units: tuple[str, ...]
+
+    time_s = time_column("time of the newest scan of the cycle")
+    output = Column("valve_output", axes=("valve",), about="commanded next, in the unit of the valve")
+
+
 class Auxiliary(Table):
     """Auxiliary inputs (n, I) at the control cycles, each in its own unit."""
 

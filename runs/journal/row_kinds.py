@@ -31,7 +31,12 @@ class RowKind:
 
 
 ROW_KINDS = (
-    RowKind("samples", 4, "/samples", lambda h: sample_dtype(h.actuators, h.valves, len(h.auxiliary))),
+    RowKind(
+        "samples",
+        4,
+        "/samples",
+        lambda h: sample_dtype(h.actuators, h.valves, len(h.auxiliary), bool(h.valve_units)),
+    ),
     RowKind(
         "observations",
         5,

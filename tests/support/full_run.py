@@ -34,6 +34,7 @@ def write_full_journal(path: Path) -> Path:
         tracker="pose",
         adapted=tuple(Quantity("adaptation", name, (value,), unit, "", 0.1) for name, value, unit in adapted),
         auxiliary=(AuxiliaryChannel("load", "N"), AuxiliaryChannel("room", "degC")),
+        valve_units=("V", "bar"),
         tip_controller="horizon",
         learned_from=("earlier", "earliest"),
         streams=True,

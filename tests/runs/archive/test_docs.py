@@ -87,6 +87,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
         tracker="pose",
         adapted=adapted,
         auxiliary=tuple(AuxiliaryChannel(f"input {k}", "N") for k in range(SIZES["I"])),
+        valve_units=("bar",) * SIZES["V"],
         tip_controller="horizon",
         learned_from=tuple(f"run {k}" for k in range(SIZES["R"])),
         streams=True,
@@ -96,7 +97,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[tuple[in
         study=StudyRun("study", StudyRole.RUN, 1, 1, 1, "-", "-"),
     )
     writer = JournalWriter(source, header)
-    writer.samples(np.zeros(SIZES["N"], sample_dtype(SIZES["A"], SIZES["V"], SIZES["I"])))
+    writer.samples(np.zeros(SIZES["N"], sample_dtype(SIZES["A"], SIZES["V"], SIZES["I"], outputs=True)))
     observations = np.zeros(
         SIZES["M"], observation_dtype(SIZES["A"], SIZES["C"], tracker=True, triggered=True, sections=SIZES["B"])
     )
