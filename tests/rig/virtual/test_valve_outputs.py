@@ -33,4 +33,3 @@ def test_a_rig_of_voltages_has_no_group_of_other_outputs(tmp_path: Path) -> None
     assert (run.header.valve_units, run.valve_outputs) == ((), None)
     with h5py.File(run.path) as file:
         assert "valve_output" not in file["entry"]
-        assert file.attrs["layout_version"] == 2
