@@ -22,8 +22,9 @@ from rig.hardware.bench import Bench, open_bench
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
 from rig.hardware.vent_verification import VentVerification, real_time
-from rig.realtime.child_process import ChildJob, ProcessMonitor, ended_within, spawn
+from rig.realtime.child_process import ChildJob, ended_within, spawn
 from rig.realtime.control_process import GuardedOutputs, NullOutputs
+from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
     CONTROL_PRIORITY,
     HeartbeatMonitor,

@@ -18,13 +18,13 @@ from rig.hardware.safe_state import followed_by
 from rig.hardware.vent_verification import VentOutcome, VentVerification, real_time
 from rig.realtime.child_process import (
     ChildJob,
-    ProcessMonitor,
     await_device_access,
     exit_process,
     receive_job,
     report_end,
     supervisor_monitor,
 )
+from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
     CONTROL_PRIORITY,
     HeartbeatMonitor,

@@ -13,7 +13,8 @@ from rig.hardware.call_limit import within
 from rig.hardware.cards.base import CardError, card_type
 from rig.hardware.safe_state import failure_of, make_safe
 from rig.hardware.vent_verification import verify_venting
-from rig.realtime.child_process import ChildJob, ProcessMonitor, report_end, supervisor_monitor
+from rig.realtime.child_process import ChildJob, report_end, supervisor_monitor
+from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import timing_limits
 

@@ -10,7 +10,8 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from rig.execution.plan import RunPlan
-from rig.realtime.child_process import ChildJob, ProcessMonitor, ended_within, spawn
+from rig.realtime.child_process import ChildJob, ended_within, spawn
+from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import HeartbeatMonitor, set_niceness
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage
 from rig.realtime.timing_limits import TimingLimits

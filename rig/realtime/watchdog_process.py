@@ -16,7 +16,6 @@ from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import WatchdogOutputs, failure_of, followed_by
 from rig.hardware.vent_verification import LONGEST_VENTING_S, verify_venting
 from rig.realtime.child_process import (
-    ProcessMonitor,
     await_device_access,
     exit_process,
     receive_job,
@@ -24,6 +23,7 @@ from rig.realtime.child_process import (
     report_end,
     supervisor_monitor,
 )
+from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
     WATCHDOG_PRIORITY,
     HeartbeatMonitor,

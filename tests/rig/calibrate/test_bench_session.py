@@ -20,7 +20,7 @@ from rig.calibrate.bench_session import RealTimeClock, real
 from rig.execution.plan import StartError
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import lock_file
-from rig.realtime.child_process import ProcessMonitor
+from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import Scheduling
 from rig.realtime.shared_state import SharedState
 from rig.realtime.timing_limits import TimingLimits, TimingProfile

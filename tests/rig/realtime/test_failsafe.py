@@ -22,8 +22,9 @@ from rig.execution.plan import RunPlan
 from rig.hardware import call_limit
 from rig.hardware.safe_state import UNSAFE
 from rig.realtime import watchdog_process
-from rig.realtime.child_process import ChildJob, ProcessMonitor, await_device_access, ended_within, supervisor_monitor
+from rig.realtime.child_process import ChildJob, await_device_access, ended_within, supervisor_monitor
 from rig.realtime.failsafe import FailsafeThread, force_safe_state
+from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import Scheduling
 from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import TimingLimits, TimingProfile

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from rig.realtime.child_process import ProcessMonitor
+from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.watchdog_process import _supervisor_exits
 
 
