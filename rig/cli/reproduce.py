@@ -11,7 +11,7 @@ import typer
 from rig.cli.options import AsJson, Folder, Replace
 
 if TYPE_CHECKING:
-    from rig.reproduce.experiments import PaperComparison, PaperFigure
+    from rig.reproduce.comparison import PaperComparison, PaperFigure
 
 
 class ReproducedResult(StrEnum):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.table import Table
 
 from rig.cli.output import ColumnTable
-from rig.reproduce.experiments import PaperComparison
+from rig.reproduce.comparison import PaperComparison
 from rig.reproduce.table4 import HORIZON_S, Table4Row
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rig.reproduce import elongation, motion, positions
-from rig.reproduce.experiments import PROTOCOLS, PaperComparison, PaperFigure, origin, recorded_or_simulated
+from rig.reproduce.comparison import PaperComparison, PaperFigure
+from rig.reproduce.experiments import PROTOCOLS, origin, recorded_or_simulated
 
 NEEDS = {
     "fig9": PROTOCOLS[:2],

@@ -23,7 +23,8 @@ from model.tube import BallooningError, Tube
 from model.units import GRAVITY_M_S2, PA_PER_BAR
 from rig.config.arm_model import model_geometry
 from rig.config.loader import recorded
-from rig.reproduce.experiments import PaperComparison, PaperFigure, origin
+from rig.reproduce.comparison import PaperComparison, PaperFigure
+from rig.reproduce.experiments import origin
 from runs.report.colours import INK, MEASURED, MODEL, MUTED
 from runs.report.drawing import legend
 from runs.run import Run

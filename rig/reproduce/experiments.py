@@ -1,48 +1,16 @@
-"""The paper's six experiments, recorded or simulated in virtual time, and how a result is compared with the paper's."""
+"""The paper's six experiments, recorded or simulated in virtual time."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 from rig.execution.plan import NullOperator, StartError
 from rig.experiment import run as experiment
+from rig.reproduce.comparison import ResultOrigin
 from runs.archive.writer import ArchiveError
 from runs.records import Status
 from runs.run import Run
-
-ResultOrigin = Literal["text", "model", "simulated", "measured"]
-"""Where a result comes from: the printed numbers alone, the model with them, a simulated rig, or a real one."""
-
-
-@dataclass(frozen=True)
-class PaperComparison:
-    """One line of the comparison: the value that the paper prints, and the computed one.
-
-    `paper` is empty where the paper shows a curve without numbers.
-    """
-
-    item: str
-    what: str
-    paper: str
-    computed: str
-    origin: ResultOrigin
-    why: str
-
-
-@dataclass(frozen=True)
-class PaperFigure:
-    """One figure: `draw(figure, *about)` at a size in inches."""
-
-    name: str
-    title: str
-    draw: Callable[..., None]
-    size: tuple[float, float]
-    caption: str
-    about: tuple[object, ...] = field(default=())
-
 
 PROTOCOLS = ("extension-weights", "extension-pressure", "ramp-a", "ramp-b", "sine-1", "sine-2")
 

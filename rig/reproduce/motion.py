@@ -14,7 +14,8 @@ from model.paper.rod import PaperRod
 from model.units import PA_PER_BAR
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
-from rig.reproduce.experiments import PaperComparison, PaperFigure, ResultOrigin, origin
+from rig.reproduce.comparison import PaperComparison, PaperFigure, ResultOrigin
+from rig.reproduce.experiments import origin
 from rig.reproduce.table4 import PRINTED_SCHEMES, Space
 from runs.records import DetectionStatus
 from runs.report.colours import MEASURED, MODEL

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from rig.reproduce.experiments import PaperComparison, PaperFigure
+from rig.reproduce.comparison import PaperComparison, PaperFigure
 from runs.overwriting import staged
 from runs.report.drawing import save, svg
 from runs.report.html_table import html_table

@@ -14,7 +14,8 @@ from model.statics import statics
 from model.units import PA_PER_BAR
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
-from rig.reproduce.experiments import PaperComparison, PaperFigure, ResultOrigin, origin
+from rig.reproduce.comparison import PaperComparison, PaperFigure, ResultOrigin
+from rig.reproduce.experiments import origin
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED
 from runs.report.drawing import legend
 from runs.run import Run

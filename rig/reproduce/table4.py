@@ -16,7 +16,7 @@ from model.arrays import Array
 from model.dynamics import Dynamics
 from model.paper.rod import PaperRod
 from model.units import PA_PER_BAR
-from rig.reproduce.experiments import PaperComparison, PaperFigure
+from rig.reproduce.comparison import PaperComparison, PaperFigure
 
 Space = Literal["euler", "rk4"]
 

@@ -12,7 +12,8 @@ import pytest
 import runs
 from protocols import library
 from rig.reproduce import motion
-from rig.reproduce.experiments import PaperComparison, origin
+from rig.reproduce.comparison import PaperComparison
+from rig.reproduce.experiments import origin
 from rig.reproduce.motion import TABLE4_MM
 from rig.reproduce.page import write
 from rig.reproduce.positions import excursion_errors, table3_verdict
