@@ -76,6 +76,17 @@ class RigConfig(Section):
         return len(self.arm.geometry.actuator_angles_deg)
 
     @property
+    def valve_of(self) -> tuple[int, ...]:
+        """Index of the valve of each actuator (N,)."""
+        valves = {actuator: v for v, valve in enumerate(self.valves) for actuator in valve.actuators}
+        return tuple(valves[actuator] for actuator in range(1, self.actuators + 1))
+
+    @property
+    def first_actuators(self) -> list[int]:
+        """Index of the first actuator of each valve (V,): all actuators of a valve have the same set-point."""
+        return [valve.actuators[0] - 1 for valve in self.valves]
+
+    @property
     def sensors_by_actuator(self) -> list[Sensor]:
         """The pressure sensors in the order of their actuators."""
         return sorted(self.sensors, key=lambda sensor: sensor.actuator)

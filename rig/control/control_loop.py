@@ -52,7 +52,7 @@ class ControlLoop:
         self._auxiliary = _AuxiliaryMeans(config) if config.inputs else None
         self._stops_closed = (True,) * len(config.emergency_stops)
         self._follower: PlanFollower | None = None
-        self._first_actuators = [valve.actuators[0] for valve in self._prepared.valves]
+        self._first_actuators = config.first_actuators
         if plan.controls_tip:
             limits = config.limits
             self._follower = PlanFollower(

@@ -83,14 +83,13 @@ class StallAllowance:
 
 def prepare(config: RigConfig) -> ControlSettings:
     """Convert a rig to settings in SI, once per run."""
-    valve_of = {a: v for v, valve in enumerate(config.valves) for a in valve.actuators}
     return ControlSettings(
         period_s=1.0 / config.control.rate_hz,
         safe_output=tuple(valve.safe_output() for valve in config.valves),
         vent_output=tuple(valve.safe_output(vent=True) for valve in config.valves),
         closed_output=tuple(valve.closed_output for valve in config.valves),
         valves=tuple(valve.regulator(config.limits, config.control) for valve in config.valves),
-        valve_of=tuple(valve_of[a + 1] for a in range(config.actuators)),
+        valve_of=config.valve_of,
         limits=evaluation.settings(config),
         tracking_s=config.limits.tracking_s,
     )

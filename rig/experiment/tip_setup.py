@@ -67,7 +67,7 @@ def tip_inverse(
     if not learn_from:
         return inverse, ()
     from rig.tip_control.learned_inverse import EarlierRun, LearnedInverse, NotRepeatedError
-    from rig.tip_control.session import first_actuators, settings
+    from rig.tip_control.session import settings
     from runs.run import Run
 
     parameters = protocol_parameters(protocol)
@@ -78,7 +78,7 @@ def tip_inverse(
         expected = _unlike(run.header, wanted)
         try:
             if not expected:
-                runs.append(EarlierRun.of(run, first_actuators(rig.config)))
+                runs.append(EarlierRun.of(run, rig.config.first_actuators))
         except NotRepeatedError as error:
             expected = str(error)
         if expected:

@@ -136,8 +136,7 @@ def _spool(truth: SimulatedValve) -> Array:
 
 def chambers(config: RigConfig, truth: Simulator) -> ChamberTable:
     """The true chambers of a rig."""
-    valve_of = {a - 1: i for i, valve in enumerate(config.valves) for a in valve.actuators}
-    valve = np.array([valve_of[a] for a in range(config.actuators)], np.int64)
+    valve = np.array(config.valve_of, np.int64)
     return ChamberTable(
         valve=valve,
         sharing=np.bincount(valve, minlength=len(config.valves)),

@@ -26,10 +26,9 @@ HISTORY_S = 1.0
 
 def settings(config: RigConfig, variant: Variant | None, *, learned: bool = False) -> TipControlSettings:
     """What a controller knows of a rig."""
-    valve_of = {a - 1: v for v, valve in enumerate(config.valves) for a in valve.actuators}
     return TipControlSettings(
         arm=model_arm(config, variant),
-        valve_of=tuple(valve_of[a] for a in range(config.actuators)),
+        valve_of=config.valve_of,
         pressure_limit_pa=config.limits.pressure_bar * PA_PER_BAR,
         rate_limit_pa_s=config.limits.rate_bar_per_s * PA_PER_BAR,
         frame_s=1 / config.observation_hz,
@@ -39,18 +38,13 @@ def settings(config: RigConfig, variant: Variant | None, *, learned: bool = Fals
     )
 
 
-def first_actuators(config: RigConfig) -> list[int]:
-    """Index of the first actuator of each valve: all actuators of a valve have the same set-point."""
-    return [valve.actuators[0] - 1 for valve in config.valves]
-
-
 class TipControlSession:
     """The controller of one run. It reads no clock."""
 
     def __init__(self, plan: RunPlan) -> None:
         """Raises UnknownControllerError if the controller of the plan cannot be used."""
         self._trajectory = plan.trajectory
-        self._actuators = first_actuators(plan.config)
+        self._actuators = plan.config.first_actuators
         self._settings = settings(plan.config, plan.variant, learned=bool(plan.learned_from))
         self._controller = controller_class(plan.tip_controller)(self._settings)
         self._state: Any = self._controller.start()
