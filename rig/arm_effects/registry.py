@@ -8,23 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
+from rig.arm_effects import effects
 from rig.arm_effects.base import ArmEffectSection
-from rig.arm_effects.effects import (
-    CouplingSection,
-    CreepSection,
-    GainsSection,
-    HysteresisSection,
-    PushSection,
-    SofteningSection,
-)
 
 ARM_EFFECTS: tuple[type[ArmEffectSection], ...] = (
-    CouplingSection,
-    CreepSection,
-    GainsSection,
-    HysteresisSection,
-    PushSection,
-    SofteningSection,
+    effects.CouplingSection,
+    effects.CreepSection,
+    effects.GainsSection,
+    effects.HysteresisSection,
+    effects.PushSection,
+    effects.SofteningSection,
 )
 
 if TYPE_CHECKING:

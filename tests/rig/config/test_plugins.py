@@ -221,7 +221,7 @@ TRACKER = """
 from rig.config.drivers import Driver
 from rig.config.tracker_sections import TrackerConfig
 
-still = Driver(TrackerConfig, print, about="an arm that stands still")
+still = Driver(TrackerConfig, print, about="an arm at rest")
 """
 
 
@@ -238,13 +238,13 @@ def test_nothing_is_said_about_outputs_of_a_device_without_outputs(
     use(tmp_path / "site", monkeypatch)
     assert status_of("drivers", "--json") == 0
     (row,) = [row for row in json.loads(capsys.readouterr().out) if row["name"] == "still"]
-    assert (row["about"], row["safe_state"]) == ("an arm that stands still", "")
+    assert (row["about"], row["safe_state"]) == ("an arm at rest", "")
     text = loader.text("mock-tracker")
     shared = text.replace("driver: mock, rate_hz", "driver: still, rate_hz").replace(
         ", drift_ppm: 50, jitter_ms: 1", ""
     )
     (behind,) = rig_devices(loader.parse(shared, "my.yaml"))
-    assert behind.found == "driver still of softrig-still 1.0: an arm that stands still"
+    assert behind.found == "driver still of softrig-still 1.0: an arm at rest"
 
 
 def test_doctor_asks_the_plugin_about_its_device(site: Path) -> None:
