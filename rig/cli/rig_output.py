@@ -105,7 +105,8 @@ def drivers_table(rows: Sequence[InstalledDriver]) -> Table:
 
 def _about(row: InstalledDriver) -> str:
     """What a driver drives, its keys, and what its outputs do once the program is dead."""
-    parts = [row.about.rstrip(".") + (" (simulated)" if row.simulated else "")]
+    about = row.about if row.about.endswith("..") else row.about.removesuffix(".")
+    parts = [about + (" (simulated)" if row.simulated else "")]
     if row.keys:
         parts.append(f"keys: {', '.join(row.keys)}")
     if row.safe_state:

@@ -131,6 +131,7 @@ CARD_DRIVERS = DriverRegistry(
             "rig.hardware.cards.ni:NidaqmxCard",
             "NI-DAQmx devices (softrig[nidaqmx]); not tried on a device",
             _KEPT,
+            examine="rig.doctor.ni:examine_nidaqmx",
             needs="rig.hardware.cards.ni:require",
         ),
         "mock": Driver(

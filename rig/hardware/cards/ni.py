@@ -25,6 +25,7 @@ OVERWRITTEN = -200279
 """Error code: the buffer was full, and scans were lost."""
 WRITE_AGAIN_S = 0.01
 PAUSE_S = 0.0005
+INSTALL_DRIVER = "install NI-DAQmx from ni.com for this operating system"
 
 
 class NidaqmxCard:
@@ -164,8 +165,24 @@ def require() -> Any:
         import nidaqmx.constants
         import nidaqmx.errors
         import nidaqmx.stream_readers
+        import nidaqmx.system
     except ImportError as error:
         raise CardError(
             f"nidaqmx is not installed ({error})", "pip install 'softrig[nidaqmx]', and NI's driver"
         ) from None
     return nidaqmx
+
+
+def driver_version() -> str:
+    """The version of NI's driver, which is installed apart from NI's package.
+
+    Raises:
+        CardError: the package or the driver is not installed.
+    """
+    ni = require()
+    try:
+        version = ni.system.System.local().driver_version
+    except ni.errors.Error as error:
+        what = f"the package nidaqmx is installed, and NI's driver NI-DAQmx is not ({' '.join(str(error).split())})"
+        raise CardError(what, INSTALL_DRIVER) from None
+    return f"{version.major_version}.{version.minor_version}"

@@ -217,6 +217,16 @@ def test_drivers_lists_plugins_with_package_keys_and_safe_state(site: Path, caps
     assert rows["cards", "comedi"]["package"] == "softrig"
 
 
+def test_a_formula_that_ends_with_an_ellipsis_is_listed_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    valve = VALVE.replace("A valve that takes its time.", "P = c0 + c1 V + ..")
+    install(tmp_path / "site", "softrig-poly", {"softrig.valves poly": "poly_valve:Slow"}, {"poly_valve.py": valve})
+    use(tmp_path / "site", monkeypatch)
+    assert status_of("drivers") == 0
+    assert "P = c0 + c1 V + ..; keys:" in " ".join(capsys.readouterr().out.split())
+
+
 TRACKER = """
 from rig.config.drivers import Driver
 from rig.config.tracker_sections import TrackerConfig

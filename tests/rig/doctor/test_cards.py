@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import re
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from rig.doctor.devices import rig_devices
 from rig.hardware.cards.base import CardError
 from rig.hardware.cards.comedi_survey import ComediCardSurvey, SubdeviceSurvey
 from rig.hardware.cards.kernel_devices import AttachedDevice, ComediModule, comedi, has_module, pci_cards
+from tests.support.bus_rig import bus_text
 
 RELEASE = platform.release()
 
@@ -323,10 +325,10 @@ def test_the_devices_of_a_mock_rig_are_not_examined() -> None:
 
 
 def test_a_card_that_the_doctor_cannot_check_is_named() -> None:
-    text = rig.config.loader.text("pci1716")
-    card = "{driver: comedi, device: /dev/comedi0, sampling_hz: 1000, inputs: 16, outputs: 2}"
-    other = "{driver: nidaqmx, device: Dev1, inputs: 16, outputs: 2}"
-    said, *_ = rig_devices(rig.config.loader.parse(text.replace(card, other), "rig.yaml"))
+    text = re.sub(
+        r"daq: \{driver: mock.*?\}", "daq: {driver: serial, device: /dev/ttyACM0, inputs: 4, outputs: 4}", bus_text()
+    )
+    said, *_ = rig_devices(rig.config.loader.parse(text, "rig.yaml"))
     assert (said.topic, said.verdict) == ("rig's card daq", "note")
-    assert "driver nidaqmx of softrig" in said.found
+    assert "driver serial of softrig" in said.found
     assert "rig test-driver" in said.remedy
