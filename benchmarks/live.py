@@ -19,7 +19,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import runs
-from scripts.live_client import Stream, request, said
+from scripts.live_client import Stream, printed_link, request
 from scripts.rig_process import RigProcess, rig_run
 
 HOLDING = """
@@ -34,7 +34,7 @@ WATCHED_S = 15.0
 
 def page_of(run: RigProcess) -> str:
     """The address of a run's page, once it answers."""
-    page = said(lambda: run.output, "live page")
+    page = printed_link(lambda: run.output, "live page")
     request(page)
     return page
 

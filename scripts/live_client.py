@@ -1,4 +1,4 @@
-"""A client of the live page without a browser: its address, its login, and a viewer of its stream."""
+"""A client of the live page without a browser: its address, a request, and a viewer of its stream."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
-from urllib.parse import urlencode, urlsplit
+from urllib.parse import urlsplit
 
 from websockets.sync.client import ClientConnection, connect
 
@@ -26,15 +26,14 @@ def printed_link(output: Callable[[], str], what: str) -> str:
     return found.group(1)
 
 
-def request(url: str, method: str = "GET", body: dict[str, str] | None = None, **headers: str) -> tuple[int, str]:
-    """Status and the session's cookie (empty when none was set) of a plain request; waits for the page to come up."""
+def request(url: str, **headers: str) -> tuple[int, str]:
+    """Status of a GET, and the cookie that it sets (empty when it sets none); waits for the page to come up."""
     place = urlsplit(url)
     deadline = time.monotonic() + PATIENCE_S
-    form = {"Content-Type": "application/x-www-form-urlencoded"} if body else {}
     while True:
         connection = http.client.HTTPConnection(place.hostname or "", place.port, timeout=PATIENCE_S)
         try:
-            connection.request(method, place.path or "/", urlencode(body or {}), {**form, **headers})
+            connection.request("GET", f"{place.path or '/'}?{place.query}", headers=headers)
             answer = connection.getresponse()
             answer.read()
             return answer.status, (answer.getheader("set-cookie") or "").split(";")[0]
@@ -45,24 +44,14 @@ def request(url: str, method: str = "GET", body: dict[str, str] | None = None, *
             connection.close()
 
 
-def enter(link: str, name: str = "") -> str:
-    """The cookie of a session that the token of a link opens; empty for a token that opens nothing."""
-    place = urlsplit(link)
-    return request(f"http://{place.netloc}/login", "POST", {"token": place.fragment, "name": name})[1]
-
-
 class Stream:
-    """One viewer of a page, as its browser would be; with a link and no cookie it logs in first."""
+    """One viewer of a page, as its browser would be, by a link that the terminal has printed."""
 
-    def __init__(self, url: str, cookie: str = "", origin: str | None = None) -> None:
-        place = urlsplit(url)
-        if not cookie and place.fragment:
-            cookie = enter(url)
-        headers = {"Cookie": cookie} if cookie else {}
+    def __init__(self, link: str, origin: str | None = None) -> None:
+        place = urlsplit(link)
         self._left = ExitStack()
         opening = connect(
-            f"ws://{place.hostname}:{place.port}/live/stream",
-            additional_headers=headers,
+            f"ws://{place.hostname}:{place.port}/live/stream?{place.query}",
             origin=origin,  # type: ignore[arg-type]
             max_size=None,
             open_timeout=PATIENCE_S,

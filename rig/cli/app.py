@@ -5,12 +5,11 @@ from __future__ import annotations
 import io
 import sys
 from contextlib import AbstractContextManager, nullcontext
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.cli import archives, calibrate, completion, design, identify, options, reproduce, rigs, study
+from rig.cli import archives, calibrate, design, identify, options, reproduce, rigs, study
 from rig.cli.commands import EstimationCommand, HelpFormatter, NumericalCommand, PlottingCommand
 from rig.cli.completion import DATA
 from rig.cli.exit_status import BAD_INPUT, DONE, FAULT
@@ -49,8 +48,8 @@ def program(
 
 
 LOCAL, LIVE_PORT = "127.0.0.1", 8090
-Listen = Annotated[str, typer.Option(metavar="ADDRESS", help="Address of this machine on which to serve the page.")]
-Port = Annotated[int, typer.Option(help="First port to try for the page; 0: any free port.", min=0, max=65535)]
+Host = Annotated[str, typer.Option(metavar="ADDRESS", help="Address of this machine on which to serve the page.")]
+Port = Annotated[int, typer.Option(help="Port of the page; where it is taken, or 0, any free one.", min=0, max=65535)]
 Live = Annotated[bool, typer.Option("--live", help="Also show the run in the browser.")]
 NoReport = Annotated[bool, typer.Option("--no-report", help="Write no HTML report.")]
 Adapt = Annotated[bool, typer.Option("--adapt", help="Estimate the arm's parameters online; not used for control.")]
@@ -77,14 +76,14 @@ def run(
     controller: options.Controller = None,
     learn_from: options.LearnFrom = None,
     live: Live = False,
-    listen: Listen = LOCAL,
+    host: Host = LOCAL,
     port: Port = LIVE_PORT,
     json: options.AsJson = False,
 ) -> None:
     """Run a protocol and leave an archive with a report."""
     from rig.experiment import report_process
 
-    _check_live(live, fast, listen, port)
+    _check_live(live, fast, host, port)
     if free and not adapt:
         fail("--free needs --adapt", BAD_INPUT)
     begin_report = ctx.with_resource(report_process.prepared(fast and not no_report))
@@ -121,7 +120,7 @@ def run(
     if not yes and not run_output.confirm(screen):
         fail("not armed", BAD_INPUT)
     with (
-        _live_page(listen, port, screen) if live else nullcontext(),
+        _live_page(host, port, screen) if live else nullcontext(),
         StopSignals() as signals,
         Terminal(screen, lambda: signals.reason, run_output.title(request)) as terminal,
     ):
@@ -132,17 +131,17 @@ def run(
     raise typer.Exit(run_output.exit_status(result))
 
 
-def _check_live(live: bool, fast: bool, listen: str, port: int) -> None:
+def _check_live(live: bool, fast: bool, host: str, port: int) -> None:
     if live and fast:
-        fail("--live needs real time: omit --fast, or play the archive afterwards: rig live RUN", BAD_INPUT)
-    if not live and (listen, port) != (LOCAL, LIVE_PORT):
-        fail("--listen and --port need --live", BAD_INPUT)
+        fail("--live needs real time: omit --fast", BAD_INPUT)
+    if not live and (host, port) != (LOCAL, LIVE_PORT):
+        fail("--host and --port need --live", BAD_INPUT)
 
 
-def _live_page(listen: str, port: int, screen: Console) -> AbstractContextManager[None]:
+def _live_page(host: str, port: int, screen: Console) -> AbstractContextManager[None]:
     from rig.live.launch import live_page_of_this_run
 
-    return live_page_of_this_run(listen, port, lambda line: screen.print(line, soft_wrap=True))
+    return live_page_of_this_run(host, port, lambda line: screen.print(line, soft_wrap=True))
 
 
 @app.command()
@@ -222,28 +221,16 @@ def simulate(
 
 @app.command(cls=NumericalCommand)
 def live(
-    archive: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="[RUN]",
-            help="Archive to play; default: the running experiment.",
-            autocompletion=completion.runs,
-        ),
-    ] = None,
     pid: Annotated[int | None, typer.Option(help="Process of the experiment to watch, if several run.")] = None,
-    listen: Listen = LOCAL,
+    host: Host = LOCAL,
     port: Port = LIVE_PORT,
 ) -> None:
-    """Show a running experiment in the browser, or play an archive."""
+    """Show a running experiment in the browser."""
     from rig.cli.output import console
-    from rig.cli.run_names import resolve
     from rig.live.launch import show
 
-    if archive is not None and pid is not None:
-        fail("--pid names a running experiment; omit it to play an archive", BAD_INPUT)
     screen = console()
-    found = None if archive is None else resolve(archive)
-    raise typer.Exit(show(found, pid, listen, port, lambda line: screen.print(line, soft_wrap=True)))
+    raise typer.Exit(show(pid, host, port, lambda line: screen.print(line, soft_wrap=True)))
 
 
 for command in (archives.note, archives.tag, archives.runs, archives.show, archives.export, archives.recover):

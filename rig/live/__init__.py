@@ -1,4 +1,4 @@
-"""The live page: watch, pause and stop a run in the browser, or play an archive. It runs in its own process.
+"""The live page: watch, pause and stop a run in the browser. It runs in its own process.
 
 See docs/how-to/watch-in-the-browser.md.
 """

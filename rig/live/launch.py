@@ -1,4 +1,4 @@
-"""Start the page's process: bind the address, create the tokens, return the links."""
+"""Start the process of the page: bind the address, create the tokens, print the links."""
 
 from __future__ import annotations
 
@@ -29,15 +29,11 @@ LINGER_S = 3.0
 
 @dataclass(frozen=True)
 class PageConfiguration:
-    """Listening socket `fd` and the source: `run` is a control socket, `archive` a file; one of them is None."""
+    """Listening socket `fd`, the tokens, and the control socket of the run to show."""
 
     fd: int
     tokens: AccessTokens
-    run: Path | None = None
-    archive: Path | None = None
-
-
-PORTS_TRIED = 20
+    run: Path
 
 
 @dataclass(frozen=True)
@@ -60,21 +56,19 @@ class PageProcess:
                 self.process.wait()
 
 
-def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path | None = None) -> PageProcess:
-    """Start the page for a run (by its control socket) or an archive; use the first free port from `port` on.
+def open_page(host: str, port: int, run: Path) -> PageProcess:
+    """Start the page for the run with this control socket, at `port` or, where that is taken, at any free port.
 
     Raises:
         BadInputError: the address is not one of this machine.
-        StartError: no port is free.
+        StartError: the port may not be used.
         ModuleNotFoundError: softrig is installed without the extra `live`.
     """
     if find_spec("nicegui") is None:
         raise ModuleNotFoundError("the live page needs NiceGUI", name="nicegui")
-    address = _address(listen)
+    address = _address(host)
     bound = _bind(address, port)
-    local = address.is_loopback
-    tokens = AccessTokens(user_name() if local else None)
-    configuration = PageConfiguration(bound.fileno(), tokens, run, archive)
+    tokens = AccessTokens(user_name())
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "rig.live.server"],
         stdin=subprocess.PIPE,
@@ -83,33 +77,29 @@ def open_page(listen: str, port: int, *, run: Path | None = None, archive: Path 
     )
     assert process.stdin is not None
     try:
-        pickle.dump(configuration, process.stdin)
+        pickle.dump(PageConfiguration(bound.fileno(), tokens, run), process.stdin)
         process.stdin.close()
     except BrokenPipeError:
         raise StartError(f"the page did not start (exit status {process.wait()})") from None
-    base = _url(bound, address)
+    url = _url(bound, address)
     bound.close()
-    guest = f"{base}#{tokens.guest}  (view only)"
-    if local:
-        page = f"live page   {base}#{tokens.operator}  (keep it secret: it permits commands)"
-        return PageProcess(process, (page, f"guest link  {guest}"))
-    lines = (
-        f"live page      {base}",
-        f"operator link  {base}#{tokens.operator}  (opens once)",
-        f"guest link     {guest}",
-        "the connection is not encrypted: use it on a trusted network or through an SSH tunnel",
-    )
-    return PageProcess(process, lines)
+    lines = [
+        f"live page  {url}?token={tokens.operate}  (keep it secret: it permits commands)",
+        f"view only  {url}?token={tokens.read}",
+    ]
+    if not address.is_loopback:
+        lines.append("the connection is not encrypted: use it on a trusted network or through an SSH tunnel")
+    return PageProcess(process, tuple(lines))
 
 
 @contextmanager
-def live_page_of_this_run(listen: str, port: int, say: Callable[[str], None]) -> Iterator[None]:
+def live_page_of_this_run(host: str, port: int, say: Callable[[str], None]) -> Iterator[None]:
     """Serve a page for the run that this process is about to start.
 
     Raises:
         StartError: the page cannot start.
     """
-    page = open_page(listen, port, run=socket_of(os.getpid()))
+    page = open_page(host, port, socket_of(os.getpid()))
     for line in page.lines:
         say(line)
     try:
@@ -118,19 +108,14 @@ def live_page_of_this_run(listen: str, port: int, say: Callable[[str], None]) ->
         page.close(LINGER_S)
 
 
-def show(archive: Path | None, pid: int | None, listen: str, port: int, say: Callable[[str], None]) -> int:
-    """Show an archive or a running experiment until it ends or Ctrl-C is pressed; return the exit status.
+def show(pid: int | None, host: str, port: int, say: Callable[[str], None]) -> int:
+    """Show a running experiment until it ends or Ctrl-C is pressed; return the exit status.
 
     Raises:
-        ArchiveError: the file is no archive.
         BadInputError: no experiment is running, or several are and `pid` names none of them.
         StartError: the page cannot start.
     """
-    if archive is not None:
-        from runs.run import Run
-
-        Run(archive)  # report an invalid file here, not in the page's process
-    page = open_page(listen, port, run=None if archive else _socket_path(pid), archive=archive)
+    page = open_page(host, port, _socket_path(pid))
     for line in page.lines:
         say(line)
     try:
@@ -149,38 +134,36 @@ def _socket_path(pid: int | None) -> Path:
         pids = ", ".join(path.name.removeprefix("run-") for path in found)
         raise bad_input("--pid", "", f"several experiments are running; choose one by its process: {pids}")
     which = "no experiment of yours is running" if pid is None else f"process {pid} runs no experiment of yours"
-    raise bad_input("--pid", "", f"{which}; start one with `rig run .. --live`, or name an archive to play")
+    raise bad_input("--pid", "", f"{which}; start one with `rig run .. --live`")
 
 
-def _address(listen: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
     try:
-        return ipaddress.ip_address(listen)
+        return ipaddress.ip_address(host)
     except ValueError:
-        raise _not_here(listen) from None
+        raise _not_here(host) from None
 
 
-def _not_here(listen: str) -> BadInputError:
+def _not_here(host: str) -> BadInputError:
     expected = "an address of this machine, such as 192.168.1.20, or 0.0.0.0 for all"
-    return bad_input("--listen", listen, expected)
+    return bad_input("--host", host, expected)
 
 
 def _bind(address: ipaddress.IPv4Address | ipaddress.IPv6Address, port: int) -> socket.socket:
-    family = socket.AF_INET if address.version == 4 else socket.AF_INET6
-    for candidate in range(port, min(port + PORTS_TRIED, 65536)):
-        bound = socket.socket(family, socket.SOCK_STREAM)
-        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            bound.bind((str(address), candidate))
-            bound.listen(64)
-        except OSError as error:
-            bound.close()
-            if isinstance(error, PermissionError):
-                raise StartError(f"port {candidate} may not be used: {error.strerror}") from error
-            if error.errno == errno.EADDRNOTAVAIL:
-                raise _not_here(str(address)) from error
-        else:
-            return bound
-    raise StartError(f"no free port from {port} to {port + PORTS_TRIED - 1}; choose another with --port")
+    """Return a socket that listens at a port or, where another program listens there, at any free port."""
+    bound = socket.socket(socket.AF_INET if address.version == 4 else socket.AF_INET6, socket.SOCK_STREAM)
+    bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        bound.bind((str(address), port))
+        bound.listen()
+    except OSError as error:
+        bound.close()
+        if error.errno == errno.EADDRINUSE and port:
+            return _bind(address, 0)
+        if error.errno == errno.EADDRNOTAVAIL:
+            raise _not_here(str(address)) from error
+        raise StartError(f"port {port} may not be used: {error.strerror}") from error
+    return bound
 
 
 def _url(bound: socket.socket, address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:

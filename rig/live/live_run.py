@@ -32,7 +32,7 @@ from rig.live.packets import (
     path_error,
     sections,
 )
-from rig.live.stream import Message
+from rig.realtime.operator_commands import CommandKind
 from rig.realtime.shared_state import Stage
 from runs.columns.tip_control import reference_error_mm
 from runs.records import DetectionStatus, Event
@@ -53,7 +53,6 @@ class LiveRun:
     A run has a control socket once it begins; simulation and compilation may delay that.
     """
 
-    live = True
     session: ClientSession
     pressure: History
 
@@ -87,7 +86,6 @@ class LiveRun:
         plan = self.session.plan
         return RunDescription(
             title=f"{Path(plan.trajectory.source).stem} on {plan.config.name}",
-            live=True,
             simulated=plan.config.simulated,
             variant=plan.variant,
             actuators=plan.config.actuators,
@@ -232,11 +230,9 @@ class LiveRunViewer:
         self._shown, self._frame, self._sent = number, frame, time.monotonic()
         return update.encoded()
 
-    def handle(self, message: Message, who: str) -> dict[str, Any] | None:
+    def act(self, do: CommandKind, who: str) -> dict[str, Any]:
         """Send an operator command to the supervisor."""
-        if message.do is None:
-            return {"done": False, "message": "refused: seek, speed and play are for archives"}
-        return {"do": message.do, **self._source.session.request(message.do, who)}
+        return {"do": do, **self._source.session.request(do, who)}
 
     def close(self) -> None:
         self._source.viewers -= 1

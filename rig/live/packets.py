@@ -22,10 +22,9 @@ from runs.records import AuxiliaryChannel, Quantity
 
 @dataclass(frozen=True)
 class RunDescription:
-    """Constant properties of a run. `measured`: the rig measures the tip; `end_s` is None during the run."""
+    """Constant properties of a run. `measured`: the rig measures the tip."""
 
     title: str
-    live: bool
     simulated: bool
     variant: str
     actuators: int
@@ -33,7 +32,6 @@ class RunDescription:
     duration_s: float
     limit_bar: float
     length_mm: float
-    end_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ class PressureView:
 
 @dataclass(frozen=True)
 class TipView:
-    """The frame that is shown; live, `age_ms` is that of its picture at `sent_ms`, a moment since 1970.
+    """The frame that is shown; `age_ms` is the age of its picture at `sent_ms`, a moment since 1970.
 
     `path_error_mm`: distance of the measured tip from its reference; None outside tip paths.
     """
@@ -77,8 +75,8 @@ class TipView:
     error_mm: float
     mean_error_mm: float
     reprojection_px: float
-    age_ms: float | None = None
-    sent_ms: float | None = None
+    age_ms: float
+    sent_ms: float
     path_error_mm: float | None = None
 
 
@@ -230,8 +228,6 @@ class ViewUpdate:
     events: list[tuple[float, str, str, str]] = field(default_factory=list)
     overlay: ViewOverlay | None = None
     picture: bytes = b""
-    reset: bool = False
-    """Clear the charts first."""
 
     def encoded(self) -> bytes:
         """Return the packet: length of the JSON, the JSON, the JPEG."""
@@ -240,7 +236,6 @@ class ViewUpdate:
             "pressure": rounded(self.pressure, 4),
             "track": rounded(self.track, 3),
             "events": self.events,
-            "reset": self.reset,
         }
         if self.overlay is not None:
             body["overlay"] = {

@@ -5,29 +5,25 @@ from __future__ import annotations
 from fastapi import Request
 from nicegui import ui
 
-from rig.live.authentication import SESSION, LoginSession
-from rig.live.stream import RunSource
+from rig.live.authentication import VISITOR, Visitor
 
 HEAD = '<link rel="stylesheet" href="/live/live.css"><script type="module" src="/live/live.js"></script>'
 
 
-def define(source: RunSource) -> None:
-    """Register the page of a source."""
+def define() -> None:
+    """Register the page."""
 
     @ui.page("/", title="softrig")
     def index(request: Request) -> None:
-        session: LoginSession = request.scope[SESSION]
+        visitor: Visitor = request.scope[VISITOR]
         ui.add_head_html(HEAD)
         ui.colors(primary="#0072b2", warning="#8a5a00", negative="#b3261e")
         with ui.element("main").props("id=softrig"):
             _header()
-            _prompt(session)
+            _prompt(visitor)
             _numbers()
             _panels()
-            if source.live:
-                _actions(session)
-            else:
-                _player()
+            _actions(visitor)
 
 
 def _part(tag: str, name: str, text: str = "", label: str = "") -> ui.element:
@@ -54,10 +50,10 @@ def _header() -> None:
     _part("div", "banner").props("role=alert hidden")
 
 
-def _prompt(session: LoginSession) -> None:
+def _prompt(visitor: Visitor) -> None:
     with _part("div", "prompt").props("hidden role=alert"):
         _part("span", "prompt-text")
-        if session.operator:
+        if visitor.operator:
             ui.button("Done").props("data-do=answer unelevated no-caps")
 
 
@@ -109,9 +105,9 @@ def _panel(name: str, title: str) -> ui.element:
     return panel
 
 
-def _actions(session: LoginSession) -> None:
+def _actions(visitor: Visitor) -> None:
     with ui.element("footer"):
-        if not session.operator:
+        if not visitor.operator:
             ui.html("View only.", sanitize=False)
             return
         _button("pause", "Pause", "primary")
@@ -123,21 +119,3 @@ def _actions(session: LoginSession) -> None:
 
 def _button(name: str, text: str, colour: str) -> ui.button:
     return ui.button(text, color=colour).props(f"id={name} data-do={name} unelevated no-caps")
-
-
-def _player() -> None:
-    with ui.element("footer"):
-        ui.button("Pause").props("id=play unelevated no-caps")
-        ui.html(
-            '<input id="place" type="range" min="0" max="1" step="0.01" value="0" aria-label="time">',
-            sanitize=False,
-        ).classes("place")
-        _part("span", "place-text")
-        ui.html(
-            '<label>speed <select id="speed">'
-            + "".join(
-                f"<option value={s}{' selected' if s == 1 else ''}>{s}x</option>" for s in (0.1, 0.25, 1, 2, 5, 20)
-            )
-            + "</select></label>",
-            sanitize=False,
-        )

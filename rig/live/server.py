@@ -18,16 +18,14 @@ from fastapi import FastAPI, WebSocket
 from starlette.staticfiles import StaticFiles
 
 from rig.execution.plan import StartError
-from rig.live.admission import ACCEPTED_AT_ONCE, Admission, http_protocol
-from rig.live.authentication import AuthenticationMiddleware
+from rig.live.authentication import AccessTokens, AuthenticationMiddleware
 from rig.live.launch import LINGER_S, PageConfiguration
+from rig.live.live_run import LiveRun
 from rig.live.stream import RunSource, stream
 
 NICE = 5
 """Lower priority than observer and supervisor, but high enough for a busy machine."""
 UPDATE_S = 0.008
-QUEUE = 1024
-"""Listen backlog of the kernel."""
 STATIC = Path(__file__).parent / "static"
 
 
@@ -54,16 +52,14 @@ class PageLog(logging.Handler):
 
 
 def main() -> int:
-    """Serve until the run ends, or for an archive until a signal arrives."""
+    """Serve until the run ends."""
     configuration: PageConfiguration = pickle.load(sys.stdin.buffer)  # written by our own parent, over a pipe
     logging.basicConfig(handlers=[PageLog()], level=logging.WARNING)
-    source = _source(configuration)
+    source = LiveRun(configuration.run)
     listening = socket.socket(fileno=configuration.fd)
     server = uvicorn.Server(
         uvicorn.Config(
-            application(source, configuration, listening.getsockname()[1]),
-            http=http_protocol(Admission()),
-            backlog=ACCEPTED_AT_ONCE,
+            application(source, configuration.tokens, listening.getsockname()[1]),
             proxy_headers=False,
             log_config=None,
             log_level="error",
@@ -79,7 +75,7 @@ def main() -> int:
     os.nice(NICE)  # after the imports, for which the user waits
 
     async def serve() -> None:
-        feeding = asyncio.create_task(_feed(source, server, listening))
+        feeding = asyncio.create_task(_feed(source, server))
         await server.serve(sockets=[listening])
         feeding.cancel()
 
@@ -87,23 +83,8 @@ def main() -> int:
     return 0
 
 
-def _source(configuration: PageConfiguration) -> RunSource:
-    if configuration.archive is not None:
-        from rig.live.archived_run import ArchivedRun
-
-        return ArchivedRun(configuration.archive)
-    from rig.live.live_run import LiveRun
-
-    assert configuration.run is not None
-    return LiveRun(configuration.run)
-
-
-async def _feed(source: RunSource, server: uvicorn.Server, listening: socket.socket) -> None:
+async def _feed(source: RunSource, server: uvicorn.Server) -> None:
     parent = os.getppid()
-    while not server.started:
-        await asyncio.sleep(UPDATE_S)
-    # asyncio uses one number for connections per pass and for the backlog; the backlog may be longer.
-    listening.listen(QUEUE)
     try:
         while not source.finished and os.getppid() == parent:
             source.update()
@@ -116,7 +97,7 @@ async def _feed(source: RunSource, server: uvicorn.Server, listening: socket.soc
         server.should_exit = True
 
 
-def application(source: RunSource, configuration: PageConfiguration, port: int) -> AuthenticationMiddleware:
+def application(source: RunSource, tokens: AccessTokens, port: int) -> AuthenticationMiddleware:
     """Return the page, its stream and its static files behind the authentication middleware."""
     from nicegui import ui
 
@@ -129,7 +110,7 @@ def application(source: RunSource, configuration: PageConfiguration, port: int) 
         await stream(websocket, source)
 
     app.mount("/live", StaticFiles(directory=STATIC), name="live")
-    page.define(source)
+    page.define()
     ui.run_with(
         app,
         title="softrig",
@@ -141,7 +122,7 @@ def application(source: RunSource, configuration: PageConfiguration, port: int) 
         show_welcome_message=False,
         tailwind=False,
     )
-    return AuthenticationMiddleware(app, configuration.tokens, port)
+    return AuthenticationMiddleware(app, tokens, port)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
 """The websocket stream to one browser. The browser requests each packet, so a slow or stalled one causes no backlog.
 
 A browser sends a `Message`, a JSON object with exactly one field; any other is refused. Packets are binary messages
-(see `rig.live.packets`), answers are text. Guests share a limited number of streams; an operator's streams are limited
-by their connections only.
+(see `rig.live.packets`), answers are text.
 """
 
 from __future__ import annotations
@@ -11,19 +10,17 @@ import asyncio
 import json
 from contextlib import suppress
 from dataclasses import asdict
-from typing import Annotated, Any, Literal, Protocol
+from typing import Any, Literal, Protocol
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from rig.live.authentication import SESSION, LoginSession
+from rig.live.authentication import VISITOR, Visitor
 from rig.live.packets import RunDescription, plain
 from rig.realtime.operator_commands import CommandKind
 
-FASTEST = 100.0
 MOST_CHARACTERS = 1024
 MOST_REASON = 200
-FIELDS = ("more", "do", "seek", "speed", "play")
 
 
 class MessageError(ValueError):
@@ -31,21 +28,17 @@ class MessageError(ValueError):
 
 
 class Message(BaseModel):
-    """One message. Exactly one field is set: `more` requests the next packet, `do` an action on a running experiment;
-    `seek` [s], `speed` (times real time) and `play` control the playback of an archive."""
+    """One message. Exactly one field is set: `more` requests the next packet, `do` an action on the run."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
     more: Literal[1] | None = None
     do: CommandKind | None = None
-    seek: FiniteFloat | None = None
-    speed: Annotated[FiniteFloat, Field(gt=0, le=FASTEST)] | None = None
-    play: bool | None = None
 
     @model_validator(mode="after")
     def _one_field(self) -> Message:
-        if sum(getattr(self, name) is not None for name in FIELDS) != 1:
-            raise ValueError(f"expected exactly one of {', '.join(FIELDS)}")
+        if (self.more is None) == (self.do is None):
+            raise ValueError("expected exactly one of more, do")
         return self
 
 
@@ -73,17 +66,15 @@ class Viewer(Protocol):
     def packet(self) -> bytes | None:
         """Return the data since the last call; None where there is none."""
 
-    def handle(self, message: Message, who: str) -> dict[str, Any] | None:
-        """Execute a message; return the answer, `done` and `message`, or None."""
+    def act(self, do: CommandKind, who: str) -> dict[str, Any]:
+        """Ask the run for an action; return the answer, `done` and `message`."""
 
     def close(self) -> None:
         """Unregister the browser."""
 
 
 class RunSource(Protocol):
-    """Source of packets. `live`: messages act on a rig, so only the operator may send them."""
-
-    live: bool
+    """Source of packets."""
 
     @property
     def finished(self) -> bool:
@@ -102,41 +93,28 @@ class RunSource(Protocol):
 POLL_S = 0.008
 WAIT_S = 0.1
 LEAST_PERIOD_S = 0.02
-MOST_GUESTS = 24
-
-_guests = 0
 
 
 async def stream(socket: WebSocket, source: RunSource) -> None:
     """Serve one browser until it disconnects."""
-    global _guests
-    session: LoginSession = socket.scope[SESSION]
-    guest = not session.operator
-    if guest and _guests >= MOST_GUESTS:
-        await socket.close(1013)
-        return
-    _guests += guest
-    try:
+    visitor: Visitor = socket.scope[VISITOR]
+    with suppress(WebSocketDisconnect, RuntimeError):
         await socket.accept()
         while (about := source.about()) is None:
             await asyncio.sleep(WAIT_S)
-        await _serve(socket, source, session, about)
-    except (WebSocketDisconnect, RuntimeError):
-        pass
-    finally:
-        _guests -= guest
+        await _serve(socket, source, visitor, about)
 
 
-async def _serve(socket: WebSocket, source: RunSource, session: LoginSession, about: RunDescription) -> None:
+async def _serve(socket: WebSocket, source: RunSource, visitor: Visitor, about: RunDescription) -> None:
     viewer = source.viewer()
     ready = asyncio.Event()
     lock = asyncio.Lock()
     sending = asyncio.create_task(_send(socket, viewer, ready, lock))
     try:
-        greeting = {**plain(asdict(about)), "who": session.who, "operator": session.operator}
+        greeting = {**plain(asdict(about)), "who": visitor.who, "operator": visitor.operator}
         async with lock:
             await socket.send_text(json.dumps({"about": greeting}))
-        await _listen(socket, viewer, session, ready, lock, source.live)
+        await _listen(socket, viewer, visitor, ready, lock)
     finally:
         viewer.close()
         sending.cancel()
@@ -145,31 +123,24 @@ async def _serve(socket: WebSocket, source: RunSource, session: LoginSession, ab
 
 
 async def _listen(
-    socket: WebSocket,
-    viewer: Viewer,
-    session: LoginSession,
-    ready: asyncio.Event,
-    lock: asyncio.Lock,
-    acting: bool,
+    socket: WebSocket, viewer: Viewer, visitor: Visitor, ready: asyncio.Event, lock: asyncio.Lock
 ) -> None:
     while True:
-        answer: dict[str, Any] | None
         try:
             message = await _message(socket)
         except MessageError as error:
             answer = {"done": False, "message": str(error)}
         else:
-            if message.more is not None:
+            if message.do is None:
                 ready.set()
                 continue
-            if acting and not session.operator:
-                answer = {"done": False, "message": "refused: this is a view-only session"}
-            else:
+            if visitor.operator:
                 # A busy supervisor may answer late; other browsers must not wait.
-                answer = await asyncio.to_thread(viewer.handle, message, session.who)
-        if answer is not None:
-            async with lock:
-                await socket.send_text(json.dumps({"answer": answer}))
+                answer = await asyncio.to_thread(viewer.act, message.do, visitor.who)
+            else:
+                answer = {"done": False, "message": "refused: this link only reads"}
+        async with lock:
+            await socket.send_text(json.dumps({"answer": answer}))
 
 
 async def _send(socket: WebSocket, viewer: Viewer, ready: asyncio.Event, lock: asyncio.Lock) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from runs.archive.writer import finalise
-from scripts.live_client import Stream, enter, printed_link, request
+from scripts.live_client import printed_link, request
 from tests.support.light_venv import environment
 from tests.support.synthetic_runs import write_journal
 
@@ -85,7 +85,7 @@ def test_an_archive_is_analysed_without_the_extras_and_without_unix(archive: Pat
 
 
 @pytest.mark.parametrize(
-    ("command", "extra"), [("['run', 'ramp-a', '--fast', '--yes', '--no-report']", "rig"), ("['live', 'last']", "live")]
+    ("command", "extra"), [("['run', 'ramp-a', '--fast', '--yes', '--no-report']", "rig"), ("['live']", "live")]
 )
 def test_a_command_that_needs_an_extra_names_it(archive: Path, tmp_path: Path, command: str, extra: str) -> None:
     (tmp_path / "data").mkdir()
@@ -151,7 +151,7 @@ def test_softrig_reads_and_analyses_an_archive(wheel: Path, archive: Path, tmp_p
     assert "finished" in installed(light, "show", "run.h5")
     installed(light, "report", "run.h5")
     installed(light, "export", "run.h5")
-    for words, extra in ((("run", "ramp-a", "--fast", "--yes"), "rig"), (("live", "run.h5"), "live")):
+    for words, extra in ((("run", "ramp-a", "--fast", "--yes"), "rig"), (("live",), "live")):
         assert f"pip install 'softrig[{extra}]'" in installed(light, *words, succeeds=False)
 
 
@@ -163,8 +163,8 @@ def test_softrig_rig_runs_an_experiment(wheel: Path, tmp_path: Path, monkeypatch
     (tmp_path / "brief.yaml").write_text(SHORT.replace("duration_s: 1", "duration_s: 0.2").replace("0.3", "0.1"))
     run = ("run", "brief.yaml", "--rig", "mock-no-camera", "--fast", "--yes", "--no-report", "--out", "data")
     assert "finished" in installed(light, *run)
-    (made,) = (tmp_path / "data").glob("*.h5")
-    assert "softrig[live]" in installed(light, "live", str(made), succeeds=False)
+    assert list((tmp_path / "data").glob("*.h5"))
+    assert "softrig[live]" in installed(light, "live", succeeds=False)
 
 
 @pytest.mark.realtime
@@ -179,16 +179,23 @@ def test_an_arm_is_identified_without_what_only_unix_has(tmp_path: Path) -> None
 
 
 @pytest.mark.realtime
-def test_softrig_live_shows_an_archive_in_the_browser(wheel: Path, archive: Path, tmp_path: Path) -> None:
+def test_softrig_live_serves_the_page_of_a_run(wheel: Path, tmp_path: Path) -> None:
     light = environment(tmp_path / "light", wheel, "live")
     log = tmp_path / "log"
-    command = [str(light), "-u", "-m", "rig", "live", "run.h5", "--port", "0"]
-    with log.open("w") as output, subprocess.Popen(command, cwd=tmp_path, stdout=output, stderr=output) as page:
+    (tmp_path / "short.yaml").write_text(SHORT)
+    command = [str(light), "-u", "-m", "rig", "run", "short.yaml", "--rig", "mock-no-camera", "--yes", "--no-report"]
+    with (
+        log.open("w") as output,
+        subprocess.Popen([*command, "--live", "--port", "0"], cwd=tmp_path, stdout=output, stderr=output) as run,
+    ):
         try:
             link = printed_link(log.read_text, "live page")
-            assert request(link)[0] == 401
-            cookie = enter(link)
-            assert request(link, Cookie=cookie)[0] == 200
-            assert Stream(link, cookie).packet()
+            page = link.partition("?")[0]
+            assert request(page)[0] == 401
+            status, cookie = request(link)
+            assert status == 303
+            # The run compiles its kernels for longer than this takes.
+            assert request(page, Cookie=cookie)[0] == 200
         finally:
-            page.terminate()
+            run.terminate()
+    assert "Traceback" not in log.read_text()

@@ -15,7 +15,7 @@ import typer
 
 from rig.cli.app import app
 
-TERMINAL = {"json", "dry", "live", "listen", "port"}
+TERMINAL = {"json", "dry", "live", "host", "port"}
 """Options about the terminal or a page."""
 
 

@@ -17,7 +17,6 @@ import numpy as np
 import uvicorn
 
 from rig.live.authentication import AccessTokens
-from rig.live.launch import PageConfiguration
 from rig.live.packets import (
     EstimateView,
     PressureView,
@@ -31,7 +30,7 @@ from rig.live.packets import (
     jpeg,
 )
 from rig.live.server import application
-from rig.live.stream import Message
+from rig.realtime.operator_commands import CommandKind
 
 NAMES = (
     "law",
@@ -68,7 +67,6 @@ STEP_S = 0.2
 class Shown:
     """A run source that always shows the same numbers."""
 
-    live = True
     finished = False
 
     def __init__(self, actuators: int, adapt: bool, prompt: str, stalled: bool) -> None:
@@ -89,7 +87,7 @@ class Shown:
             ),
             timing=TimingView(missed=123, dropped=4567, lateness_us=1234.5, lateness_max_us=12345.6),
             pressure=PressureView(np.linspace(0.6123, 0.7, actuators), np.linspace(0.6234, 0.7123, actuators)),
-            tip=TipView(12345, "too few corners", False, 123.456, 12.345, 12.345, age_ms=123.4),
+            tip=TipView(12345, "too few corners", False, 123.456, 12.345, 12.345, age_ms=123.4, sent_ms=0.0),
             estimates=tuple(EstimateView(name, *row) for name in NAMES) if adapt else (),
             prompt=prompt or None,
         )
@@ -103,7 +101,6 @@ class Shown:
         """Description of a run with that many actuators."""
         return RunDescription(
             title="extension-weights on a-rig-with-a-long-name",
-            live=True,
             simulated=True,
             variant="coupled",
             actuators=self.actuators,
@@ -141,9 +138,9 @@ class Moment:
         later_s = 0.0 if self._source.stalled else STEP_S * self._sent
         return ViewUpdate(replace(now, time_s=now.time_s + later_s)).encoded()
 
-    def handle(self, message: Message, who: str) -> dict[str, Any]:
+    def act(self, do: CommandKind, who: str) -> dict[str, Any]:
         """Answer with the requested command and its account."""
-        return {"done": True, "message": f"{message.do} by {who} (live page) at protocol time 3723.40 s"}
+        return {"done": True, "message": f"{do} by {who} (live page) at protocol time 3723.40 s"}
 
     def close(self) -> None:
         """There is nothing to release."""
@@ -162,11 +159,11 @@ def main() -> None:
     port = listening.getsockname()[1]
     app = application(
         Shown(wanted.actuators, wanted.adapt, wanted.prompt, wanted.stalled),
-        PageConfiguration(listening.fileno(), keys),
+        keys,
         port,
     )
     server = uvicorn.Server(uvicorn.Config(app, log_level="error"))
-    print(f"live page   http://127.0.0.1:{port}/#{keys.operator}", flush=True)
+    print(f"live page   http://127.0.0.1:{port}/?token={keys.operate}", flush=True)
     asyncio.run(server.serve(sockets=[listening]))
 
 

@@ -14,7 +14,7 @@ const clock = (s) => `${Math.floor(Math.max(0, s) / 60)}:${String(Math.floor(Mat
 // For tests and for the curious: how many packets were drawn and how old each picture was on the screen [ms].
 const seen = (window.softrig = { packets: 0, latency: [], now: null, about: null });
 
-let socket, about, charts, arm, picture, now = null, placing = false;
+let socket, about, charts, arm, picture, now = null;
 let sampled = 0, stalled = false;
 
 function ask(message) {
@@ -41,7 +41,7 @@ function connect() {
     if (!about) return void setTimeout(connect, RETRY_MS);
     state("lost");
     const last = now ? ` The page shows the last values, of ${fixed(now.time_s, 1)} s.` : "";
-    banner(`Connection lost.${about.live ? " The run continues without this page." : ""}${last}`);
+    banner(`Connection lost. The run continues without this page.${last}`);
     setTimeout(connect, RETRY_MS);
   };
 }
@@ -50,13 +50,12 @@ function begin(what) {
   about = seen.about = what;
   at("title").textContent = about.title;
   at("simulated").hidden = !about.simulated;
-  at("who").textContent = about.operator || !about.live ? about.who : `${about.who}, view only`;
+  at("who").textContent = about.operator ? about.who : `${about.who}, view only`;
   at("panel-camera").hidden = !about.measured;
   banner("");
   charts.begin(about);
   arm.begin(about);
   at("event-list").replaceChildren();
-  if (at("place")) at("place").max = about.end_s;
   ask({ more: 1 });
 }
 
@@ -65,10 +64,6 @@ async function show(data) {
   const packet = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
   if (packet.now.time_s !== now?.time_s) sampled = performance.now();
   now = seen.now = packet.now;
-  if (packet.reset) {
-    charts.begin(about);
-    at("event-list").replaceChildren();
-  }
   numbers();
   charts.add(packet.pressure, packet.track, now.time_s);
   events(packet.events);
@@ -83,7 +78,7 @@ async function show(data) {
 
 // A connection may stay open while nothing arrives, and packets may arrive while nothing is sampled.
 function checkAge() {
-  if (!about?.live || !now?.pressure || now.state === "ended" || socket.readyState !== WebSocket.OPEN) return;
+  if (!about || !now?.pressure || now.state === "ended" || socket.readyState !== WebSocket.OPEN) return;
   const age = performance.now() - sampled;
   if (age > OLD_MS) {
     stalled = true;
@@ -124,7 +119,7 @@ function numbers() {
       : []),
     ...now.sections.map(([name, , error]) => [`${name} from model`, `${fixed(error, 2)} mm`, false]),
     ...now.inputs.map(([name, value, unit]) => [name, `${value} ${unit}`, false]),
-    ...(tip.age_ms === undefined || !about.measured ? [] : [["picture's age", `${fixed(seen.latency.at(-1) ?? tip.age_ms, 0)} ms`, false]]),
+    ...(!about.measured || !now.tip ? [] : [["picture's age", `${fixed(seen.latency.at(-1) ?? tip.age_ms, 0)} ms`, false]]),
   ];
   at("health").replaceChildren(
     ...rows.flatMap(([name, value, late]) => [
@@ -135,7 +130,7 @@ function numbers() {
   estimates(now.estimates);
   at("prompt").hidden = !now.prompt;
   at("prompt-text").textContent = now.prompt ?? "";
-  const acting = about.live && ["running", "paused", "waiting"].includes(now.state);
+  const acting = ["running", "paused", "waiting"].includes(now.state);
   for (const button of document.querySelectorAll("footer [data-do]")) {
     button.disabled = !acting && !(button.id === "stop" || button.id === "vent") || now.state === "ended";
     if (button.id === "skip" && now.state === "paused") button.disabled = true; // a pause holds its pressures
@@ -148,11 +143,6 @@ function numbers() {
     state("ended");
     banner(`The run has ended: ${now.ended}. The page shows its last values, of ${fixed(now.time_s, 1)} s.`);
     window.socket?.disconnect(); // NiceGUI's own connection would go on knocking at a page that is gone
-  }
-  if (at("place")) {
-    if (!placing) at("place").value = now.time_s;
-    at("place-text").textContent = `${fixed(now.time_s, 1)} of ${fixed(about.end_s, 1)} s`;
-    at("play").querySelector(".q-btn__content").textContent = now.state === "playing" ? "Pause" : "Play";
   }
 }
 
@@ -210,19 +200,9 @@ function wire() {
     charts.colours();
     arm.draw();
   }).observe(document.body, { attributes: true, attributeFilter: ["class"] });
-  if (at("place")) {
-    at("place").addEventListener("input", () => {
-      placing = true;
-      ask({ seek: Number(at("place").value) });
-    });
-    at("place").addEventListener("change", () => (placing = false));
-    at("speed").addEventListener("change", () => ask({ speed: Number(at("speed").value) }));
-    at("play").addEventListener("click", () => ask({ play: now?.state !== "playing" }));
-  }
 }
 
 async function start() {
-  history.replaceState(null, "", location.pathname); // a token in the address has done its work
   while (!at("softrig") || !(charts = Charts.find())) await new Promise((done) => setTimeout(done, 20));
   arm = new ArmView(at("arm-view"), pressureColour);
   picture = new PictureView(at("picture"));

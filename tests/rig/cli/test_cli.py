@@ -171,10 +171,9 @@ def test_ctrl_c_while_modules_load_ends_the_program_silently() -> None:
         (["calibrate", "camera", "nowhere", "--corners", "9x6", "--square-mm", "25"], "nowhere"),
         (["calibrate", "camera", ".", "--corners", "9", "--square-mm", "25"], "9x6"),
         (["run", "ramp-a", "--seed", "-1", "--fast", "--yes"], "seed"),
-        (["run", "ramp-a", "--fast", "--yes", "--listen", "0.0.0.0"], "--live"),
+        (["run", "ramp-a", "--fast", "--yes", "--host", "0.0.0.0"], "--live"),
         (["show", "."], "a folder, not an archive"),
         (["show", "/"], "a folder, not an archive"),
-        (["live", "here", "--pid", "1"], "--pid"),
         (["show", "x" * 300], "File name too long"),
         (["report", "no-such-run", "--to", "other.h5"], "ends with .html"),
         (["report", "no-such-run", "--to", "."], "ends with .html"),
@@ -201,21 +200,10 @@ def test_bad_input_in_a_separate_process_gives_the_same_message_without_a_traceb
     assert "Traceback" not in done.stderr
 
 
-def test_an_address_of_another_machine_is_bad_input(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (archive,) = (recorded / "data").glob("*.h5")
+def test_an_address_of_another_machine_is_bad_input(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for address in ("lab", "192.0.2.1"):
-        assert status_of("live", archive, "--listen", address) == 2
+        assert status_of("run", "ramp-a", "--yes", "--no-report", "--live", "--host", address) == 2
         assert f"found     {address}" in capsys.readouterr().err
-
-
-def test_the_page_is_not_opened_for_a_file_that_is_not_an_archive(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (here / "notes.h5").write_text("no archive")
-    assert status_of("live", "notes.h5", "--port", "0") == 2
-    said = capsys.readouterr()
-    assert "not an archive of softrig" in said.err
-    assert "live page" not in said.out
 
 
 def test_faults_of_protocol_and_rig_are_reported_at_once(here: Path, capsys: pytest.CaptureFixture[str]) -> None:

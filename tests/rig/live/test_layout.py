@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +15,7 @@ import pytest
 
 from scripts.live_client import printed_link
 from tests.support.browser import Browser, Tab, browsing
-from tests.support.live_page import open_tab
+from tests.support.live_page import open_files, open_tab
 
 pytestmark = pytest.mark.realtime
 
@@ -174,3 +175,28 @@ def test_values_are_shown_as_old_while_packets_repeat_the_same_sample(browser: B
         packets = tab.value("window.softrig.packets")
         tab.until(f"window.softrig.packets > {packets} + 1")
         assert tab.value(OLD) == ["no new values", True, False]
+
+
+def test_reloads_leak_nothing(browser: Browser, tmp_path: Path) -> None:
+    with serving(tmp_path, "3") as (link, process):
+        tab = open_tab(browser, link)
+        counts = []
+        for _ in range(6):
+            tab.go(link)
+            tab.until("window.softrig && window.softrig.packets > 1")
+            counts.append(open_files(process.pid))
+        tab.go("about:blank")
+        deadline = time.monotonic() + 20
+        while open_files(process.pid) > counts[0]:
+            assert time.monotonic() < deadline, (counts, open_files(process.pid))
+            time.sleep(0.2)
+        assert tab.troubles == []
+
+
+def test_a_wrong_token_opens_no_page(browser: Browser, tmp_path: Path) -> None:
+    with serving(tmp_path, "3") as (link, _):
+        open_tab(browser, link)  # the page is up
+        tab = browser.tab()
+        tab.go(link.partition("?")[0] + "?token=wrong")
+        tab.until("document.body.textContent.includes('Open a link')")
+        assert tab.value("document.getElementById('softrig') === null")

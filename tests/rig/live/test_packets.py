@@ -72,7 +72,7 @@ def test_a_packet_holds_its_numbers_and_then_its_picture() -> None:
         protocol=ProtocolView(1.25, 2.0, "ramp", 0.5),
         timing=TimingView(missed=0, dropped=None),
         pressure=PressureView(np.array([0.2]), np.array([0.1])),
-        tip=TipView(7, "no board", True, float("nan"), 0.25, float("nan")),
+        tip=TipView(7, "no board", True, float("nan"), 0.25, float("nan"), age_ms=31.0, sent_ms=1e12),
         inputs=(InputView("force", "0.5", "N"),),
         sections=(SectionView("middle", (1.5, 0.0, 85.0), 0.25), SectionView("lower", None, None)),
     )
@@ -92,6 +92,8 @@ def test_a_packet_holds_its_numbers_and_then_its_picture() -> None:
             "error_mm": None,
             "mean_error_mm": 0.25,
             "reprojection_px": None,
+            "age_ms": 31.0,
+            "sent_ms": 1e12,
         },
         "inputs": [["force", "0.5", "N"]],
         "sections": [["middle", [1.5, 0.0, 85.0], 0.25], ["lower", None, None]],

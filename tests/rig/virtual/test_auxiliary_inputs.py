@@ -15,7 +15,7 @@ import runs
 from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import CardError
-from rig.live.archived_run import ArchivedRun
+from rig.live import packets
 from rig.simulator.plant import Plant
 from runs.export.exporters import export
 from runs.report.figure_specifications import figure_specifications
@@ -88,11 +88,11 @@ def test_export_page_and_report_show_the_inputs(archive: Path, tmp_path: Path) -
         first = next(csv.reader(file))
     assert first == ["time_s", "value_load_N", "value_ambient_degC", "value_spare_l/min", "simulated"]
     run = runs.open(archive)
-    last = len(run.pressure.time_s) - 1
-    shown = ArchivedRun(archive).now(run.pressure.time_s[last], -1, playing=False).inputs
-    assert [row[0] for row in shown] == ["load", "ambient", "spare"]
-    assert shown[0][2] == "N"
-    assert float(shown[0][1]) == pytest.approx(run.auxiliary.value[last, 0], rel=1e-3)  # type: ignore[union-attr]
+    assert run.auxiliary is not None
+    shown = packets.inputs(run.header.auxiliary, run.auxiliary.value[-1])
+    assert [row.name for row in shown] == ["load", "ambient", "spare"]
+    assert shown[0].unit == "N"
+    assert float(shown[0].value) == pytest.approx(run.auxiliary.value[-1, 0], rel=1e-3)
     assert "Auxiliary inputs" in [figure.title for figure in figure_specifications(run, run.summary)]
 
 

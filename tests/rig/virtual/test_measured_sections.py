@@ -14,7 +14,6 @@ from calibration.identify.data import in_motion
 from rig.experiment.replay import replay
 from rig.hardware.cameras.base import FrameSet
 from rig.live import packets
-from rig.live.archived_run import ArchivedRun
 from rig.observation.camera_estimator import CameraTipEstimator
 from rig.simulator.mock_camera import MockCamera
 from rig.simulator.plant import Plant
@@ -80,7 +79,7 @@ def test_the_page_shows_them(run: Run) -> None:
     sections = run.sections
     assert sections is not None
     frame = int(np.flatnonzero((sections.seen == DetectionStatus.MEASURED).all(axis=1))[-1])
-    shown = ArchivedRun(run.path).now(float(run.tip.time_s[frame]), frame, playing=False).sections
+    shown = packets.sections(sections.names, sections.measured_mm[frame], sections.model_mm[frame])
     assert [one.name for one in shown] == ["middle", "lower"]
     for k, one in enumerate(shown):
         np.testing.assert_allclose(one.point_mm, sections.measured_mm[frame, k], atol=0.01)

@@ -11,7 +11,6 @@ from protocols.problems import BadInputError
 from rig.calibrate import inputs
 from rig.cli import archive_output
 from rig.config import loader
-from rig.live.archived_run import ArchivedRun
 from runs import catalogue, table
 from runs.export import exporters
 from runs.records import DetectionStatus, Status
@@ -73,15 +72,6 @@ def test_a_catalogue_lists_no_error_of_a_run_without_a_camera(run: Run) -> None:
 @pytest.mark.parametrize("form", ["csv", "mat", "mcap"])
 def test_a_run_without_a_camera_is_exported(run: Run, form: str, tmp_path: Path) -> None:
     assert exporters.export(run.path, form, tmp_path)
-
-
-def test_the_page_plays_the_archive_of_a_run_without_a_camera(run: Run) -> None:
-    played = ArchivedRun(run.path)
-    assert played.about().measured is False
-    assert played.now(1.0, 20, playing=False).timing.dropped is None
-    drawn = played.overlay(20, -1)
-    assert drawn is not None
-    assert np.isfinite(drawn.lines_mm).all()
 
 
 def test_a_board_without_a_camera_is_refused_and_a_camera_without_a_board() -> None:

@@ -19,7 +19,6 @@ from rig.config.arm_model import TipLoad, model_arm
 from rig.config.loader import load, read, text
 from rig.experiment.replay import replay
 from rig.hardware.cameras.base import FrameSet
-from rig.live.archived_run import ArchivedRun
 from rig.observation.observer import Observer
 from runs.run import Run
 from tests.support.command_line import status_of
@@ -68,13 +67,10 @@ def test_the_model_carries_the_measured_force_and_no_weight_beside_it(folder: Pa
     np.testing.assert_allclose(tip.force_n[-20:], [[0, 0, WEIGHT_KG * GRAVITY_M_S2]] * 20, atol=0.02)
     assert not tip.weight_g.any()
     config = read(str(folder / "rig.yaml")).config
-    free = ArchivedRun(run.path)._shape(5)
-    carrying = ArchivedRun(run.path)._shape(len(tip.frame) - 1)
-    assert free is not None
-    assert carrying is not None
     pressure = tip.pressure_bar[-1] * 1e5
-    expected = statics(model_arm(config), pressure, TipLoad(config).carrying(WEIGHT_KG), doubt_units=False)
-    np.testing.assert_allclose(carrying.tip_m, expected.tip_m, atol=2e-5)
+    arm, load = model_arm(config), TipLoad(config)
+    carrying, free = (statics(arm, pressure, load.carrying(kg), doubt_units=False) for kg in (WEIGHT_KG, 0.0))
+    np.testing.assert_allclose(1e-3 * tip.model_mm[-1], carrying.tip_m, atol=1e-4)
     assert np.linalg.norm(carrying.tip_m - free.tip_m) > 1e-3
     assert tip.error_mm[-20:].mean() < 0.5, "the simulated arm carries the weight itself"
 

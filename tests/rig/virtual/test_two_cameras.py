@@ -12,7 +12,6 @@ from rig.config.loader import load
 from rig.config.schema import RigConfig
 from rig.experiment.replay import replay
 from rig.hardware.cameras.base import Frame, FrameSet
-from rig.live.archived_run import ArchivedRun
 from rig.observation.camera_estimator import CameraTipEstimator
 from rig.realtime.health_monitor import HealthMonitor
 from rig.simulator.mock_camera import MockCamera
@@ -75,17 +74,6 @@ def test_the_archive_names_the_cameras_what_each_saw_and_their_skew(stereo: Run)
     assert np.all(stereo.tip.camera_skew_us[:, 0] == 0)
     assert stereo.tip.camera_skew_us[:, 1] == pytest.approx(2000)
     assert set(stereo.frames.camera) == {"left", "right"}
-
-
-def test_played_back_the_page_shows_one_camera_throughout_with_its_own_annotations(stereo: Run) -> None:
-    played = ArchivedRun(stereo.path)
-    shown = [played.picture_at(t_s) for t_s in np.linspace(0.5, stereo.tip.time_s[-1], 60)]
-    assert len(set(shown)) > 20
-    assert {stereo.frames.camera[k] for k in shown} == {"left"}
-    overlay = played.overlay(len(stereo.tip.time_s) - 1, shown[-1])
-    assert overlay is not None
-    assert np.array_equal(overlay.corners_px, stereo.frames.corners_px[shown[-1]])
-    assert np.array_equal(overlay.tip_px, stereo.frames.tip_px[shown[-1]])
 
 
 def test_a_replay_measures_again_with_both(stereo: Run, tmp_path: Path) -> None:
