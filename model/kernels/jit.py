@@ -12,6 +12,7 @@ import hashlib
 import os
 import pickle
 import shutil
+import stat
 import sys
 import tempfile
 import time
@@ -118,8 +119,11 @@ class _CompiledKernels(NullCache):
 def cache_folder() -> Path:
     """Where this version's compiled kernels are kept; created if missing, never inside the checkout.
 
-    $SOFTRIG_CACHE, else $XDG_CACHE_HOME/softrig, else ~/.cache/softrig, else a folder of this user in the temporary
-    directory: the first that can be written to.
+    $SOFTRIG_CACHE, else $XDG_CACHE_HOME/softrig, else ~/.cache/softrig: the first that can be written to and that no
+    other user can have prepared.
+
+    Raises:
+        OSError: there is no such folder; the message names the variable to set.
     """
     digest = hashlib.sha256()
     for source in sorted(_PACKAGE.rglob("*.py")):
@@ -129,8 +133,7 @@ def cache_folder() -> Path:
         folder = parent / name
         try:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            # Compiled code is trusted code: it must not come from a folder that another user made.
-            if hasattr(os, "getuid") and folder.stat().st_uid != os.getuid():
+            if not _is_own(folder.resolve()):
                 continue
             with tempfile.TemporaryFile(dir=folder):
                 pass
@@ -139,7 +142,9 @@ def cache_folder() -> Path:
         os.utime(folder)
         _forget_old(parent, keep=name)
         return folder
-    raise OSError("no folder to keep compiled kernels in: set SOFTRIG_CACHE to one that can be written to")
+    raise OSError(
+        "no folder to keep compiled kernels in: set SOFTRIG_CACHE to one that you can write to and other users cannot"
+    )
 
 
 def kernel(
@@ -227,9 +232,26 @@ def _candidates() -> list[Path]:
     home = Path(os.path.expanduser("~"))  # noqa: PTH111 - Path.home() raises where there is no home
     if home.is_absolute() and home.is_dir():
         folders.append(home / ".cache" / "softrig")
-    # On Windows the temporary directory is the user's own.
-    folders.append(Path(tempfile.gettempdir()) / (f"softrig-{os.getuid()}" if hasattr(os, "getuid") else "softrig"))
     return folders
+
+
+def _is_own(folder: Path) -> bool:
+    """Whether a folder (without links) is this user's and no other user can change it or put another in its place.
+
+    Compiled code is trusted code. In a folder that everybody can write, as /tmp, only the owner can rename an entry,
+    and only if the folder is sticky.
+    """
+    if not hasattr(os, "getuid"):  # Windows: the folders of a user are that user's own
+        return True
+    about = folder.stat()
+    if about.st_uid != os.getuid() or about.st_mode & stat.S_IWOTH:
+        return False
+    for parent in folder.parents:
+        above = parent.stat()
+        if above.st_mode & stat.S_IWOTH and not (above.st_mode & stat.S_ISVTX and about.st_uid in (0, os.getuid())):
+            return False
+        about = above
+    return True
 
 
 def _forget_old(parent: Path, keep: str) -> None:

@@ -230,6 +230,57 @@ def test_precompilation_reports_where_the_kernels_are(tmp_path: Path) -> None:
     assert "ready" in done.stdout
 
 
+FOLDER = "from model.kernels.jit import cache_folder; print(cache_folder())"
+
+
+def folder_of(environment: dict[str, str], tmp_path: Path) -> tuple[int, str]:
+    """Exit status and last line of a process that asks for the folder of the kernels."""
+    done = subprocess.run(
+        [sys.executable, "-c", FOLDER], env=environment, cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    return done.returncode, (done.stdout or done.stderr).strip().splitlines()[-1]
+
+
+def test_without_a_home_no_kernel_is_kept_in_a_place_of_all_users(tmp_path: Path) -> None:
+    environment = {name: value for name, value in os.environ.items() if name not in ("SOFTRIG_CACHE", "XDG_CACHE_HOME")}
+    environment |= {"HOME": "/nonexistent", "TMPDIR": str(tmp_path)}
+    status, said = folder_of(environment, tmp_path)
+    assert status != 0
+    assert "set SOFTRIG_CACHE" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("way", ["everybody can rename it", "everybody can write it", "another user's, by a link"])
+def test_kernels_are_not_loaded_from_what_another_user_can_have_prepared(tmp_path: Path, way: str) -> None:
+    place = tmp_path / "open" / "cache"
+    place.mkdir(parents=True)
+    environment = {**os.environ, "SOFTRIG_CACHE": str(place)}
+    status, name = folder_of(environment, tmp_path)
+    assert status == 0
+    if way == "everybody can rename it":
+        place.parent.chmod(0o777)
+    elif way == "everybody can write it":
+        Path(name).chmod(0o777)
+    else:
+        if os.getuid() != 0:
+            pytest.skip("only root makes a folder of another user")
+        Path(name).rmdir()
+        (tmp_path / "theirs").mkdir()
+        os.chown(tmp_path / "theirs", 12345, 12345)
+        Path(name).symlink_to(tmp_path / "theirs")
+    status, said = folder_of(environment, tmp_path)
+    assert status != 0
+    assert "set SOFTRIG_CACHE" in said
+
+
+def test_a_sticky_folder_of_all_users_may_hold_ones_own(tmp_path: Path) -> None:
+    (tmp_path / "shared").mkdir()
+    (tmp_path / "shared").chmod(0o1777)
+    status, name = folder_of({**os.environ, "SOFTRIG_CACHE": str(tmp_path / "shared" / "mine")}, tmp_path)
+    assert status == 0
+    assert Path(name).is_relative_to(tmp_path / "shared")
+
+
 def test_precompilation_without_a_writable_folder_is_an_error(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
