@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from runs.archive.checked import ArchiveError
+from runs.plain_file import IrregularFileError, open_plain, read_plain
 
 SUFFIX = ".notes.jsonl"
 _KINDS = ("note", "tag", "untag")
@@ -45,14 +46,9 @@ def read(archive: Path) -> Annotations:
     Raises:
         ArchiveError: the file cannot be read, or a line of it is not an annotation.
     """
-    path = path_of(archive)
-    _refuse_irregular(path)
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except FileNotFoundError:
-        return Annotations()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ArchiveError(f"{path}: cannot be read ({error})") from None
+    path, data = path_of(archive), content(archive)
+    # A byte that is no UTF-8 spoils its letter, not the notes.
+    lines = (data or b"").decode("utf-8", errors="replace").splitlines()
     notes: list[AddedNote] = []
     tags: dict[str, None] = {}
     for number, line in enumerate(lines, 1):
@@ -64,6 +60,23 @@ def read(archive: Path) -> Annotations:
         else:
             tags.pop(text, None)
     return Annotations(tuple(notes), tuple(tags))
+
+
+def content(archive: Path) -> bytes | None:
+    """The bytes of the annotations of an archive; None if there is no such file.
+
+    Raises:
+        ArchiveError: the file cannot be read, or is no regular file.
+    """
+    path = path_of(archive)
+    try:
+        return read_plain(path)
+    except FileNotFoundError:
+        return None
+    except IrregularFileError as error:
+        raise ArchiveError(str(error)) from None
+    except OSError as error:
+        raise ArchiveError(f"{path}: cannot be read ({error.strerror})") from None
 
 
 def _parsed(path: Path, number: int, line: str) -> tuple[str, str, str]:
@@ -84,20 +97,15 @@ def append(archive: Path, kind: str, text: str) -> None:
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     line = (json.dumps({"time": now, kind: text}) + "\n").encode()
     path = path_of(archive)
-    _refuse_irregular(path)
     try:
-        file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+        file = open_plain(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
         try:
             if os.write(file, line) != len(line):
                 raise ArchiveError(f"{path}: the disk is full")
             os.fsync(file)
         finally:
             os.close(file)
+    except IrregularFileError as error:
+        raise ArchiveError(str(error)) from None
     except OSError as error:
         raise ArchiveError(f"{path}: cannot be written ({error.strerror})") from None
-
-
-def _refuse_irregular(path: Path) -> None:
-    """Refuse what is there and no file: a named pipe would keep its reader waiting."""
-    if os.path.lexists(path) and not path.is_file():
-        raise ArchiveError(f"{path}: this is not a regular file")

@@ -19,6 +19,8 @@ from runs import annotation_file, arguments
 from runs.archive.checked import ArchiveError, opened_in_part
 from runs.archive.writer import SUFFIX
 from runs.data_folder import DATA
+from runs.overwriting import write_text
+from runs.plain_file import read_plain
 from runs.pressure_cycles import pressure_cycles
 from runs.records import MODEL_ALONE
 
@@ -211,10 +213,8 @@ def _read(path: Path) -> Entry:
 
 
 def _load(path: Path) -> dict[str, _CachedEntry]:
-    if not path.is_file():  # a named pipe would keep its reader waiting
-        return {}
     with suppress(OSError, ValueError, RecursionError):
-        index = _INDEX.validate_json(path.read_bytes(), strict=True)
+        index = _INDEX.validate_json(read_plain(path), strict=True)
         if index.form == _FORM:
             return {name: cached for name, cached in index.files.items() if cached.entry.file == name}
     return {}
@@ -222,13 +222,8 @@ def _load(path: Path) -> dict[str, _CachedEntry]:
 
 def _store(path: Path, known: dict[str, _CachedEntry]) -> None:
     """Write the index if possible; it is only a cache."""
-    part = path.with_name(f"{path.name}.{os.getpid()}")
     with suppress(OSError, ValueError):  # a file's name may be no text
-        try:
-            part.write_text(_INDEX.dump_json(_Index(_FORM, known)).decode(), encoding="utf-8")
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
+        write_text(path, _INDEX.dump_json(_Index(_FORM, known)).decode())
 
 
 def _words(entry: Entry) -> str:

@@ -59,7 +59,8 @@ def replacing(file: Path) -> Iterator[Path]:
         OSError: it cannot be written; the error names `file`.
     """
     file.parent.mkdir(parents=True, exist_ok=True)
-    part = file.with_name(f".{file.name}.part")
+    # A name that nobody knows: another user of the folder cannot have put a link there.
+    part = file.with_name(f".{file.name}.{secrets.token_hex(8)}.part")
     try:
         with naming(file, part):
             yield part

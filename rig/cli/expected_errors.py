@@ -134,7 +134,9 @@ def _status(error: Exception) -> int | None:
     return next((EXPECTED_ERRORS[name] for name in names if name in EXPECTED_ERRORS), None)
 
 
-EXTRAS = {"numba": "rig", "piqp": "rig"} | dict.fromkeys(("nicegui", "fastapi", "starlette", "uvicorn"), "live")
+EXTRAS = {"numba": "rig", "piqp": "rig", "rocrate": "publish"} | dict.fromkeys(
+    ("nicegui", "fastapi", "starlette", "uvicorn"), "live"
+)
 """Extra of the package that brings a library; nicegui brings the servers."""
 
 

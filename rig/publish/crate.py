@@ -1,14 +1,14 @@
-"""A crate of runs: a ZIP file after RO-Crate 1.1, with metadata after DataCite 4 and SHA-256 checksums."""
+"""A crate of runs: a ZIP file after RO-Crate 1.1 by the `rocrate` package, with SHA-256 checksums."""
 
 from __future__ import annotations
 
 import hashlib
-import json
+import tempfile
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from protocols import arguments
@@ -20,21 +20,15 @@ from runs.archive.layout import utc
 from runs.overwriting import refuse_existing, replacing
 from runs.run import Run
 
-METADATA, DATACITE, CHECKSUMS, README = "ro-crate-metadata.json", "datacite.json", "SHA256SUMS", "README.md"
-PROFILE, CONTEXT = "https://w3id.org/ro/crate/1.1", "https://w3id.org/ro/crate/1.1/context"
-SOFTWARE = "#softrig"
+if TYPE_CHECKING:
+    from rocrate.model.entity import Entity
+    from rocrate.rocrate import ROCrate
+
+METADATA, CHECKSUMS, README = "ro-crate-metadata.json", "SHA256SUMS", "README.md"
+VERSION = "1.1"
 SHA256 = "https://w3id.org/ro/terms/workflow-run#sha256"
 """The term of the checksums, which the context of RO-Crate 1.1 lacks."""
 PRONOM_HDF5 = "https://www.nationalarchives.gov.uk/PRONOM/fmt/807"
-_FORMATS = {
-    ".h5": ["application/x-hdf5", {"@id": PRONOM_HDF5}],
-    ".jsonl": "application/jsonl",
-    ".json": "application/json",
-    ".md": "text/markdown",
-    "": "text/plain",
-}
-UNAVAILABLE = ":unav"
-"""What DataCite prescribes for a value that is not known yet: the repository states itself as the publisher."""
 
 
 def write(runs: Sequence[Run], description: Description, target: Path, *, replace: bool = False) -> Path:
@@ -43,166 +37,98 @@ def write(runs: Sequence[Run], description: Description, target: Path, *, replac
     Raises:
         WouldOverwriteError: the file exists, and `replace` is False.
         BadInputError: an argument is of another type.
+        ArchiveError: an archive is damaged, or what stands in the place of its notes is no file.
     """
     checked_runs(runs)
     expected = "a description, as rig.publish.description.describe(runs)"
     arguments.of_type("description", description, Description, expected)
     target = arguments.path("--to", target)
     refuse_existing([target], replace=replace)
-    files = [run.path for run in runs]
-    files += [notes for run in runs if (notes := annotation_file.path_of(run.path)).exists()]
-    now = datetime.now(UTC)
-    texts = {
-        README: _readme(runs, description, field_list([run.path for run in runs])),
-        DATACITE: _json(_datacite(runs, description, now)),
-    }
-    sums = {f"data/{file.name}": sha256_of(file) for file in files}
-    sums |= {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
-    sizes = {f"data/{file.name}": file.stat().st_size for file in files}
-    sizes |= {name: len(text.encode()) for name, text in texts.items()}
-    # The metadata state the size of the checksums, which include that of the metadata: any digest is as long.
-    sizes[CHECKSUMS] = len(_checksums({**sums, METADATA: "0" * 64}).encode())
-    texts[METADATA] = _json(_metadata(runs, description, now, sizes, sums))
-    sums[METADATA] = hashlib.sha256(texts[METADATA].encode()).hexdigest()
-    texts[CHECKSUMS] = _checksums(sums)
-    with replacing(target) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as crate:
-        for name, text in texts.items():
-            crate.writestr(name, text)
-        for file in files:
-            crate.write(file, f"data/{file.name}", zipfile.ZIP_STORED)
+    with tempfile.TemporaryDirectory() as name:
+        crate = _crate(runs, description, Path(name))
+        with replacing(target) as part:
+            crate.write_zip(part)
+            with zipfile.ZipFile(part, "a") as file:
+                file.writestr(CHECKSUMS, _checksums(file))
     return target
 
 
-def _checksums(sums: dict[str, str]) -> str:
+def _checksums(crate: zipfile.ZipFile) -> str:
     """The file that `sha256sum -c` reads."""
-    return "".join(f"{digest}  {name}\n" for name, digest in sums.items())
+    lines = []
+    for name in crate.namelist():
+        with crate.open(name) as file:
+            lines.append(f"{hashlib.file_digest(file, 'sha256').hexdigest()}  {name}\n")
+    return "".join(lines)
 
 
-def _metadata(
-    runs: Sequence[Run], description: Description, now: datetime, sizes: dict[str, int], sums: dict[str, str]
-) -> dict[str, Any]:
-    """The JSON-LD of the crate."""
-    licence = LICENCES[description.licence]
-    people = [_person(creator) for creator in description.creators]
-    actions = [_action(run, description) for run in runs]
-    root = {
-        "@id": "./",
-        "@type": "Dataset",
-        "name": description.title,
-        "description": _summary(runs),
-        "datePublished": now.date().isoformat(),
-        "license": _ref(licence),
-        # Equal in schema.org: the examples of RO-Crate have the first, its Python library reads the second.
-        "author": (authors := _one_or_all([_ref(creator.id) for creator in description.creators])),
-        "creator": authors,
-        "keywords": ["soft robotics", "Cosserat rod", "pneumatic actuator"],
-        "hasPart": [_ref(name) for name in sizes],
-        "mentions": _one_or_all([_ref(action["@id"]) for action in actions]),
+def _crate(runs: Sequence[Run], description: Description, folder: Path) -> ROCrate:
+    """The crate of some runs; what is written for it lies in a folder until it is packed."""
+    from rocrate.rocrate import ROCrate
+
+    crate = ROCrate(version=VERSION)
+    crate.metadata.extra_terms["sha256"] = SHA256
+    crate.name, crate.description = description.title, _summary(runs)
+    crate.datePublished = datetime.now(UTC).date()
+    crate.keywords = ["soft robotics", "Cosserat rod", "pneumatic actuator"]
+    licence = {"@type": "CreativeWork", "name": description.licence, "identifier": description.licence}
+    crate.license = _entity(crate, LICENCES[description.licence], licence)
+    # Equal in schema.org: the examples of RO-Crate have the first, its Python library reads the second.
+    for role in ("author", "creator"):
+        for creator in description.creators:
+            crate.root_dataset.append_to(role, _person(crate, creator), compact=True)
+    software = _software(crate, runs)
+    hdf5 = _entity(crate, PRONOM_HDF5, {"@type": "WebSite", "name": "HDF5"})
+    (folder / README).write_text(_readme(runs, description, field_list([run.path for run in runs])), encoding="utf-8")
+    _file(crate, folder / README, README, "text/markdown")
+    for run in runs:
+        archive = _file(crate, run.path, f"data/{run.path.name}", ["application/x-hdf5", hdf5])
+        action = crate.add_action(software, f"#{quote(run.header.run_id)}", result=archive, properties=_action(run))
+        crate.root_dataset.append_to("mentions", action, compact=True)
+        if agent := next((c for c in description.creators if c.name == run.header.operator), None):
+            action["agent"] = {"@id": agent.id}
+        if (text := annotation_file.content(run.path)) is not None:
+            notes = folder / annotation_file.path_of(run.path).name
+            notes.write_bytes(text)
+            _file(crate, notes, f"data/{notes.name}", "application/jsonl")
+    return crate
+
+
+def _entity(crate: ROCrate, identifier: str, properties: Mapping[str, object]) -> Entity:
+    from rocrate.model.contextentity import ContextEntity
+
+    return crate.add(ContextEntity(crate, identifier, properties=properties))
+
+
+def _file(crate: ROCrate, source: Path, name: str, encoding: object) -> Entity:
+    properties = {"name": source.name, "encodingFormat": encoding, "sha256": sha256_of(source)}
+    return crate.add_file(source, name, record_size=True, properties=properties)
+
+
+def _person(crate: ROCrate, creator: Creator) -> Entity:
+    person = {"@type": "Person", "name": creator.name}
+    if not creator.affiliation:
+        return _entity(crate, creator.id, person)
+    organisation = {"@type": "Organization", "name": creator.affiliation}
+    affiliation = _entity(crate, f"#organisation-{quote(creator.affiliation)}", organisation)
+    return _entity(crate, creator.id, {**person, "affiliation": affiliation})
+
+
+def _software(crate: ROCrate, runs: Sequence[Run]) -> Entity:
+    found = {
+        "version": sorted({run.header.versions.get("softrig", "") for run in runs} - {""}),
+        "identifier": [f"git:{commit}" for commit in sorted({run.header.git_commit for run in runs} - {""})],
     }
-    about = {"@id": METADATA, "@type": "CreativeWork", "conformsTo": _ref(PROFILE), "about": _ref("./")}
-    terms = {"@id": licence, "@type": "CreativeWork", "name": description.licence, "identifier": description.licence}
-
-    files = [
-        {
-            "@id": name,
-            "@type": "File",
-            "name": Path(name).name,
-            "encodingFormat": _FORMATS[Path(name).suffix],
-            "contentSize": str(size),
-            **({"sha256": sums[name]} if name in sums else {}),
-        }
-        for name, size in sizes.items()
-    ]
-    formats = [{"@id": PRONOM_HDF5, "@type": "WebSite", "name": "HDF5"}]
-    graph = [about, root, terms, *people, *_organisations(description), _software(runs), *actions, *files, *formats]
-    return {"@context": [CONTEXT, {"sha256": SHA256}], "@graph": graph}
+    known = {name: ", ".join(values) for name, values in found.items() if values}
+    return _entity(crate, "#softrig", {"@type": "SoftwareApplication", "name": "softrig", **known})
 
 
-def _person(creator: Creator) -> dict[str, Any]:
-    return {
-        "@id": creator.id,
-        "@type": "Person",
-        "name": creator.name,
-        **({"affiliation": _ref(_organisation_id(creator.affiliation))} if creator.affiliation else {}),
-    }
-
-
-def _organisations(description: Description) -> list[dict[str, Any]]:
-    """The affiliations of the creators, each once."""
-    names = dict.fromkeys(creator.affiliation for creator in description.creators if creator.affiliation)
-    return [{"@id": _organisation_id(name), "@type": "Organization", "name": name} for name in names]
-
-
-def _organisation_id(name: str) -> str:
-    return f"#organisation-{quote(name)}"
-
-
-def _one_or_all(values: list[dict[str, str]]) -> dict[str, str] | list[dict[str, str]]:
-    """A single value without its list, as RO-Crate 1.1 recommends."""
-    return values[0] if len(values) == 1 else values
-
-
-def _software(runs: Sequence[Run]) -> dict[str, Any]:
-    versions = sorted({run.header.versions.get("softrig", "") for run in runs} - {""})
-    commits = sorted({run.header.git_commit for run in runs} - {""})
-    return {
-        "@id": SOFTWARE,
-        "@type": "SoftwareApplication",
-        "name": "softrig",
-        **({"version": ", ".join(versions)} if versions else {}),
-        **({"identifier": ", ".join(f"git:{commit}" for commit in commits)} if commits else {}),
-    }
-
-
-def _action(run: Run, description: Description) -> dict[str, Any]:
+def _action(run: Run) -> dict[str, object]:
     header = run.header
-    ended_ns = header.started_utc_ns + round(run.duration_s * 1e9)
-    agent = next((c.id for c in description.creators if c.name == header.operator), "")
     return {
-        "@id": f"#{header.run_id}",
-        "@type": "CreateAction",
         "name": f"{header.title} ({'simulated' if header.simulated else 'measured'})",
-        "instrument": _ref(SOFTWARE),
-        "result": _ref(f"data/{run.path.name}"),
         "startTime": utc(header.started_utc_ns),
-        "endTime": utc(ended_ns),
-        **({"agent": _ref(agent)} if agent else {}),
-    }
-
-
-def _datacite(runs: Sequence[Run], description: Description, now: datetime) -> dict[str, Any]:
-    """The metadata after the JSON schema of DataCite 4.5; repositories add identifier and publisher."""
-    days = sorted(utc(run.header.started_utc_ns)[:10] for run in runs)
-    return {
-        "creators": [
-            {
-                "name": creator.name,
-                "nameType": "Personal",
-                "affiliation": [{"name": creator.affiliation}] if creator.affiliation else [],
-                "nameIdentifiers": [
-                    {"nameIdentifier": creator.id, "nameIdentifierScheme": "ORCID", "schemeUri": "https://orcid.org"}
-                ]
-                if creator.orcid
-                else [],
-            }
-            for creator in description.creators
-        ],
-        "titles": [{"title": description.title}],
-        "publisher": {"name": UNAVAILABLE},
-        "publicationYear": str(now.year),
-        "types": {"resourceTypeGeneral": "Dataset", "resourceType": "Experiment"},
-        "dates": [{"date": days[0] if days[0] == days[-1] else f"{days[0]}/{days[-1]}", "dateType": "Collected"}],
-        "rightsList": [
-            {
-                "rights": description.licence,
-                "rightsUri": LICENCES[description.licence],
-                "rightsIdentifier": description.licence,
-                "rightsIdentifierScheme": "SPDX",
-            }
-        ],
-        "descriptions": [{"description": _summary(runs), "descriptionType": "Abstract"}],
-        "formats": ["application/x-hdf5"],
-        "schemaVersion": "http://datacite.org/schema/kernel-4",
+        "endTime": utc(header.started_utc_ns + round(run.duration_s * 1e9)),
     }
 
 
@@ -219,7 +145,7 @@ def remaining(description: Description) -> tuple[str, ...]:
     unknown = [creator.name for creator in description.creators if not creator.orcid]
     return (
         "The repository states publisher and DOI when it takes the crate: name them in its form. Until then "
-        f"{DATACITE} has {UNAVAILABLE} (value unavailable) as publisher, and {METADATA} has none.",
+        f"{METADATA} has none.",
         *(
             f"No ORCID iD is known of {name}: state it as --creator '{name} 0000-0002-1825-0097', with the iD of this "
             "person."
@@ -240,18 +166,10 @@ def _readme(runs: Sequence[Run], description: Description, fields: str) -> str:
         f"Licence: [{description.licence}]({LICENCES[description.licence]}).\n\n"
         f"| archive | title | ended | simulated |\n|---|---|---|---|\n{rows}\n"
         f"Each archive is a NeXus file (HDF5): any HDF5 viewer opens it. `sha256sum -c {CHECKSUMS}` checks the files. "
-        f"`{METADATA}` describes this crate after RO-Crate 1.1, `{DATACITE}` after DataCite.\n\n"
+        f"`{METADATA}` describes this crate after RO-Crate {VERSION}.\n\n"
         f"## Before you publish it\n\n{missing}\n"
         f"## Fields\n\n{fields}"
     )
-
-
-def _ref(identifier: str) -> dict[str, str]:
-    return {"@id": identifier}
-
-
-def _json(value: object) -> str:
-    return json.dumps(value, indent=2, ensure_ascii=False) + "\n"
 
 
 def field_list(archives: Sequence[Path]) -> str:

@@ -105,7 +105,8 @@ def _take_room(part: Path, size: int) -> None:
     """
     empty = io.BytesIO()
     h5py.File(empty, "w").close()
-    handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+    part.unlink(missing_ok=True)
+    handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
     try:
         os.posix_fallocate(handle, 0, size)
         os.pwrite(handle, empty.getbuffer(), 0)

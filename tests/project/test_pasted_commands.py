@@ -25,7 +25,6 @@ LEFT_OUT = {
     r"rig doctor --rig": "needs the card of a bench",
     r"rig (live|run .*--live)": "shows a page until it is stopped",
     r"rig vent": "needs a running experiment",
-    r"rig publish .*--elabftw": "needs a server",
     r"rig import .*": "needs files of the reader",
     r"rig identify NoLoad": "needs files of the reader",
     r"rig identify (compare|ramp-a ramp-b|ramp-a --(split-s|quasi|start))": "takes minutes; it has its own tests",

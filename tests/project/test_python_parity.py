@@ -67,7 +67,6 @@ COUNTERPARTS = {
         {
             "to": "rig.publish.crate:write",
             "replace": "rig.publish.crate:write",
-            "elabftw": "rig.publish.elabftw:Notebook.add",
         },
     ),
     "replay": Counterpart(

@@ -128,6 +128,15 @@ def test_a_damaged_line_is_reported_with_its_number_and_the_run_stays_listed(tmp
     assert "notes.jsonl:2" in entry.problem
 
 
+def test_a_byte_that_is_no_utf_8_spoils_its_letter_only(tmp_path: Path) -> None:
+    archive = make(tmp_path, "one")
+    add_note(archive, "hot")
+    path = annotation_file.path_of(archive)
+    path.write_bytes(path.read_bytes().replace(b"hot", b"h\xf6t"))
+    assert [note.text for note in annotation_file.read(archive).notes] == ["h\ufffdt"]
+    assert status_of("show", archive) == 0
+
+
 # A process without threads may fork, and what it has imported need not be imported in each writer again.
 WRITERS = """
 import multiprocessing

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import re
+import os
 import shutil
 import subprocess
 import zipfile
@@ -64,7 +64,6 @@ def test_what_remains_to_be_stated_is_said_and_written_into_the_crate(
     assert said.out == f"{target}\n"
     publisher, orcid = said.err.splitlines()
     assert publisher.startswith("The repository states publisher and DOI")
-    assert "datacite.json has :unav" in publisher
     assert orcid.startswith("No ORCID iD is known of Ada Lovelace: state it as --creator 'Ada Lovelace ")
     with zipfile.ZipFile(target) as file:
         readme = file.read("README.md").decode()
@@ -100,7 +99,7 @@ def test_the_metadata_keep_the_rules_of_the_specification(crate: Path) -> None:
     assert {"name", "description", "datePublished", "license"} <= set(entities["./"])
     parts = {part["@id"] for part in entities["./"]["hasPart"]}
     present = {str(path.relative_to(crate)) for path in crate.rglob("*") if path.is_file()}
-    assert parts == present - {"ro-crate-metadata.json"}
+    assert parts == present - {"ro-crate-metadata.json", "SHA256SUMS"}
     for entity in entities.values():
         assert entity["@type"]
         for value in entity.values():
@@ -157,16 +156,6 @@ def test_objects_that_softrig_does_not_know_have_no_row_in_the_readme(run: Run, 
     assert r"| s \| ms |" in text
 
 
-def test_the_datacite_metadata_have_what_datacite_requires(crate: Path) -> None:
-    found = json.loads((crate / "datacite.json").read_text())
-    assert {"creators", "titles", "publisher", "publicationYear", "types"} <= set(found)
-    # As in the JSON schema of DataCite 4.5.
-    assert isinstance(found["publisher"]["name"], str)
-    assert re.fullmatch("[0-9]{4}", found["publicationYear"])
-    assert found["types"]["resourceTypeGeneral"] == "Dataset"
-    assert found["rightsList"][0]["rightsIdentifier"] == "CC-BY-4.0"
-
-
 def test_everything_that_is_missing_is_reported_at_once(run: Run) -> None:
     with pytest.raises(BadInputError) as error:
         describe([run, run])
@@ -198,6 +187,42 @@ def test_creators_whose_names_have_no_ascii_letters_stay_apart(run: Run, tmp_pat
     assert all(name.isascii() for name in people)
     (root,) = [entity for entity in graph if entity["@id"] == "./"]
     assert [author["@id"] for author in root["author"]] == list(people)
+
+
+@pytest.mark.parametrize("way", ["link", "FIFO"])
+def test_notes_that_are_no_file_are_refused_and_no_crate_is_left(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], way: str
+) -> None:
+    archive = Path(shutil.copy(run.path, tmp_path / "run.h5"))
+    (tmp_path / "secret").write_text("another file of the user")
+    notes = tmp_path / "run.notes.jsonl"
+    if way == "link":
+        notes.symlink_to(tmp_path / "secret")
+    else:
+        os.mkfifo(notes)
+    before = sorted(tmp_path.iterdir())
+    for words in (
+        ("publish", archive, "--to", tmp_path / "crate.zip", "--creator", ADA, "--licence", "CC0-1.0"),
+        ("note", archive, "a note"),
+        ("tag", archive, "bad"),
+        ("show", archive),
+        ("report", archive),
+    ):
+        assert status_of(*words) == 2
+        assert "run.notes.jsonl: this is not a regular file" in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == before
+    assert (tmp_path / "secret").read_text() == "another file of the user"
+
+
+def test_an_archive_of_an_unusual_name_is_in_the_crate_with_its_notes(run: Run, tmp_path: Path) -> None:
+    archive = Path(shutil.copy(run.path, tmp_path / "a run é.h5"))
+    add_note(archive, "kept")
+    copy = Run(archive)
+    with zipfile.ZipFile(
+        write([copy], describe([copy], creators=[ADA], licence="CC0-1.0"), tmp_path / "c.zip")
+    ) as file:
+        assert {"data/a run é.h5", "data/a run é.notes.jsonl"} <= set(file.namelist())
+        assert file.read("data/a run é.h5") == archive.read_bytes()
 
 
 def test_a_creator_named_twice_is_one_person(run: Run) -> None:
