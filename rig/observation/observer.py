@@ -163,7 +163,7 @@ def _set_clock(row: NDArray[np.void], reading: TrackerReading) -> None:
     """Set the columns of `TrackerClock`."""
     row["clock_offset_s"], row["clock_drift"] = reading.clock.offset_s, reading.clock.drift
     row["clock_std_s"], row["time_std_s"] = reading.clock.std_s, reading.time_std_s
-    row["datagrams"] = reading.counts
+    row["datagrams"], row["foreign_ipv4"] = reading.counts, reading.foreign_ipv4
 
 
 class MeasuredTipForce:

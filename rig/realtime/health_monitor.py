@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
+from rig.hardware.trackers.base import other_sender
 from rig.realtime.repeated_warnings import SHARE_TIME_CONSTANT_S, Condition, LossWarning, RepeatedWarning, warning_event
 from runs.records import DATAGRAM_COUNTS, DetectionStatus, Event, SolveStatus
 
@@ -169,9 +170,10 @@ class HealthMonitor:
             "times of poses are less certain; is NTP setting it? State a larger limit in the rig file",
             "the clock of the tracker's sender drifts by less than largest_drift_ppm again",
         )
-        for reason in ("malformed", "foreign"):
-            if counts[reason] and not before[reason]:
-                yield warning_event(t_ns, "observer", f"{reason} messages reach the tracker's port; not used")
+        if counts["malformed"] and not before["malformed"]:
+            yield warning_event(t_ns, "observer", "malformed messages reach the tracker's port; not used")
+        if counts["foreign"] and not before["foreign"]:
+            yield warning_event(t_ns, "observer", f"{other_sender(int(row['foreign_ipv4']))}; they are not used")
 
     def _unmeasured_section(self, row: NDArray[np.void]) -> Iterator[Event]:
         """Report a section of the arm that is not measured."""

@@ -17,6 +17,7 @@ from rig.hardware.cameras.base import FrameSet
 from rig.hardware.cameras.synchroniser import CameraSynchroniser
 from rig.hardware.cameras.trigger import RECENT_PULSES
 from rig.hardware.driver_calls import TipSourceError
+from rig.hardware.trackers.base import TrackerError, other_sender
 from rig.observation.frame_sources import PredictionClock, TrackerSource
 from rig.observation.observer import Observer
 from rig.observation.overlay import OverlayProjector, arm_lines
@@ -82,6 +83,8 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
             # Frames from the safe state on show the arm as it vents, which no step of the protocol asks for.
             if not _within_run(memory, frame_set.t_ns):
                 continue
+            if job.plan.controls_tip:
+                _refuse_other_sender(frame_set)
             dropped = 0 if previous is None else max(0, frame_set.index - previous - 1)
             previous = frame_set.index
             _record(job, observer, memory, frame_set, dropped)
@@ -90,6 +93,12 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
                 memory.pictures.push(picture, names.index(picture.camera))
     finally:
         source.close()
+
+
+def _refuse_other_sender(frame_set: FrameSet) -> None:
+    """Raise TrackerError if another program sends poses: whichever is right, valves must not follow the wrong one."""
+    if frame_set.reading is not None and (ipv4 := frame_set.reading.foreign_ipv4):
+        raise TrackerError(f"the tip is controlled and {other_sender(ipv4)}")
 
 
 def _within_run(memory: SharedState, t_ns: int) -> bool:

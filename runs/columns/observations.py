@@ -282,6 +282,9 @@ class TrackerClock(Table):
     messages = Column(
         "datagrams", "<i8", axes=("count",), about="messages that were not used and steps of the clock, since the start"
     )
+    foreign_sender = Column(
+        "foreign_ipv4", "<i8", about="IPv4 address of the last foreign sender as one number, 0 without one", since=3
+    )
 
 
 class TriggeredFrame(Table):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from ipaddress import IPv4Address
 from typing import Protocol
 
 from model.arrays import Array
@@ -34,8 +35,9 @@ class TrackerReading:
 
     `index` counts messages of the sender, so that a gap is a lost one. `position_m` (3,), `rotation` (3, 3) and
     `covariance` (6, 6) [m, rad] are the tip in the rod-base frame, all NaN where the tracker saw nothing (`seen`).
-    `counts` are those of `DATAGRAM_COUNTS` since the tracker was opened; `time_std_s` contains all that is uncertain
-    about `t_ns`. `truth_m` is the simulator's tip, None for a real tracker.
+    `counts` are those of `DATAGRAM_COUNTS` since the tracker was opened; `foreign_ipv4` is the address of the last
+    foreign sender as one number, 0 without one. `time_std_s` contains all that is uncertain about `t_ns`. `truth_m` is
+    the simulator's tip, None for a real tracker.
     """
 
     index: int
@@ -47,6 +49,7 @@ class TrackerReading:
     clock: ClockEstimate
     time_std_s: float
     counts: tuple[int, ...] = (0,) * len(DATAGRAM_COUNTS)
+    foreign_ipv4: int = 0
     truth_m: Array | None = None
 
 
@@ -68,6 +71,14 @@ class Tracker(Protocol):
 
     def close(self) -> None:
         """Release the device."""
+
+
+def other_sender(ipv4: int) -> str:
+    """What there is to say of a foreign sender, by its address."""
+    return (
+        f"another program, at {IPv4Address(ipv4)}, sends poses to the tracker's port: "
+        "end it, or state the tracker's `sender` and `sender_port` in the rig file"
+    )
 
 
 def open_tracker(config: RigConfig, name: str, seed: int = 0) -> Tracker:

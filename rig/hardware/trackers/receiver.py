@@ -6,6 +6,7 @@ It uses no clock and no socket: bytes, sender and time of arrival come from the 
 from __future__ import annotations
 
 from collections import OrderedDict
+from ipaddress import IPv4Address
 
 import numpy as np
 
@@ -25,6 +26,9 @@ FURTHEST = 10_000
 """A sequence number that is farther ahead is not that of the next messages."""
 RESTART_MESSAGES = 10
 """Messages in a row that continue each other, but not those before: the sender was restarted."""
+RESTART_S = 0.2
+"""A sender that is silent for so long may come again from another port: a program that is started anew gets one. Ten
+messages of a slow tracker, and less than a program needs to start."""
 _LENGTHS = 3.0
 _SPEED_SPAN_S = 0.5
 """The tip's speed comes from poses at most this far apart."""
@@ -57,13 +61,51 @@ def quaternion_of(rotation: Array) -> Array:
     return np.asarray(found if found[0] >= 0 else -found)
 
 
+class _LatchedSender:
+    """The one sender whose messages are used: the first, until it is silent and another port of its address sends.
+
+    Without the port every program of the same computer could put poses between those of the sender.
+    """
+
+    def __init__(self, address: str, port: int | None) -> None:
+        """An empty address is that of the first message, a port None likewise."""
+        self._stated = address, port
+        self._latched: tuple[str, int] | None = None
+        self._heard_ns = self._waiting = 0
+        self.foreign = 0
+        """Messages of others."""
+        self.foreign_ipv4 = 0
+        """Address of the last other sender as one number; 0 without one."""
+
+    def takes(self, sender: tuple[str, int], arrived_ns: int) -> bool:
+        """Whether the message of a sender is used."""
+        address, port = self._stated
+        latched = self._latched or sender
+        if sender[0] != (address or latched[0]) or port not in (None, sender[1]):
+            self._note(1, sender[0])
+            return False
+        if sender[1] != latched[1] and arrived_ns - self._heard_ns <= RESTART_S * 1e9:
+            # Of a sender that was restarted, unless the first one goes on.
+            self._waiting += 1
+            return False
+        if sender == latched:
+            self._note(self._waiting, sender[0])
+        self._latched, self._heard_ns, self._waiting = sender, arrived_ns, 0
+        return True
+
+    def _note(self, messages: int, address: str) -> None:
+        if messages:
+            self.foreign += messages
+            self.foreign_ipv4 = int(IPv4Address(address))
+
+
 class TrackerReceiver:
     """The messages of one tracker, in the order of their arrival."""
 
     def __init__(self, config: RigConfig, name: str, sender: tuple[str, int | None] = ("", None)) -> None:
-        """`sender` is the address and port whose messages are used; port None is any."""
+        """`sender` is the address and port whose messages are used; port None is that of the first message."""
         section = config.trackers[name]
-        self._sender = sender
+        self._sender = _LatchedSender(*sender)
         self._placement, self._body = rigid(section.placement), rigid(section.body)
         self._delay_ns, self._delay_std_s = round(section.delay_ms * 1e6), section.delay_std_ms * 1e-3
         self._latest_ns = round(section.latest_ms * 1e6)
@@ -95,13 +137,14 @@ class TrackerReceiver:
 
     def receive(self, data: bytes, sender: tuple[str, int], arrived_ns: int) -> TrackerReading | None:
         """Take one datagram; return its reading, None where it gives none."""
-        if self._sender[0] and (sender[0] != self._sender[0] or self._sender[1] not in (None, sender[1])):
-            self._reject("foreign")
-            return None
         try:
             message = decode(data)
         except DatagramError:
             self._reject("malformed")
+            return None
+        own = self._sender.takes(sender, arrived_ns)
+        self._counts["foreign"] = self._sender.foreign
+        if not own:
             return None
         # Its number first: a message whose pose is not used has come, and is not lost.
         if not self._follows(message, arrived_ns):
@@ -201,5 +244,14 @@ class TrackerReceiver:
                 covariance = covariance.copy()
                 covariance[:3, :3] += np.outer(step_m, step_m)
         return TrackerReading(
-            self._index, t_ns, message.sees, tip.translation_m, tip.rotation, covariance, clock, std_s, self.counts
+            self._index,
+            t_ns,
+            message.sees,
+            tip.translation_m,
+            tip.rotation,
+            covariance,
+            clock,
+            std_s,
+            self.counts,
+            self._sender.foreign_ipv4,
         )

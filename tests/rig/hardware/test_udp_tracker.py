@@ -7,6 +7,7 @@ import struct
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager
+from ipaddress import IPv4Address
 
 import numpy as np
 import pytest
@@ -70,6 +71,49 @@ def test_poses_come_through_a_socket_at_the_time_of_the_pose() -> None:
     assert counts["foreign"] > MESSAGES / 2
     assert counts["malformed"] > MESSAGES / 2
     assert counts["lost"] == 0
+
+
+def receive(tracker: Tracker, port: int, senders: list[socket.socket], numbers: Iterable[int]) -> list[TrackerReading]:
+    """Let every sender send a pose each 5 ms; return the readings. The first one's pose is 0.17 m high, others' 0.1."""
+    found = []
+    for number in numbers:
+        t_ns = time.monotonic_ns()
+        for k, one in enumerate(senders):
+            height = 0.1 if k else 0.17
+            pose = Datagram(
+                number, OFFSET_NS + t_ns, True, np.array([0, 0, height]), np.array([1.0, 0, 0, 0]), COVARIANCE
+            )
+            one.sendto(encode(pose), ("127.0.0.1", port))
+        while (reading := tracker.read(0.001)) is not None:
+            found.append(reading)
+        time.sleep(max(0, t_ns + 5_000_000 - time.monotonic_ns()) * 1e-9)
+    return found
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1", "127.0.0.2"])
+def test_no_pose_of_a_second_sender_is_used_while_the_first_one_sends(address: str) -> None:
+    port = free_port()
+    with closing(open_tracker(rig(port=port), "pose")) as tracker, sender() as true, sender(address) as forger:
+        before = receive(tracker, port, [true], range(MESSAGES))
+        assert before
+        assert before[-1].foreign_ipv4 == 0
+        during = receive(tracker, port, [true, forger], range(MESSAGES, 2 * MESSAGES))
+        assert during
+        assert {reading.position_m[2] for reading in during} == {0.17}
+        assert during[-1].foreign_ipv4 == int(IPv4Address(address))
+        assert dict(zip(DATAGRAM_COUNTS, tracker.counts(), strict=True))["foreign"] >= MESSAGES // 2
+
+
+def test_a_sender_that_is_started_anew_at_another_port_is_welcome() -> None:
+    port = free_port()
+    with closing(open_tracker(rig(port=port), "pose")) as tracker:
+        with sender() as first:
+            assert receive(tracker, port, [first], range(1000, 1000 + MESSAGES))
+        time.sleep(0.25)
+        with sender() as second:
+            readings = receive(tracker, port, [second], range(2 * MESSAGES))
+    assert readings
+    assert readings[-1].foreign_ipv4 == 0
 
 
 class Sender:

@@ -6,10 +6,12 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import runs
 from rig.config import loader
@@ -22,6 +24,7 @@ SHORT = "title: Short\nsteps:\n  - ramp: {actuators: [1], to_bar: 0.2, duration_
 LONG = SHORT.replace("duration_s: 1}\n", "duration_s: 60}\n").replace(
     "to_bar: 0.2, duration_s: 60", "to_bar: 0.2, duration_s: 1"
 )
+CIRCLE = resources.files("protocols").joinpath("library", "tip-circle.yaml").read_text(encoding="utf-8")
 _MOCK = "pose: {driver: mock, rate_hz: 100, delay_ms: 2, delay_std_ms: 0.2, drift_ppm: 50, jitter_ms: 1}"
 
 
@@ -31,6 +34,16 @@ def udp_rig(folder: Path, port: int) -> str:
     assert _MOCK in text
     path = folder / "udp.yaml"
     path.write_text(text.replace(_MOCK, f"pose: {{driver: udp, port: {port}, rate_hz: 100}}"))
+    return str(path)
+
+
+def three_valves(folder: Path, port: int) -> str:
+    """The rig of `udp_rig` with a valve for each actuator, so that its tip can be controlled."""
+    path = Path(udp_rig(folder, port))
+    data, like = yaml.safe_load(path.read_text()), yaml.safe_load(loader.text("mock-3"))
+    data |= {key: like[key] for key in ("cards", "valves", "tip_control")}
+    text = yaml.safe_dump(data, sort_keys=False, width=1000, default_flow_style=None)
+    path.write_text(text)
     return str(path)
 
 
@@ -78,6 +91,39 @@ def test_a_run_whose_tracker_falls_silent_ends_in_the_safe_state(tmp_path: Path)
     assert archive.status is Status.ABORTED
     assert "tracker pose: no pose within 1 s" in archive.message
     assert archive.tip.seen[-1] == DetectionStatus.NO_MESSAGE
+
+
+@pytest.mark.realtime
+def test_a_second_sender_is_a_warning_with_its_address(tmp_path: Path) -> None:
+    port = free_port()
+    with (
+        example(port),
+        rig_run(tmp_path, SHORT, like=udp_rig(tmp_path, port), supervised=False) as run,
+    ):
+        run.wait_until_pressurised()
+        with example(port):
+            assert run.end() == 0, run.output
+        archive = runs.open(run.archive())
+    assert archive.status is Status.FINISHED
+    assert [event.message for event in archive.events if "another program, at 127.0.0.1" in event.message]
+
+
+@pytest.mark.realtime
+def test_a_second_sender_ends_a_run_that_controls_the_tip(tmp_path: Path) -> None:
+    port = free_port()
+    with (
+        example(port),
+        rig_run(
+            tmp_path, CIRCLE, "--controller", "inverse-integral", like=three_valves(tmp_path, port), supervised=False
+        ) as run,
+    ):
+        run.wait_until_pressurised()
+        with example(port):
+            run.wait_until_safe(20.0)
+        assert run.end() == 1
+        archive = runs.open(run.archive())
+    assert archive.status is Status.ABORTED
+    assert "the tip is controlled and another program, at 127.0.0.1, sends poses" in archive.message
 
 
 @pytest.mark.realtime
