@@ -14,7 +14,7 @@ from protocols.problems import bad_input
 from rig.cli.output import ColumnTable
 from rig.config.drivers import Finding
 from rig.config.schema import RigConfig
-from rig.driver_contract.check import CheckResult, CheckVerdict
+from rig.conformance.check import CheckResult, CheckVerdict
 from rig.hardware.installed_drivers import InstalledDriver
 from runs.overwriting import refuse_existing
 
@@ -26,7 +26,6 @@ _STYLE = {
     CheckVerdict.PASS: "green",
     CheckVerdict.FAIL: "bold red",
     CheckVerdict.SKIPPED: "dim",
-    CheckVerdict.NOT_JUDGED: "yellow",
 }
 _DRAWINGS = (".png", ".pdf", ".svg")
 

@@ -12,7 +12,7 @@ import typer
 
 from rig.cli import completion
 from rig.cli.completion import DATA
-from rig.cli.exit_status import BAD_INPUT, DONE, FAULT
+from rig.cli.exit_status import BAD_INPUT, DONE, FAULT, INTERRUPTED
 from rig.cli.options import AsJson, BoardFile, DrawingFile, ExistingRig, Folder, OutputFile, Replace, RigName, Variant
 
 EXPLAINED = {
@@ -204,14 +204,14 @@ def check_drivers(
     supply_off: Annotated[
         bool, typer.Option("--supply-off", help="The valves have no supply: do not ask whether they have.")
     ] = False,
-    unplug: Annotated[bool, typer.Option("--unplug", help="Also test a pulled cable; asks you to pull it.")] = False,
     json: AsJson = False,
 ) -> None:
     """Test the drivers of a rig against what softrig relies on; moves the outputs of its cards."""
     from rig.cli import rig_output
     from rig.cli.output import console, print_json
     from rig.config import loader
-    from rig.driver_contract.runner import results
+    from rig.conformance.runner import results
+    from rig.execution.stop_signals import StopSignals
 
     rig_file = loader.path_of(rig)
     config = loader.load(rig_file)
@@ -225,15 +225,14 @@ def check_drivers(
             raise typer.Exit(BAD_INPUT)
     screen = console(stderr=True)
     found = []
-    for result in results(config, rig_file, _pulled if unplug else None):
-        found.append(result)
-        screen.print(rig_output.result_line(result), soft_wrap=True)
+    with StopSignals() as signals:
+        for result in results(config, rig_file, stop=lambda: signals.reason is not None):
+            found.append(result)
+            screen.print(rig_output.result_line(result), soft_wrap=True)
     if json:
         print_json(found)
     else:
         console().print(rig_output.results_table(found))
+    if signals.reason is not None:
+        raise typer.Exit(INTERRUPTED)
     raise typer.Exit(FAULT if any(result.failed for result in found) else DONE)
-
-
-def _pulled(card: str) -> None:
-    typer.prompt(f"Pull the cable of card {card}; then Enter", default="", show_default=False, err=True)

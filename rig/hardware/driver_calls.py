@@ -32,8 +32,8 @@ def as_error(kind: type[Exception], what: str) -> Iterator[None]:
 def release(devices: Iterable[OpenDevice]) -> None:
     """Close every device; the outputs of cards keep their values.
 
-    What a driver raises here moves no valve and loses no data, so it ends no run and no `rig vent`. The contract test
-    of drivers reports it.
+    What a driver raises here moves no valve and loses no data, so it ends no run and no `rig vent`. The
+    conformance tests report it.
     """
     for device in devices:
         with suppress(Exception):

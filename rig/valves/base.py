@@ -159,7 +159,7 @@ class ValveSection(Section, ABC):
         """True parameters that this valve cannot have; paths start at the parameters."""
         yield from ()
 
-    def _filter(self, limits: Limits, control: Control) -> tuple[tuple[int, ...], float, float, float]:
+    def filter_settings(self, limits: Limits, control: Control) -> tuple[tuple[int, ...], float, float, float]:
         """The fields that every regulator has."""
         filter_per_s = REFERENCE_SHARE * 2 * math.pi * control.bandwidth_hz
         lowest_pa = limits.lowest_pressure_bar * PA_PER_BAR

@@ -110,7 +110,7 @@ class FlowValve(MeteringValve):
         soft_v = _interpolate(SOFT_FRACTION, fractions, volts)
         above = [(f, v) for f, v in zip(fractions, volts, strict=True) if f > SOFT_FRACTION]
         return FlowRegulator(
-            *self._filter(limits, control),
+            *self.filter_settings(limits, control),
             valve=self,
             gain_per_s=gain,
             integral_per_s2=gain / control.integral_s,

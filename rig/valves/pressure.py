@@ -72,7 +72,9 @@ class RegulatingValve(ValveSection):
     def regulator(self, limits: Limits, control: Control) -> PressureRegulator:
         """The conversion of the set-point to an output."""
         _, (low_bar, high_bar), outputs = self.setpoints
-        return PressureRegulator(*self._filter(limits, control), low_bar * PA_PER_BAR, high_bar * PA_PER_BAR, *outputs)
+        return PressureRegulator(
+            *self.filter_settings(limits, control), low_bar * PA_PER_BAR, high_bar * PA_PER_BAR, *outputs
+        )
 
     def simulated(self, truth: SimulatedValve) -> ValveTruth:
         """A valve that holds the set-point, within the pressures of its supplies."""

@@ -122,6 +122,11 @@ def test_the_examples_of_the_page_are_complete_extensions(known: dict[str, Any])
     assert truth.pa_at_zero + truth.pa_per_unit * valve.safe_output() == pytest.approx(ATMOSPHERE_PA)
     full = valve.regulator(mock_rig().limits, mock_rig().control).command(0.0, 0.005, 0.0, 2e5, 0.0)
     assert truth.pa_at_zero + truth.pa_per_unit * full.output == pytest.approx(ATMOSPHERE_PA + 2e5)
+    curve = {"c1_bar_per_V": 0.1, "c2_bar_per_V2": 0.01}
+    valve = known["SquareValve"](type="square", actuators=(1,), card="daq", channel=0, span_bar=(0.0, 2.0), **curve)
+    volts = valve.regulator(mock_rig().limits, mock_rig().control).command(0.0, 0.005, 0.0, 2e5, 0.0).output
+    assert 0.1 * volts + 0.01 * volts**2 == pytest.approx(2.0)
+    assert valve.vent_output == 0.0
     assert [column.name for column in known["Tip"].columns()] == ["temperature_c"]
     assert known["Tip"].temperature_c.stored(np.array([(296.0,)], [("temperature_k", "<f8")])) == pytest.approx(22.85)
     two_cameras, one_camera = (

@@ -13,7 +13,6 @@ OUTPUT_LIBRARIES = ("click", "rich", "typer")
 ALLOWED = {
     "model/warm.py": "python -m model.warm: make runs it",
     "rig/__main__.py": "opens missing standard streams before the command line starts",
-    "rig/driver_contract/second_process.py": "its own process: standard output is the channel to the parent",
     "rig/experiment/report_process.py": "its own process: standard output is the channel to the parent",
     "rig/experiment/warm.py": "python -m rig.experiment.warm: make runs it",
     "rig/live/server.py": "its own process: no other could report that the page ends",

@@ -90,9 +90,9 @@ COUNTERPARTS = {
     "init": Counterpart("rig.cli.rigs:commented", {"like": "text"}, FILE),
     "drivers": Counterpart("rig.hardware.installed_drivers:installed_drivers"),
     "test-driver": Counterpart(
-        "rig.driver_contract.runner:results",
+        "rig.conformance.runner:results",
         {"rig": "config"},
-        dict.fromkeys(("supply_off", "unplug"), "rig.driver_contract.runner:results"),  # questions at the terminal
+        {"supply_off": "rig.conformance.runner:results"},  # a question at the terminal
     ),
     "design": Counterpart(
         "rig.design.design:design",

@@ -1,8 +1,11 @@
-"""The example driver with one fault, which the rig file names: every check of the contract must find its own."""
+"""The example driver with one fault, which the rig file names: the conformance tests must find each."""
 
 from __future__ import annotations
 
+import ctypes
 import os
+import signal
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +19,33 @@ from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
 
 BEHIND_S = 0.03
 LATE_NS = 150_000_000
+FLOOD = 2_000_000
+
+
+def stuck(fault: str) -> None:
+    """Do not return, or end the process, as a driver may by mistake."""
+    if fault == "hangs":
+        time.sleep(3600)
+    elif fault == "holds the interpreter":
+        ctypes.PyDLL(None).sleep(3600)
+    elif fault == "loops":
+        while True:
+            pass
+    elif fault == "prints without end":
+        while True:
+            print("read " * 1000)
+    elif fault == "crashes":
+        ctypes.string_at(0)
+    elif fault == "exits":
+        raise SystemExit(0)
+    elif fault == "exits at once":
+        os._exit(0)
+    elif fault == "aborts":
+        os.abort()
+    elif fault == "stops itself":
+        os.kill(os.getpid(), signal.SIGSTOP)
+    elif fault == "kills its session":
+        os.killpg(0, signal.SIGKILL)
 
 
 class BreakableConfig(PneuboxConfig):  # type: ignore[misc]
@@ -25,11 +55,15 @@ class BreakableConfig(PneuboxConfig):  # type: ignore[misc]
 
 
 class Breakable(Pneubox):  # type: ignore[misc]
-    """The example's card with a fault."""
+    """The example's card with a fault; one of `stuck` reads `hangs in write`, or `hangs in any opening`."""
 
     def __init__(self, setup: CardSetup) -> None:
         """Open the box."""
         self._fault = setup.section.fault
+        self._setup = setup
+        self._stuck("any opening")
+        if setup.inputs:
+            self._stuck("opening")
         self._reads, self._echo = 0, None
         self._closed, self._late = False, []
         owner = Path(f"{file_of(setup.device)}.owner")
@@ -48,13 +82,25 @@ class Breakable(Pneubox):  # type: ignore[misc]
             self._owner.write_text(str(os.getpid()))
         if watched and self._fault == "the second opener disconnects the first":
             owner.write_text("disconnected")
-        if self._fault == "closes a descriptor twice":
-            self._descriptor = os.open(file_of(setup.device), os.O_RDONLY)
         if self._fault == "opening drives":
             super().write(np.full(len(setup.outputs), 3.3))
+        if self._fault == "opening writes zero":
+            super().write(np.zeros(len(setup.outputs)))
+
+    def _stuck(self, where: str) -> None:
+        if self._fault.endswith(f" in {where}"):
+            stuck(self._fault.removesuffix(f" in {where}"))
+
+    def start(self) -> None:
+        """Sample from now on."""
+        self._stuck("start")
+        super().start()
+        if self._fault == "start writes zero":
+            super().write(np.zeros(len(self._outputs)))
 
     def read(self) -> Scans:
         """Scans, or what is wrong with them."""
+        self._stuck("read")
         if self._fault == "slow read":
             time.sleep(BEHIND_S)
         if self._fault == "read never returns" and not file_of(self._setup.device).exists():
@@ -67,6 +113,9 @@ class Breakable(Pneubox):  # type: ignore[misc]
             self._reads += 1
             time.sleep(BEHIND_S if self._reads % 15 == 0 else 0.0)
         scans: Scans = super().read()
+        if self._fault == "returns scans without end":
+            times = time.monotonic_ns() - np.arange(FLOOD, 0, -1)
+            return Scans(times, np.zeros((FLOOD, len(self._inputs))))
         if self._fault == "millivolts":
             return replace(scans, signals=scans.signals * 1000)
         if self._fault == "late scans":
@@ -93,6 +142,7 @@ class Breakable(Pneubox):  # type: ignore[misc]
 
     def write(self, outputs: Any) -> None:
         """Set the outputs, or not."""
+        self._stuck("write")
         if self._fault == "slow write":
             time.sleep(BEHIND_S)
         if self._fault == "takes NaN" and np.any(np.isnan(outputs)):
@@ -132,6 +182,12 @@ class Breakable(Pneubox):  # type: ignore[misc]
             return np.full(len(self._outputs), 5.0)
         return super().readback()
 
+    def _write_on(self, volts: Any) -> None:
+        while True:
+            memory = np.memmap(file_of(self._setup.device), np.float64, "r+")
+            memory[: len(volts)] = volts
+            time.sleep(0.001)
+
     def _step(self) -> int:
         if self._fault == "does not vent":
             self._times[1] = time.monotonic_ns()
@@ -140,12 +196,15 @@ class Breakable(Pneubox):  # type: ignore[misc]
 
     def close(self) -> None:
         """Release the box."""
+        self._stuck("close")
+        if self._fault == "closing writes zero" and not self._closed:
+            super().write(np.zeros(len(self._outputs)))
+        if self._fault == "a thread writes on" and not self._closed:
+            threading.Thread(target=self._write_on, args=(np.array(self._volts),)).start()
         if self._owner:
             self._owner.unlink(missing_ok=True)
         if self._fault == "the second close raises" and self._closed:
             raise ValueError("already closed")
-        if self._fault == "closes a descriptor twice":
-            os.close(self._descriptor)
         if self._fault == "closing raises":
             raise OSError("cable pulled")
         self._closed = True

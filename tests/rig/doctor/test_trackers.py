@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from rig.config import loader
+from rig.conformance import source_checks
+from rig.conformance.runner import conformance
+from rig.conformance.source_checks import TRACKER_CHECKS, SourceSubject
 from rig.doctor.devices import rig_devices
-from rig.driver_contract import source_checks
-from rig.driver_contract.runner import bench_of
-from rig.driver_contract.source_checks import TRACKER_CHECKS, SourceSubject
 from rig.hardware.installed_drivers import installed_drivers
 from tests.rig.hardware.test_udp_tracker import free_port
 from tests.rig.realtime.test_tracker import example, udp_rig
@@ -36,11 +36,10 @@ def test_the_shipped_trackers_are_listed() -> None:
 
 
 @pytest.mark.realtime
-def test_the_mock_tracker_keeps_the_contract() -> None:
+def test_the_mock_tracker_conforms() -> None:
     rig_file = loader.path_of("mock-tracker")
-    config = loader.load(rig_file)
-    with bench_of(config, rig_file):
-        results = [check.result("tracker pose", SourceSubject(config, "pose")) for check in TRACKER_CHECKS]
+    with conformance(loader.load(rig_file), rig_file) as checks:
+        results = [checks.run("tracker", "pose", check) for check in TRACKER_CHECKS]
     assert [(result.check, result.found) for result in results if result.failed] == []
 
 
@@ -54,7 +53,7 @@ class Patient:
         """Nothing is open."""
 
 
-def test_a_tracker_that_waits_in_spite_of_its_time_out_breaks_the_contract(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tracker_that_waits_in_spite_of_its_time_out_does_not_conform(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(source_checks, "open_tracker", lambda *_: Patient())
     check = next(check for check in TRACKER_CHECKS if check.name == "time-outs")
     result = check.result("tracker pose", SourceSubject(loader.load("mock-tracker"), "pose"))

@@ -18,14 +18,15 @@ import pytest
 
 from rig.config import loader
 from rig.config.card_sections import NidaqmxCardConfig
-from rig.driver_contract.card_checks import CARD_CHECKS
-from rig.driver_contract.card_subject import CardSubject
-from rig.driver_contract.check import CheckVerdict
+from rig.conformance.card_checks import CARD_CHECKS
+from rig.conformance.card_subject import CardSubject
+from rig.conformance.check import CheckVerdict
+from rig.conformance.timing import CheckTiming
 from rig.hardware.cards import ni
 from rig.hardware.cards.base import CardError, CardSetup, Channel
 
 STAND_IN = Path(__file__).parents[2] / "support" / "nidaqmx_stand_in"
-SAMPLE_S = 0.25
+SHORT = CheckTiming(sample_s=0.25)
 # The stand-in loops each output to the input of the same number: valve and sensor have one scale.
 VALVE = "  - {{type: pressure, actuators: [{}], card: daq, channel: {}, span_bar: [0, 10]}}\n"
 RSE_10V = (0.0, 10.0)
@@ -60,7 +61,7 @@ def setup(device: str, **changes: object) -> CardSetup:
 
 
 @pytest.mark.slow
-def test_the_card_keeps_the_contract(device: str, stand_in: ModuleType, tmp_path: Path) -> None:
+def test_the_card_conforms(device: str, stand_in: ModuleType, tmp_path: Path) -> None:
     text = loader.text("pci1716")
     card = f"  daq: {{driver: nidaqmx, device: {device}, inputs: 8, outputs: 8}}\n"
     text = text[: text.index("  daq: {")] + card + text[text.index("\n# Two valves") :]
@@ -68,7 +69,7 @@ def test_the_card_keeps_the_contract(device: str, stand_in: ModuleType, tmp_path
     rig_file = tmp_path / "rig.yaml"
     rig_file.write_text(text[: text.index("valves:\n")] + valves + text[text.index("sensors:\n") :])
     subject = CardSubject(
-        loader.load(rig_file), "daq", rig_file, lambda: stand_in.file_of(device).unlink(missing_ok=True), SAMPLE_S
+        loader.load(rig_file), "daq", rig_file, lambda: stand_in.file_of(device).unlink(missing_ok=True), SHORT
     )
     found = {check.name: check.result("daq", subject) for check in CARD_CHECKS}
     skipped = [name for name, result in found.items() if result.verdict is CheckVerdict.SKIPPED]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.config.schema import RigConfig
-from rig.driver_contract.check import BrokenContractError, Check
+from rig.conformance.check import Check, NonconformityError
 from rig.hardware.cameras.base import Frame, open_camera
 from rig.hardware.trackers.base import TrackerReading, open_tracker
 from rig.hardware.trackers.datagram import LARGEST_STD
@@ -45,7 +45,7 @@ def _readings(subject: SourceSubject, count: int = READINGS) -> list[tuple[Track
         for timeout_s in (FIRST_S, *[NEXT_S] * (count - 1)):
             reading = tracker.read(timeout_s)
             if reading is None:
-                raise BrokenContractError(f"no reading within {timeout_s:g} s")
+                raise NonconformityError(f"no reading within {timeout_s:g} s")
             found.append((reading, time.monotonic_ns()))
     return found
 
@@ -57,9 +57,9 @@ def pictures(subject: SourceSubject) -> str:
     for frame in frames:
         shape = frame.image.shape
         if frame.image.dtype != np.uint8 or shape[:2] != (camera.height_px, camera.width_px):
-            raise BrokenContractError(f"a picture has the shape {shape} and the type {frame.image.dtype}")
+            raise NonconformityError(f"a picture has the shape {shape} and the type {frame.image.dtype}")
         if shape[2:] not in ((), (3,)):
-            raise BrokenContractError(f"a picture has {shape[2]} channels; grey or BGR is expected")
+            raise NonconformityError(f"a picture has {shape[2]} channels; grey or BGR is expected")
     return f"{len(frames)} pictures of {shape[1]} x {shape[0]}, {'BGR' if shape[2:] else 'grey'}"
 
 
@@ -83,13 +83,13 @@ def poses(subject: SourceSubject) -> str:
     seen = [reading for reading in readings if reading.seen]
     for reading in seen:
         if reading.position_m.shape != (3,) or not np.isfinite(reading.position_m).all():
-            raise BrokenContractError(f"a position is {reading.position_m}")
+            raise NonconformityError(f"a position is {reading.position_m}")
         if not np.allclose(reading.rotation @ reading.rotation.T, np.eye(3), atol=_TOLERANCE):
-            raise BrokenContractError("a rotation is not orthogonal")
+            raise NonconformityError("a rotation is not orthogonal")
         if reading.covariance.shape != (6, 6) or np.linalg.eigvalsh(reading.covariance)[0] <= 0:
-            raise BrokenContractError("a covariance is not positive definite")
+            raise NonconformityError("a covariance is not positive definite")
         if not np.diag(reading.covariance).max() <= LARGEST_STD**2:
-            raise BrokenContractError(f"a standard deviation is above {LARGEST_STD:g} m or rad")
+            raise NonconformityError(f"a standard deviation is above {LARGEST_STD:g} m or rad")
     std_mm = [np.sqrt(np.trace(reading.covariance[:3, :3])) * 1e3 for reading in seen]
     return f"{len(seen)} of {len(readings)} readings have a pose" + (f", to {np.median(std_mm):.2f} mm" if seen else "")
 
@@ -114,7 +114,7 @@ def time_outs(subject: SourceSubject) -> str:
             took_s.append(time.monotonic() - began)
     typical_s = float(np.median(took_s))
     if typical_s > period_s / 2:
-        raise BrokenContractError(f"a read with a time-out of 0 takes {typical_s * 1e3:.1f} ms: it waits for a reading")
+        raise NonconformityError(f"a read with a time-out of 0 takes {typical_s * 1e3:.1f} ms: it waits for a reading")
     return f"a read with a time-out of 0 takes {typical_s * 1e3:.2f} ms"
 
 
@@ -138,18 +138,18 @@ def _rate_and_age(
     early_s: how far ahead of its arrival a time may be.
 
     Raises:
-        BrokenContractError: times or numbers do not increase, are on another clock, or the rate is not the stated one.
+        NonconformityError: times or numbers do not increase, are on another clock, or the rate is not the stated one.
     """
     t_ns = np.array([item.t_ns for item, _ in items])
     index = np.array([item.index for item, _ in items])
     age_s = np.array([arrived - item.t_ns for item, arrived in items]) * 1e-9
     if np.any(np.diff(t_ns) <= 0) or np.any(np.diff(index) <= 0):
-        raise BrokenContractError(f"times or numbers of the {kind} do not increase")
+        raise NonconformityError(f"times or numbers of the {kind} do not increase")
     if age_s.min() < -early_s or age_s.max() > LATEST_S:
-        raise BrokenContractError(f"{kind} are {age_s.min():.3f} to {age_s.max():.3f} s old at their arrival")
+        raise NonconformityError(f"{kind} are {age_s.min():.3f} to {age_s.max():.3f} s old at their arrival")
     rate = (index[-1] - index[0]) / ((t_ns[-1] - t_ns[0]) * 1e-9)
     if not 0.8 * stated_hz <= rate <= 1.25 * stated_hz:
-        raise BrokenContractError(f"{rate:.1f} {kind}/s; the rig file says {stated_hz:g}")
+        raise NonconformityError(f"{rate:.1f} {kind}/s; the rig file says {stated_hz:g}")
     return f"{rate:.1f} {kind}/s, {np.median(age_s) * 1e3:.0f} ms old at arrival"
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,34 +12,25 @@ import numpy as np
 
 from model.arrays import Array
 from rig.config.schema import RigConfig
-from rig.driver_contract.check import NotApplicableError
-from rig.driver_contract.device_time import idle_wait
-from rig.hardware.cards.base import Card, CardError, CardSetup, Scans, card_setup, card_type
-from rig.hardware.safe_state import READBACK_TOLERANCE, open_outputs
+from rig.conformance.check import NotApplicableError
+from rig.conformance.timing import DEFAULT_TIMING, CheckTiming
+from rig.hardware.cards.base import Card, CardSetup, Scans, card_setup, card_type
+from rig.hardware.safe_state import READBACK_TOLERANCE
 from rig.valves.base import ValveSection
 
 LEAST_IDLE = 0.25
 """Shortest idle wait between two calls of a slow card, as share of the control period."""
-SETTLED_S = 0.1
-"""Time for the read-back of a device on a bus."""
-RATE_S = 1.0
-"""How long the inputs are sampled."""
 
 
 @dataclass(frozen=True)
 class CardSubject:
-    """A card under test.
-
-    `rig_file` is for processes that open it too; `vanish` makes the device disappear; inputs are sampled `sample_s`;
-    a read-back is awaited for `settled_s`.
-    """
+    """A card under test; `rig_file` is for processes that open it too, `vanish` makes the device disappear."""
 
     config: RigConfig
     name: str
     rig_file: Path
     vanish: Callable[[], None] | None = None
-    sample_s: float = RATE_S
-    settled_s: float = SETTLED_S
+    timing: CheckTiming = DEFAULT_TIMING
 
     @property
     def setup(self) -> CardSetup:
@@ -49,6 +40,13 @@ class CardSubject:
     @property
     def period_s(self) -> float:
         return 1.0 / self.config.control.rate_hz
+
+    @property
+    def silence_s(self) -> float:
+        """Time without a write after which the device is said to vent by itself; infinite where it is not."""
+        section = self.config.cards[self.name]
+        silence_s = section.driven_by.silence_s
+        return math.inf if silence_s is None else silence_s(section)
 
     def open(self, *, inputs: bool = True) -> Card:
         """Open the card as control does, or as the watchdog does."""
@@ -80,11 +78,6 @@ class CardSubject:
         """The safe value of each output."""
         return np.array([valve.safe_output() for valve in self.valves])
 
-    def make_safe(self) -> None:
-        """Write the safe state, if the card can be opened."""
-        with suppress(CardError), closing(open_outputs(self.config, self.name)) as outputs:
-            outputs.make_safe()
-
 
 def needs_outputs(subject: CardSubject) -> None:
     """Raise NotApplicableError for a card without valves."""
@@ -93,8 +86,8 @@ def needs_outputs(subject: CardSubject) -> None:
 
 
 def settled_readback(card: Card, written: Array, subject: CardSubject) -> Array:
-    """The read-back, once it is what was written, or after `settled_s`."""
-    until = time.monotonic() + subject.settled_s
+    """The read-back, once it is what was written, or after the time for it."""
+    until = time.monotonic() + subject.timing.settled_s
     while True:
         found = card.readback()
         right = np.all(np.isnan(found) | (np.abs(found - written) <= subject.output_tolerance))
@@ -103,11 +96,11 @@ def settled_readback(card: Card, written: Array, subject: CardSubject) -> Array:
         time.sleep(0.002)
 
 
-def polled(card: Card, period_s: float, duration_s: float, late_s: list[float]) -> Iterator[Scans]:
-    """Read once in each control period; how much too late the idle waits between the reads end goes to `late_s`."""
+def polled(card: Card, period_s: float, duration_s: float) -> Iterator[Scans]:
+    """Read once in each control period."""
     due = time.monotonic()
     until = due + duration_s
     while time.monotonic() < until:
         yield card.read()
         due = max(due + period_s, time.monotonic() + LEAST_IDLE * period_s)
-        late_s.append(idle_wait(due))
+        time.sleep(max(0.0, due - time.monotonic()))

@@ -1,67 +1,34 @@
-"""The contract test of card drivers: good drivers pass, and each check finds the driver that breaks it."""
+"""The conformance tests of card drivers: good drivers pass, and each check finds the driver that breaks it."""
 
 from __future__ import annotations
 
 import importlib
 import json
-import os
-import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from rig.config import loader
-from rig.driver_contract.card_checks import CARD_CHECKS
-from rig.driver_contract.card_subject import CardSubject
-from rig.driver_contract.check import CheckResult, CheckVerdict
-from rig.driver_contract.runner import Unplug, bench_of, card_subjects
+from rig.conformance.card_checks import CARD_CHECKS
+from rig.conformance.card_subject import CardSubject
+from rig.conformance.check import CheckResult, CheckVerdict
+from rig.conformance.runner import Unplug, conformance
+from rig.conformance.timing import CheckTiming
 from rig.hardware.lock import lock_file
 from scripts.pressure_controller import controller
 from scripts.rig_process import write_rig
+from tests.support.box_bench import box_rig, site
 from tests.support.command_line import status_of
 from tests.support.firmware import firmware
-from tests.support.plugin_package import install, use
 
-pytest_plugins = ["rig.driver_contract.pytest_plugin"]
+__all__ = ["site"]
 
-ROOT = Path(__file__).parents[3]
+pytest_plugins = ["rig.conformance.pytest_plugin"]
+
 CHECKS = {check.name: check for check in CARD_CHECKS}
-VALVE = "  - {{type: pressure, actuators: [{}], card: daq, channel: {}, span_bar: [0, 2]}}\n"
 BUS_VALVE = "  - {{type: bus, actuators: [{}], card: daq, channel: {}, range_bar: [0, 1]}}\n"
 BUS_SENSOR = "  - {{actuator: {}, card: daq, channel: {}, unit: bar, span_bar: [0, 1]}}\n"
-SAMPLE_S = 0.25
-
-
-def box_rig(folder: Path, driver: str, **keys: str) -> Path:
-    """A rig of three pressure valves on a box of its own, which is on."""
-    device = f"box-{os.getpid()}-{folder.name}"
-    more = "".join(f"{key}: {value}, " for key, value in keys.items())
-    card = f"  daq: {{driver: {driver}, device: {device}, {more}inputs: 8, outputs: 8}}\n"
-    text = loader.text("pci1716")
-    text = text[: text.index("  daq: {")] + card + text[text.index("\n# Two valves") :]
-    valves = "valves:\n" + "".join(VALVE.format(n + 1, n) for n in range(3)) + "\n"
-    text = text[: text.index("valves:\n")] + valves + text[text.index("sensors:\n") :]
-    path = folder / "rig.yaml"
-    path.write_text(text)
-    importlib.import_module("softrig_pneubox").power_up(device)
-    return path
-
-
-@pytest.fixture
-def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The example driver, and the same with faults, for this process and its children."""
-    folder = tmp_path / "site"
-    example = (ROOT / "docs" / "examples" / "driver-package" / "softrig_pneubox.py").read_text()
-    broken = (ROOT / "tests" / "support" / "breakable_card.py").read_text()
-    modules = {"softrig_pneubox.py": example, "breakable_card.py": broken}
-    points = {"softrig.cards pneubox": "softrig_pneubox:pneubox", "softrig.cards breakable": "breakable_card:breakable"}
-    install(folder, "softrig-boxes", points, modules)
-    for module in ("softrig_pneubox", "breakable_card"):
-        monkeypatch.delitem(sys.modules, module, raising=False)
-    use(folder, monkeypatch)
-    monkeypatch.setenv("PYTHONPATH", str(folder))
-    return folder
+SHORT = CheckTiming(sample_s=0.25)
 
 
 @pytest.fixture
@@ -77,23 +44,22 @@ def driver_unplug(driver_rig: Path) -> Unplug:
 
 
 @pytest.fixture
-def driver_sample_s() -> float:
-    return SAMPLE_S
+def driver_timing() -> CheckTiming:
+    return SHORT
 
 
 @pytest.mark.realtime
-def test_the_example_driver_keeps_the_contract_by_the_fixtures(driver_check: CheckResult) -> None:
+def test_the_example_driver_conforms_by_the_fixtures(driver_check: CheckResult) -> None:
     assert driver_check.verdict is CheckVerdict.PASS, driver_check
 
 
 @pytest.mark.realtime
-def test_the_mock_card_keeps_the_contract(tmp_path: Path) -> None:
+def test_the_mock_card_conforms(tmp_path: Path) -> None:
     rig_file = write_rig(tmp_path)
     config = loader.load(rig_file)
     try:
-        with bench_of(config, rig_file):
-            (subject,) = card_subjects(config, rig_file)
-            found = [check.result("daq", replace(subject, sample_s=SAMPLE_S)) for check in CARD_CHECKS]
+        with conformance(config, rig_file, timing=SHORT) as checks:
+            found = [checks.run("card", "daq", check) for check in CARD_CHECKS]
     finally:
         lock_file(config.cards["daq"]).unlink(missing_ok=True)
     expected = {check.name: CheckVerdict.PASS for check in CARD_CHECKS} | {"silence": CheckVerdict.SKIPPED}
@@ -101,7 +67,7 @@ def test_the_mock_card_keeps_the_contract(tmp_path: Path) -> None:
 
 
 @pytest.mark.realtime
-def test_the_serial_driver_keeps_the_contract(tmp_path: Path) -> None:
+def test_the_serial_driver_conforms(tmp_path: Path) -> None:
     with controller(firmware(tmp_path), tmp_path) as running:
         card = f"  daq: {{driver: serial, device: {running.device}, inputs: 4, outputs: 4}}\n"
         text = loader.text("pci1716")
@@ -110,7 +76,7 @@ def test_the_serial_driver_keeps_the_contract(tmp_path: Path) -> None:
         rig_file = tmp_path / "rig.yaml"
         before, after = text[: text.index("  daq: {")], text[text.index("limits:\n") :]
         rig_file.write_text(f"{before}{card}\n{valves}{sensors}{after}")
-        subject = CardSubject(loader.load(rig_file), "daq", rig_file, running.unplug, SAMPLE_S)
+        subject = CardSubject(loader.load(rig_file), "daq", rig_file, running.unplug, SHORT)
         found = [check.result("daq", subject) for check in CARD_CHECKS]
     # A new session knows no set-point, and the silence of the firmware is not in the section of the card.
     skipped = dict.fromkeys(("opening", "silence"), CheckVerdict.SKIPPED)
@@ -122,7 +88,10 @@ def test_the_serial_driver_keeps_the_contract(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("check", "fault", "says"),
     [
-        ("opening", "opening drives", "after the card was opened again"),
+        ("opening", "opening drives", "closed and opened again: neither may write"),
+        ("opening", "opening writes zero", "closed and opened again: neither may write"),
+        ("opening", "closing writes zero", "closed and opened again: neither may write"),
+        ("opening", "start writes zero", "opened again and started: neither may write"),
         ("read-back", "swaps outputs", "read back"),
         ("read-back", "frozen read-back", "read back"),
         ("read-back", "offset", "read back"),
@@ -131,11 +100,11 @@ def test_the_serial_driver_keeps_the_contract(tmp_path: Path) -> None:
         ("bad values", "does not clip", "beyond range_V"),
         ("sampling", "wall clock", "is t_ns CLOCK_MONOTONIC?"),
         ("sampling", "repeated time", "do not increase"),
+        ("sampling", "returns scans without end", "more than 1000000 scans"),
         ("sampling", "delivers twice", "do not increase"),
         ("sampling", "millivolts", "beyond the range of the input"),
         ("sampling", "one column", "shape"),
         ("sampling", "no scans", "0 scans"),
-        pytest.param("sampling", "slow read", "control runs at 200 Hz", marks=pytest.mark.realtime),
         ("sampling", "not a number", "not finite"),
         pytest.param("durations", "slow read", "read 3", marks=pytest.mark.realtime),
         pytest.param("durations", "slow write", "write 3", marks=pytest.mark.realtime),
@@ -155,26 +124,28 @@ def test_the_serial_driver_keeps_the_contract(tmp_path: Path) -> None:
         ("pressures", "a sensor is stuck at zero", "reads 0.00 bar"),
         ("vented", "a sensor is stuck", "actuator 2 at 0.60 bar"),
         ("closing", "the second close raises", "ValueError: already closed"),
-        ("closing", "closes a descriptor twice", "closed a file of another part"),
         ("closing", "closing raises", "OSError: cable pulled"),
-        ("vanished device", "read never returns", "does not return within 4 s"),
         ("killed owner", "stale lock", "the box is in use"),
         ("vanished device", "blind to a pulled cable", "scans still come"),
     ],
 )
 def test_each_check_finds_the_driver_that_breaks_it(
-    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, check: str, fault: str, says: str
+    site: Path, tmp_path: Path, check: str, fault: str, says: str
 ) -> None:
-    rig_file = box_rig(tmp_path, "breakable", fault=f"'{fault}'")
+    # The box is asked before it vents by itself, also by a busy machine.
+    keys = {"silence_ms": "1000"} if check == "opening" else {}
+    rig_file = box_rig(tmp_path, "breakable", fault=f"'{fault}'", **keys)
     config = loader.load(rig_file)
     box = importlib.import_module("softrig_pneubox")
-    for name, shorter in (("FREED_S", 0.1), ("GONE_S", 0.1)):
-        monkeypatch.setattr(f"rig.driver_contract.card_checks.{name}", shorter)
-    monkeypatch.setattr("rig.driver_contract.pressure_checks.PRESSURISED_S", 0.4)
-    monkeypatch.setattr("rig.driver_contract.check.LONGEST_S", 4.0 if fault == "read never returns" else 60.0)
     device = config.cards["daq"].device
-    sample_s = 1.0 if fault == "now and then a slow read" else SAMPLE_S
-    subject = CardSubject(config, "daq", rig_file, lambda: box.file_of(device).unlink(), sample_s, settled_s=0.05)
+    timing = CheckTiming(
+        sample_s=1.0 if fault == "now and then a slow read" else SHORT.sample_s,
+        settled_s=0.05,
+        pressurised_s=0.4,
+        freed_s=0.1,
+        gone_s=0.1,
+    )
+    subject = CardSubject(config, "daq", rig_file, lambda: box.file_of(device).unlink(), timing)
     result = CHECKS[check].result("daq", subject)
     box.file_of(device).unlink(missing_ok=True)
     assert result.failed
@@ -183,7 +154,7 @@ def test_each_check_finds_the_driver_that_breaks_it(
 
 def test_a_rig_without_the_channels_or_the_cable_skips_and_says_why(site: Path, tmp_path: Path) -> None:
     config = loader.load(box_rig(tmp_path, "pneubox"))
-    subject = CardSubject(config, "daq", tmp_path / "rig.yaml", None, SAMPLE_S)
+    subject = CardSubject(config, "daq", tmp_path / "rig.yaml", None, SHORT)
     result = CHECKS["vanished device"].result("daq", subject)
     assert (result.verdict, result.found) == (CheckVerdict.SKIPPED, "the device was not unplugged")
 
@@ -199,8 +170,8 @@ def test_the_command_prints_every_result_and_fails_for_a_broken_driver(
     rig_file = box_rig(tmp_path, "breakable", fault="takes NaN")
     text = rig_file.read_text().replace("driver: opencv", "driver: absent")
     assert "absent" in text
-    monkeypatch.setattr("rig.driver_contract.runner.CAMERA_CHECKS", ())
-    monkeypatch.setattr("rig.driver_contract.runner.CARD_CHECKS", (CHECKS["read-back"], CHECKS["bad values"]))
+    monkeypatch.setattr("rig.conformance.runner.CAMERA_CHECKS", ())
+    monkeypatch.setattr("rig.conformance.runner.CARD_CHECKS", (CHECKS["read-back"], CHECKS["bad values"]))
     assert status_of("test-driver", rig_file, "--json") == 1
     rows = json.loads(capsys.readouterr().out)
     assert [(row["device"], row["check"], row["verdict"]) for row in rows] == [

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from model.arrays import Array
 from model.units import PA_PER_BAR
-from rig.driver_contract.card_subject import CardSubject, needs_outputs, polled
-from rig.driver_contract.check import BrokenContractError, Check, NotApplicableError
+from rig.conformance.card_subject import CardSubject, needs_outputs, polled
+from rig.conformance.check import Check, NonconformityError, NotApplicableError
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import Card
 from rig.hardware.vent_verification import VENTED_TOLERANCE_PA, VentVerification, real_time
@@ -21,8 +21,6 @@ TARGET = 0.5
 """Pressure to reach, as a share of the limit of the rig."""
 LEAST, MOST = 0.5, 1.5
 """Shares of that pressure between which a sensor must be."""
-PRESSURISED_S = 1.0
-"""How long a valve is driven; a chamber fills in a few tenths of a second."""
 
 
 def pressures(subject: CardSubject) -> str:
@@ -50,7 +48,7 @@ def vented(subject: CardSubject) -> str:
     _measured_valves(subject)
     with closing(subject.open()) as card:
         card.start()
-        for _ in polled(card, subject.period_s, subject.sample_s, []):
+        for _ in polled(card, subject.period_s, subject.timing.sample_s):
             card.write(subject.outputs(TARGET))  # the heartbeat of a device that vents by itself
         return _vent(subject, card, Bench(subject.config, {subject.name: card}))
 
@@ -75,7 +73,7 @@ def _pressurised(subject: CardSubject, card: Card, sensors: Bench, output: int, 
     target_pa = _target_pa(subject)
     outputs = np.array([v.vent_output for v in subject.valves])
     state, measured_pa = RegulatorState(integral_pa_s=0.0), sensors.read().pressure_pa
-    until = time.monotonic() + PRESSURISED_S
+    until = time.monotonic() + subject.timing.pressurised_s
     while time.monotonic() < until:
         if len(new_pa := sensors.read().pressure_pa):
             measured_pa = new_pa
@@ -86,21 +84,21 @@ def _pressurised(subject: CardSubject, card: Card, sensors: Bench, output: int, 
             card.write(outputs)
         time.sleep(subject.period_s)
     if not len(measured_pa):
-        raise BrokenContractError(f"no scan in {PRESSURISED_S:g} s")
+        raise NonconformityError(f"no scan in {subject.timing.pressurised_s:g} s")
     return np.asarray(measured_pa[-1])
 
 
 def _judge(subject: CardSubject, valve: ValveSection, reached_pa: Array, raised: NDArray[np.bool_]) -> None:
-    """Raise BrokenContractError where the pressures are not those that the valve was given."""
+    """Raise NonconformityError where the pressures are not those that the valve was given."""
     target_pa = _target_pa(subject)
     own = ", ".join(map(str, valve.actuators))
     written = f"{valve.output_unit} for {target_pa / PA_PER_BAR:.2f} bar at actuator {own}"
     for actuator, pressure_pa in enumerate(reached_pa.tolist(), 1):
         reads = f"the sensor of actuator {actuator} reads {pressure_pa / PA_PER_BAR:.2f} bar"
         if actuator in valve.actuators and not LEAST * target_pa <= pressure_pa <= MOST * target_pa:
-            raise BrokenContractError(f"{written} were written and {reads}: in which unit, to which channel?")
+            raise NonconformityError(f"{written} were written and {reads}: in which unit, to which channel?")
         if actuator not in valve.actuators and raised[actuator - 1]:
-            raise BrokenContractError(f"{written} were written and {reads}: are two channels swapped?")
+            raise NonconformityError(f"{written} were written and {reads}: are two channels swapped?")
 
 
 def _vent(subject: CardSubject, card: Card, sensors: Bench) -> str:
@@ -110,7 +108,7 @@ def _vent(subject: CardSubject, card: Card, sensors: Bench) -> str:
     verification = VentVerification(config, sensors, vent=True, since_ns=time.monotonic_ns())
     outcome = verification.outcome(real_time(lambda: None))
     if not outcome.confirmed:
-        raise BrokenContractError(outcome.sentence)
+        raise NonconformityError(outcome.sentence)
     return outcome.sentence.partition(", actuator")[0]
 
 
