@@ -104,12 +104,16 @@ def init(
     replace: Replace = False,
 ) -> None:
     """Write a commented rig file to start from."""
-    from rig.config.loader import path_of
+    from rig.config.loader import HERE, VARIABLE, path_of
     from runs.overwriting import refuse_existing, write_text
 
     refuse_existing([to], replace=replace)
     write_text(to, commented(path_of(like).read_text(encoding="utf-8")))
     typer.echo(to)
+    if to == HERE:
+        typer.echo(f"every later rig command in this folder uses it, unless --rig or {VARIABLE} names another rig")
+    else:
+        typer.echo(f"a command uses it with --rig {to}")
 
 
 def board(rig: RigName = None, to: BoardFile = None, replace: Replace = False) -> None:

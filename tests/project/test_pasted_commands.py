@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from model.kernels.jit import cache_folder
 from tests.support.command_line import status_of
 
 ROOT = Path(__file__).parents[2]
@@ -109,6 +110,50 @@ def test_commands_of_a_page_work_in_order(page: Path, after_first_run: Path, tmp
         check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
+
+
+README_LEFT_OUT = r"rig (identify last|design|reproduce all|vent)|make test|source "
+"""Lines that take minutes or need a running experiment, and the environment, which the test has."""
+FAILS_AS_SHOWN = "rig check wrong.yaml"
+
+
+def typed(page: Path) -> str:
+    """The shell blocks of a page as one script; runs in virtual time, without the lines of `README_LEFT_OUT`."""
+    blocks = re.findall(r"^```(?:sh)?\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE)
+    script = re.sub(rf"^({README_LEFT_OUT}).*\n", "", "".join(blocks), flags=re.MULTILINE)
+    script = re.sub(r"^make run.*", "rig run ramp-a --yes", script, flags=re.MULTILINE)
+    script = re.sub(r"^(rig run (?:(?!--fast)[^#\n])*)", r"\1 --fast --yes ", script, flags=re.MULTILINE)
+    return script.replace("--live", "").replace(FAILS_AS_SHOWN, f"! {FAILS_AS_SHOWN}")
+
+
+@pytest.mark.slow
+def test_readme_and_then_the_tutorial_work_as_typed_in_one_home_directory(tmp_path: Path) -> None:
+    home = tmp_path / "home"
+    program = home / "bin" / "rig"
+    program.parent.mkdir(parents=True)
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m rig "$@"\n')
+    program.chmod(0o755)
+    script = "\n".join(
+        ["set -Ee", "trap 'echo \"status $?: $BASH_COMMAND\" >&2' ERR"]
+        + [typed(page) for page in (ROOT / "README.md", ROOT / "docs" / "tutorial" / "first-own-arm.md")]
+    )
+    env = {**os.environ, "HOME": str(home), "PATH": f"{program.parent}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    env.pop("SOFTRIG_RIG", None)
+    env["SOFTRIG_CACHE"] = str(cache_folder().parent)
+    done = subprocess.run(
+        ["bash", "-c", script],
+        cwd=home,
+        env=env,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "largest error 5.01 mm in 1560 frames" in done.stdout
+    assert (home / "first-arm" / "arm.yaml").is_file()
+    assert (home / "first-arm" / "compared.html").is_file()
+    assert not list(home.glob("softrig.yaml"))
 
 
 PYTHON_LEFT_OUT = {

@@ -239,6 +239,14 @@ def test_init_writes_a_rig_file_with_a_comment_on_every_section(like: str, capsy
     assert json.loads(capsys.readouterr().out)["rig_source"] == str(Source.FOLDER)
 
 
+@pytest.mark.parametrize(
+    ("to", "said"), [("softrig.yaml", "every later rig command in this folder uses it"), ("b.yaml", "--rig b.yaml")]
+)
+def test_init_says_which_commands_use_its_file(to: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of("init", "--to", to) == 0
+    assert said in capsys.readouterr().out
+
+
 def test_init_explains_every_section_that_a_rig_can_have() -> None:
     assert EXPLAINED.keys() == RigConfig.model_fields.keys()
     assert "docs/schemas" not in commented(loader.text("mock"))
