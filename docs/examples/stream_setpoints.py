@@ -1,17 +1,19 @@
-"""Streams set-points to the newest run of this user while its protocol is at a step `stream`.
+"""Streams set-points to a run while its protocol is at a step `stream`: python stream_setpoints.py SOCKET
 
-Only the standard library is used: a ROS 2 node can do the same."""
+SOCKET is the path that `rig run` prints. Only the standard library is used: a ROS 2 node can do the same."""
 
 import json
 import math
-import os
 import pathlib
 import socket
+import sys
 import time
 
+path = pathlib.Path(sys.argv[1])
+while not path.is_socket():  # until the run is armed
+    time.sleep(0.05)
 run = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-sockets = pathlib.Path("/dev/shm").glob(f"softrig-{os.getuid()}*/sockets/run-*")
-run.connect(str(max(sockets, key=lambda path: path.stat().st_mtime)))
+run.connect(str(path))
 
 
 def ask(**packet):

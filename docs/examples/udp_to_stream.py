@@ -1,19 +1,18 @@
-"""Passes set-points from UDP packets on to the newest run of this user, for programs such as Simulink.
+"""Passes set-points from UDP packets on to a run, for programs such as Simulink: python udp_to_stream.py SOCKET
 
-A packet to 127.0.0.1:17117 is little-endian doubles: the sequence number, then the set-points [bar] of the step's
-actuators. Each is answered to its sender: 1 if followed, else 0; protocol time [s]; tip x, y, z [mm], NaN if it is not
-measured; pressures [bar]. UDP does not say who sends: any program on this computer can. Run it only while you stream.
+SOCKET is the path that `rig run` prints. A packet to 127.0.0.1:17117 is little-endian doubles: the sequence number,
+then the set-points [bar] of the step's actuators. Each is answered to its sender: 1 if followed, else 0; protocol
+time [s]; tip x, y, z [mm], NaN if it is not measured; pressures [bar]. UDP does not say who sends: any program on
+this computer can. Run it only while you stream.
 """
 
 import json
-import os
-import pathlib
 import socket
 import struct
+import sys
 
 run = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-sockets = pathlib.Path("/dev/shm").glob(f"softrig-{os.getuid()}*/sockets/run-*")
-run.connect(str(max(sockets, key=lambda path: path.stat().st_mtime)))
+run.connect(sys.argv[1])
 with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
     udp.bind(("127.0.0.1", 17117))
     while True:

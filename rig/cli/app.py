@@ -117,6 +117,8 @@ def run(
     screen = console(stderr=json)
     report_interrupted(out)
     screen.print(run_output.check_screen(request, decided))
+    if decided.trajectory.streams:
+        screen.print(run_output.socket_line(), soft_wrap=True)
     if not yes and not run_output.confirm(screen):
         fail("not armed", BAD_INPUT)
     with (

@@ -81,6 +81,13 @@ def check_screen(request: RunRequest, plan: RunPlan) -> Group:
     return Group(facts, table)
 
 
+def socket_line() -> str:
+    """Return the line that names the control socket of this process, to which other programs send set-points."""
+    from rig.realtime.control_socket import socket_of
+
+    return f"socket for set-points  {socket_of(os.getpid())}"
+
+
 def _counted(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 

@@ -106,7 +106,7 @@ class RunResult:
 
 
 def request(
-    protocol: str,
+    protocol: str | Protocol,
     rig: str | RigChoice,
     *,
     settings: Mapping[str, float] | None = None,
@@ -125,7 +125,8 @@ def request(
 ) -> RunRequest:
     """Load a protocol and a rig by name or file, with a file of identified `parameters` over the rig.
 
-    `settings` are values of the protocol's parameters, by name, in the unit of each.
+    A `protocol` may be loaded already, as by `protocols.from_steps`. `settings` are values of the protocol's
+    parameters, by name, in the unit of each.
     `adapt` names the parameters that a recursive estimator identifies online: the default ones when empty, none
     when None. `metadata` overrides that of the rig file; with it, even if empty, the required names must have a value.
 
@@ -136,7 +137,7 @@ def request(
     source = rig.source if isinstance(rig, RigChoice) else Source.OPTION
     rig = rig.name if isinstance(rig, RigChoice) else rig
     problems = [*text_problems({"--operator": operator, "--note": notes}), *whole_number_problems("--seed", seed, 0)]
-    loaded_protocol = _collecting(problems, partial(protocols.load, settings=settings), protocol)
+    loaded_protocol = _collecting(problems, partial(_loaded, settings=settings), protocol)
     rig_read = _collecting(problems, read, rig)
     chosen = _collecting(problems, variant_named, variant)
     stated: dict[str, str] = {}
@@ -167,6 +168,18 @@ def request(
         controller=controller,
         learn_from=tuple(learn_from),
     )
+
+
+def _loaded(protocol: str | Protocol, settings: Mapping[str, float] | None) -> Protocol:
+    """The protocol, loaded unless it is; or `BadInputError`."""
+    if not isinstance(protocol, Protocol):
+        return protocols.load(protocol, settings)
+    if settings:
+        expected = (
+            f"no values: protocol {protocol.name} is loaded, and its parameters have theirs; protocols.load sets them"
+        )
+        raise bad_input("--set", ", ".join(settings), expected)
+    return protocol
 
 
 def _estimated_online(config: RigConfig, variant: Variant, names: Sequence[str]) -> tuple[Quantity, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import warnings
 from collections.abc import Mapping, Sequence
@@ -9,7 +10,7 @@ from contextlib import AbstractContextManager, ExitStack, nullcontext
 from functools import partial
 from pathlib import Path
 
-from protocols import Problem, arguments
+from protocols import Problem, Protocol, arguments
 from protocols.problems import bad_input, raise_all
 from rig.config.loader import RigChoice, chosen_rig, load
 from rig.config.schema import RigConfig
@@ -19,6 +20,7 @@ from rig.experiment import report_process
 from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest, RunResult
 from rig.experiment.simulate import simulate
+from rig.realtime.control_socket import socket_of
 from rig.session.operators import Answer, FunctionOperator, FunctionStudyOperator
 from rig.study import execution
 from rig.study.study import load as load_study
@@ -70,7 +72,16 @@ class Session:
     def __exit__(self, *error: object) -> None:
         self._entered = False
 
-    def check(self, protocol: Path | str, *, settings: Mapping[str, float] | None = None) -> RunPlan:
+    @property
+    def socket(self) -> Path:
+        """The control socket of the runs of this process, which is there while one takes place in real time.
+
+        Raises:
+            OSError: the folder of the sockets cannot be made, or other users can enter it.
+        """
+        return socket_of(os.getpid())
+
+    def check(self, protocol: Protocol | Path | str, *, settings: Mapping[str, float] | None = None) -> RunPlan:
         """Check a protocol as `rig check` does; return its plan, which has the set-points over time.
 
         Metadata that the rig file requires are checked by `run`, which is given them.
@@ -78,11 +89,11 @@ class Session:
         Raises:
             BadInputError: everything that is wrong with protocol and rig.
         """
-        return experiment.plan(experiment.request(str(protocol), self._choice, settings=settings))
+        return experiment.plan(experiment.request(_named(protocol), self._choice, settings=settings))
 
     def run(
         self,
-        protocol: Path | str,
+        protocol: Protocol | Path | str,
         *,
         settings: Mapping[str, float] | None = None,
         fast: bool = False,
@@ -102,9 +113,10 @@ class Session:
     ) -> Run:
         """Run a protocol as `rig run` does; return its archive.
 
-        The options are those of the command. A rig with real valves needs `yes=True`, which arms it without a question.
-        `adapt` is True, or the names of the parameters to estimate online. `answer` is called with the message of each
-        prompt in real time; the run continues when it returns.
+        The protocol is a name, a file, or one that is loaded, as by `protocols.from_steps`. The options are those of
+        the command. A rig with real valves needs `yes=True`, which arms it without a question. `adapt` is True, or the
+        names of the parameters to estimate online. `answer` is called with the message of each prompt in real time; the
+        run continues when it returns.
 
         Raises:
             BadInputError: everything that is wrong with protocol, rig and options.
@@ -114,7 +126,7 @@ class Session:
         self._require_entered()
         _check_options(answer, fast=fast, yes=yes, report=report)
         request = experiment.request(
-            str(protocol),
+            _named(protocol),
             self._choice,
             settings=settings,
             adapt=None if adapt is False else () if adapt is True else arguments.names("--free", adapt),
@@ -136,7 +148,7 @@ class Session:
 
     def simulate(
         self,
-        protocol: Path | str,
+        protocol: Protocol | Path | str,
         *,
         settings: Mapping[str, float] | None = None,
         out: Path | str = DATA,
@@ -149,7 +161,7 @@ class Session:
             BadInputError: everything that is wrong with protocol, rig and options.
         """
         request = experiment.request(
-            str(protocol),
+            _named(protocol),
             self._choice,
             settings=settings,
             folder=arguments.folder("--out", out),
@@ -209,6 +221,10 @@ class Session:
     def _require_entered(self) -> None:
         if not self._entered:
             raise bad_input("rig.open", "", "open it first: `with rig.open(..) as bench:`")
+
+
+def _named(protocol: Protocol | Path | str) -> Protocol | str:
+    return protocol if isinstance(protocol, Protocol) else str(protocol)
 
 
 def _check_options(answer: object, **flags: bool) -> None:

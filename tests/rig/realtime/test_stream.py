@@ -39,9 +39,10 @@ def messages(archive: Run) -> str:
 
 
 @contextmanager
-def program(name: str) -> Iterator[subprocess.Popen[bytes]]:
-    """An example of the documentation as a process, which is ended."""
-    process = subprocess.Popen([sys.executable, str(EXAMPLES / name)], stdout=subprocess.DEVNULL)
+def program(name: str, run: RigProcess) -> Iterator[subprocess.Popen[bytes]]:
+    """An example of the documentation as a process of a run, which is ended."""
+    command = [sys.executable, str(EXAMPLES / name), str(socket_of(run.process.pid))]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     try:
         yield process
     finally:
@@ -91,7 +92,7 @@ class Client:
 def test_the_example_streams_until_the_step_ends_and_the_archive_has_what_it_sent(tmp_path: Path) -> None:
     with rig_run(tmp_path, PROTOCOL.format(duration=3), like="mock-3", supervised=False) as run:
         Client(run).close()  # the socket is there
-        with program("stream_setpoints.py") as example:
+        with program("stream_setpoints.py", run) as example:
             assert run.end() == 0, run.output
             assert example.wait(PATIENCE_S) == 0
         assert run.valves_are_safe()
@@ -118,7 +119,7 @@ def test_the_example_streams_until_the_step_ends_and_the_archive_has_what_it_sen
 def test_a_program_that_dies_leaves_a_run_that_ends_in_its_safe_state(tmp_path: Path) -> None:
     with rig_run(tmp_path, PROTOCOL.format(duration=60), like="mock-3") as run:
         Client(run).close()
-        with program("stream_setpoints.py") as example:
+        with program("stream_setpoints.py", run) as example:
             run.wait_until_pressurised()
             time.sleep(1.0)
             example.kill()
@@ -193,7 +194,7 @@ def test_udp_packets_are_passed_on_by_the_example(tmp_path: Path) -> None:
     ):
         client.wait_for_the_step()
         udp.settimeout(0.2)
-        with program("udp_to_stream.py"):
+        with program("udp_to_stream.py", run):
             answers, number = [], 0
             deadline = time.monotonic() + PATIENCE_S
             while len(answers) < 20 and time.monotonic() < deadline:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+import protocols
 import rig
 import runs
 from protocols import BadInputError
@@ -79,6 +85,45 @@ def test_runs_are_opened_by_name(step: Run, folder: Path, monkeypatch: pytest.Mo
     assert runs.open(step.header.run_id).sha256 == step.sha256
     with pytest.raises(ArchiveError, match="no such archive"):
         runs.open("nothing")
+
+
+def test_a_protocol_made_of_steps_runs_without_a_file(folder: Path) -> None:
+    steps = [{"ramp": {"actuators": [1], "to_bar": 0.1, "duration_s": 0.2}}, {"hold": {"duration_s": 0.2}}]
+    made = protocols.from_steps("Up", steps)
+    with rig.open("mock") as bench:
+        assert bench.check(made).trajectory.duration_s == pytest.approx(0.4)
+        run = bench.run(made, fast=True, out=folder / "made", report=False)
+        with pytest.raises(BadInputError, match="--set"):
+            bench.run(made, settings={"peak_bar": 0.2}, fast=True, out=folder / "none")
+    assert run.header.title == "Up"
+    assert run.header.protocol_yaml == made.text
+    assert run.pressure.setpoint_bar[:, 0].max() == pytest.approx(0.1)
+
+
+@pytest.mark.realtime
+def test_a_script_streams_to_its_own_run(folder: Path) -> None:
+    stream = {"actuators": [1, 2, 3], "duration_s": 2, "timeout_s": 1}
+    made = protocols.from_steps("Streamed", [{"stream": stream}, {"hold": {"duration_s": 1}}])
+    with rig.open("mock-3") as bench, ThreadPoolExecutor(1) as thread:
+        running = thread.submit(bench.run, made, out=folder / "streamed", report=False)
+        while not bench.socket.is_socket() and not running.done():
+            time.sleep(0.02)
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as control:
+            control.connect(str(bench.socket))
+
+            def ask(**packet: object) -> Any:
+                control.send(json.dumps(packet).encode())
+                return json.loads(control.recv(4096))
+
+            while not ask(do="state")["stream"]:
+                time.sleep(0.02)
+            for sequence in itertools.count():
+                if not ask(do="stream", sequence=sequence, setpoint_bar=[0.1, 0.1, 0.2])["stream"]:
+                    break
+                time.sleep(0.02)
+        streamed = running.result().streamed
+    assert streamed is not None
+    assert np.nanmax(streamed.setpoint_bar, axis=0).tolist() == pytest.approx([0.1, 0.1, 0.2])
 
 
 def test_everything_wrong_with_a_run_is_reported_before_it(folder: Path) -> None:
