@@ -24,7 +24,8 @@ from typing import Any
 
 import numba
 from numba.core.caching import CompileResultCacheImpl, NullCache
-from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
@@ -44,7 +45,7 @@ _PACKAGE = Path(__file__).parent
 _CONFIG: Any = numba.config
 
 
-class _OwnCallees(JITCodeLibrary):
+class _KernelLibrary(JITCodeLibrary):
     """Machine code of a kernel that calls its own copies of other kernels.
 
     numba exports these copies, and the first copy that a process loads serves every caller. But each copy is optimised
@@ -62,7 +63,14 @@ class _OwnCallees(JITCodeLibrary):
         super()._finalize_specific()  # type: ignore[no-untyped-call]
 
 
-JITCPUCodegen._library_class = _OwnCallees
+class _KernelCompiler(Compiler):
+    """numba's compiler with `_KernelLibrary` for the machine code; other users of numba keep theirs."""
+
+    def _compile_core(self) -> Any:
+        state = self.state
+        state.library = _KernelLibrary(state.targetctx.codegen(), state.func_id.func_qualname)  # type: ignore[no-untyped-call]
+        state.library.enable_object_caching()
+        return super()._compile_core()  # type: ignore[no-untyped-call]
 
 
 class _CompiledKernels(NullCache):
@@ -218,7 +226,7 @@ def _compiled(
 ) -> Any:
     options: dict[str, Any] = {"fastmath": fastmath, "forceinline": inlined, "_nrt": allocates}
     options |= {"no_cpython_wrapper": not called, "no_cfunc_wrapper": True}
-    return numba.njit(error_model="numpy", nogil=True, **options)(function)
+    return numba.njit(error_model="numpy", nogil=True, pipeline_class=_KernelCompiler, **options)(function)
 
 
 def _candidates() -> list[Path]:

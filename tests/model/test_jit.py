@@ -94,6 +94,34 @@ print(os.waitpid(child, 0)[1])
 """
 
 
+OTHER_LIBRARIES = """
+import importlib, pkgutil, sys, types
+import llvmlite.binding, numba, numba.core.codegen, numba.core.compiler, numba.core.caching, numba.extending, numpy, scipy
+
+OTHERS = ("numba", "llvmlite", "numpy", "scipy")
+
+def attributes():
+    found = {}
+    for name, module in list(sys.modules.items()):
+        if name.split(".")[0] not in OTHERS or not isinstance(module, types.ModuleType):
+            continue
+        for key, value in vars(module).items():
+            if isinstance(value, types.ModuleType):
+                continue
+            found[name, key] = value
+            if isinstance(value, type) and value.__module__.split(".")[0] in OTHERS:
+                found |= {(name, key, own): part for own, part in vars(value).items() if own != "__abstractmethods__"}
+    return found
+
+before = attributes()
+import model
+for package in pkgutil.walk_packages(model.__path__, "model."):
+    importlib.import_module(package.name)
+after = attributes()
+print([key for key, value in before.items() if key not in after or after[key] is not value])
+"""
+
+
 def python(code: str, folder: Path, cache: Path) -> str:
     environment = {**os.environ, "SOFTRIG_CACHE": str(cache), "PYTHONPATH": str(folder)}
     done = subprocess.run(
@@ -216,6 +244,10 @@ def test_a_process_that_ends_while_it_compiles_leaves_no_lock(tmp_path: Path) ->
 def test_the_cache_does_not_affect_other_users_of_numba(tmp_path: Path) -> None:
     code = "import numba; b = numba.config.CACHE_DIR; import model.kernels.rod; print(numba.config.CACHE_DIR == b)"
     assert python(code, ROOT, tmp_path) == "True"
+
+
+def test_importing_the_model_changes_no_attribute_of_another_library(tmp_path: Path) -> None:
+    assert python(OTHER_LIBRARIES, ROOT, tmp_path) == "[]"
 
 
 def test_importing_the_model_loads_neither_numba_nor_scipy(tmp_path: Path) -> None:
