@@ -17,8 +17,9 @@ import numpy as np
 
 import model
 from model.arrays import Array
+from model.paper.moduli import MODULUS_RULES
+from model.paper.rod import PaperRod
 from model.statics import statics
-from model.variants import MODULUS_RULES
 from rig.reproduce.positions import PRINTED, excursion_errors
 
 LEVELS_PA: Array = np.linspace(0.15e5, 0.65e5, 11)
@@ -87,8 +88,8 @@ def table3(arm: model.Arm | None = None) -> tuple[Table3Row, ...]:
     paper = arm or model.Arm.paper()
     plain, radial = _tips(paper, "homogeneous"), _tips(paper, "homogeneous+rpe")
     rows = []
-    for rule in MODULUS_RULES:
-        best = _tips(replace(paper, modulus_rule=rule), "inhomogeneous+rpe")
+    for rule in ("pointwise", *MODULUS_RULES):
+        best = _tips(paper, "inhomogeneous+rpe", rule)
         rows += [_row(rule, one, paper.geometry.length_m, plain, radial, best) for one in ERROR_DEFINITIONS]
     return tuple(rows)
 
@@ -113,9 +114,15 @@ def verdict(rows: tuple[Table3Row, ...]) -> str:
     )
 
 
-def _tips(arm: model.Arm, variant: str) -> list[Array]:
+def _tips(arm: model.Arm, variant: str, rule: str = "pointwise") -> list[Array]:
     arm = replace(arm, variant=variant)
-    return [np.array([statics(arm, level * np.array(case)).tip_m for level in LEVELS_PA]) for case in CASES]
+
+    def tip(pressure_pa: Array) -> Array:
+        if rule == "pointwise":
+            return statics(arm, pressure_pa).tip_m
+        return PaperRod(arm, modulus_rule=rule).statics(pressure_pa).tip_m
+
+    return [np.array([tip(level * np.array(case)) for level in LEVELS_PA]) for case in CASES]
 
 
 def _row(

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
-
-import numpy as np
 
 from model.actuation import ActuationLaw, Proportional
-from model.arrays import Array
 from model.geometry import Geometry
 from model.laws.base import ConstitutiveLaw
 from model.material import Material
 from model.units import GRAVITY_M_S2
-from model.variants import MODULUS_RULES, POINTWISE, variant_named
+from model.variants import variant_named
 
 Triple = tuple[float, float, float]
 
@@ -24,13 +20,7 @@ class Arm:
     """One arm: geometry, material, actuation, cap, gravity, and the variant of the model.
 
     variant: a name of model/variants.py. Those of the paper are 'homogeneous' (eq 16, no radial pressure effect),
-    'homogeneous+rpe', and 'inhomogeneous+rpe', in which each tube follows eq 32. modulus_rule: how the inhomogeneous
-    section determines each E_i. 'pointwise' (default) solves eq 32 at every point of the rod. 'secant' and 'tangent'
-    (eq 33 as printed) freeze E_i at the wall force n = P_i A_in, which balances the caps. 'paper-secant' and
-    'paper-tangent' take for passive tubes the n of the paper, an even share of the push of the others (5.2.2), and
-    P_i A_in for active ones, for which the paper states nothing.
-    rpe_as: how the radial pressure stretches a section of frozen moduli (4.4): by the equivalent 'force' of eq 22 on
-    each tube (default), or by a free 'strain' of the whole section, the plane through the free strains of the tubes.
+    'homogeneous+rpe', and 'inhomogeneous+rpe', in which each tube follows eq 32 at every point of the rod.
     actuation: the law of the push on the caps (model/actuation.py). Without inertia an arm in motion is always in
     equilibrium, and depends on time by its viscous walls only.
     cap_mass_kg: mass at the tip; with cap_inertia it has inertia too, with the rotational inertia cap_inertia_kg_m2
@@ -44,23 +34,13 @@ class Arm:
     cap_mass_kg: float = 0.05
     gravity_m_s2: Triple = (0.0, 0.0, GRAVITY_M_S2)
     rod_weight: bool = False
-    modulus_rule: str = POINTWISE
-    rpe_as: Literal["force", "strain"] = "force"
     cap_inertia: bool = False
     cap_inertia_kg_m2: Triple = field(default=(0.0, 0.0, 0.0))
     actuation: ActuationLaw = field(default=Proportional())
     inertia: bool = True
 
     def __post_init__(self) -> None:
-        if self.modulus_rule not in MODULUS_RULES:
-            raise ValueError(f"unknown modulus rule {self.modulus_rule!r}: {', '.join(MODULUS_RULES)}")
         variant_named(self.variant)
-        if self.rpe_as not in ("force", "strain"):
-            raise ValueError(f"unknown rpe_as {self.rpe_as!r}: force or strain")
-        if self.rpe_as == "strain" and self.law.pointwise:
-            raise ValueError(
-                "rpe_as='strain' needs frozen moduli: a pointwise section has the free strain in each tube"
-            )
         if not (math.isfinite(self.cap_mass_kg) and self.cap_mass_kg >= 0):
             raise ValueError(f"the cap's mass must be zero or positive, got {self.cap_mass_kg} kg")
         for name, triple in (("gravity_m_s2", self.gravity_m_s2), ("cap_inertia_kg_m2", self.cap_inertia_kg_m2)):
@@ -87,8 +67,8 @@ class Arm:
 
     @property
     def law(self) -> ConstitutiveLaw:
-        """The constitutive law of the walls, by variant and modulus rule."""
-        return variant_named(self.variant).law_under(self.modulus_rule)
+        """The constitutive law of the walls."""
+        return variant_named(self.variant).law
 
     @property
     def kind(self) -> tuple[int, str, str, int]:
@@ -102,17 +82,15 @@ class Arm:
 
     @property
     def by_pressure(self) -> bool:
-        """Whether the section depends nonlinearly on the pressures, so that each row of pressures has its own."""
-        return self.law.frozen or self.actuation.grows
+        """Whether the push depends nonlinearly on the pressures, so that each row of pressures has its own section."""
+        return self.actuation.grows
 
     @property
     def line_density_kg_m(self) -> float:
         """rho A of all walls [kg/m]."""
         return self.material.density_kg_m3 * self.geometry.wall_area_m2 * self.geometry.actuators
 
-    def stiffness_n(self, pressure_pa: Array) -> Array:
-        """Axial stiffness E_i A_m [N] of each tube under pressures (.., N) [Pa]; of a pointwise law at zero strain."""
-        pressure = np.asarray(pressure_pa, dtype=np.float64)
-        return self.law.stiffness_under_pressure_n(
-            self.material, self.geometry, pressure, self.actuation.push_pa(pressure)
-        )
+    @property
+    def stiffness_n(self) -> float:
+        """Axial stiffness E A_m [N] of each tube at zero strain."""
+        return self.law.stiffness_n(self.material, self.geometry)

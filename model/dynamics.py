@@ -274,7 +274,7 @@ class Dynamics:
         if not self._arm.inertia:
             return 0.0
         material, geometry = self._arm.material, self._arm.geometry
-        stiffness = self._arm.law.softest * float(self._arm.stiffness_n(np.zeros(geometry.actuators)).min())
+        stiffness = self._arm.law.softest * self._arm.stiffness_n
         slowest = math.sqrt(material.shear_ratio * stiffness / (material.density_kg_m3 * geometry.wall_area_m2))
         return self._coefficients.c0 * geometry.length_m / slowest
 

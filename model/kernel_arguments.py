@@ -24,11 +24,10 @@ from model.viscoelasticity import viscous_time_s
 class KernelArguments:
     """One arm on N + 1 nodes, as arguments of the kernels. The line of the rod is the centroid of the walls.
 
-    stiffness (R, 24), per_pressure (R, 6, N): sections, one for each row of pressures if the law freezes the moduli,
-    else one for all. rest (Q, 6): the wrench at zero strain without the part in proportion to the pressures; one for
-    each row if the law freezes the moduli or the push grows. prepared (8 size,): a work array with the first section
-    in it. cap (19,): load at the tip by the cap, in the order of `layout.TIP_LOAD`. Equal arms share these
-    arrays, which are never written to; `work` makes a copy for the kernels.
+    stiffness (1, 24), per_pressure (1, 6, N): the section. rest (Q, 6): the wrench at zero strain without the part in
+    proportion to the pressures; one for each row of pressures if the push grows, else one for all. prepared (8 size,):
+    a work array with the section in it. cap (19,): load at the tip by the cap, in the order of `layout.TIP_LOAD`.
+    Equal arms share these arrays, which are never written to; `work` makes a copy for the kernels.
     """
 
     walls: Walls
@@ -50,11 +49,6 @@ class KernelArguments:
         """
         theta = viscous_time_s(arm.material, c0, dt_s)
         prepared = _prepared(arm, c0, theta)
-        if arm.law.frozen:
-            stiffness, rest, per_pressure = _frozen(arm, c0, theta).at(arm.stiffness_n(pressure_pa))
-            work = prepared.prepared.copy()
-            work.reshape(-1, layout.LANES)[layout.AXIAL : layout.OFFSET] = stiffness[0, :, None]
-            prepared = replace(prepared, prepared=work, stiffness=stiffness, rest=rest, per_pressure=per_pressure)
         if arm.actuation.grows:
             beyond = arm.actuation.push_pa(pressure_pa) - pressure_pa
             # No matrix product: its rounding depends on the number of rows.
@@ -65,8 +59,8 @@ class KernelArguments:
     @classmethod
     def _build(cls, arm: Arm, c0: float, theta: float) -> KernelArguments:
         geometry, material, tubes = arm.geometry, arm.material, _tubes(arm.geometry)
-        stiffness_n = arm.stiffness_n(np.zeros(geometry.actuators))
-        whole = section(geometry, tubes.xy_m, stiffness_n, material.shear_ratio, arm.rpe_per_bar, arm.rpe_as)
+        stiffness_n = np.full(geometry.actuators, arm.stiffness_n)
+        whole = section(geometry, tubes.xy_m, stiffness_n, material.shear_ratio, arm.rpe_per_bar)
         if arm.law.pointwise:
             # The law of each tube holds the strain at rest and the free strain; the push on the caps remains.
             whole = CrossSection(whole.axial, whole.shear, np.zeros(6), _push_wrench(geometry))
@@ -187,43 +181,7 @@ def _prepared_without_cap(arm: Arm, c0: float, theta: float) -> KernelArguments:
     return KernelArguments._build(arm, c0, theta)
 
 
-@dataclass(frozen=True)
-class _Frozen:
-    """The section of an arm whose law freezes the moduli: linear in the axial stiffnesses of the tubes.
-
-    without (m,), each (N, m): axial and shear block, rest and per_pressure, flat, of no tube and per N of each tube.
-    """
-
-    factor: float
-    without: Array
-    each: Array
-
-    def at(self, stiffness_n: Array) -> tuple[Array, Array, Array]:
-        """Sections (R, 24), (R, 6), (R, 6, N), as of `KernelArguments`, at axial stiffnesses (R, N) of the tubes."""
-        # No matrix product: its rounding depends on the number of rows.
-        parts = self.without + (stiffness_n[:, :, None] * self.each).sum(axis=1)
-        rows = len(parts)
-        blocks = parts[:, :18].reshape(rows, 2, 3, 3)
-        turned = np.concatenate([blocks * self.factor, np.linalg.inv(blocks) / self.factor], axis=1)
-        stiffness = turned.reshape(rows, 4, 9)[:, :, _UPPER].reshape(rows, 24)
-        return stiffness, parts[:, 18:24].copy(), parts[:, 24:].copy().reshape(rows, 6, -1)
-
-
 _UPPER = upper(np.arange(9).reshape(3, 3))
-
-
-@lru_cache(maxsize=64)
-def _frozen(arm: Arm, c0: float, theta: float) -> _Frozen:
-    geometry, material = arm.geometry, arm.material
-    xy = geometry.positions_m - geometry.centroid_m
-
-    def flat(stiffness_n: Array) -> Array:
-        one = section(geometry, xy, stiffness_n, material.shear_ratio, arm.rpe_per_bar, arm.rpe_as)
-        return np.concatenate([part.ravel() for part in (one.axial, one.shear, one.rest, one.per_pressure)])
-
-    without = flat(np.zeros(len(xy)))
-    each = np.array([flat(one) - without for one in np.eye(len(xy))])
-    return _Frozen(1 + theta * c0, without, each)
 
 
 @lru_cache(maxsize=64)

@@ -13,7 +13,7 @@ a P_i (RPE, 4.4). Both are eigenstrains: constant wrenches by which the total wr
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,12 +50,8 @@ def section(
     stiffness_n: Array,
     shear_ratio: float,
     rpe_per_bar: float,
-    rpe_as: Literal["force", "strain"] = "force",
 ) -> CrossSection:
-    """The section whose actuators stand at xy_m (N, 2) and have axial stiffness E_i A_m = stiffness_n (N,) [N].
-
-    rpe_as: the RPE as a force on each tube, or as the plane through the tubes' free strains (4.4).
-    """
+    """The section whose actuators stand at xy_m (N, 2) and have axial stiffness E_i A_m = stiffness_n (N,) [N]."""
     rows = axial_rows(xy_m)
     spread = geometry.wall_second_moment_m4 / geometry.wall_area_m2
     weighted = (rows * stiffness_n[:, None]).T
@@ -73,8 +69,7 @@ def section(
     per_pressure = np.zeros((6, len(xy_m)))
     per_pressure[2:5] = -geometry.chamber_area_m2 * rows.T
     free = rpe_per_bar / PA_PER_BAR
-    # As a force, the RPE acts against the bending stiffness of each tube; as a strain of the section, it does not.
-    per_pressure[2:5] -= free * (weighted if rpe_as == "force" else axial @ np.linalg.pinv(rows))
+    per_pressure[2:5] -= free * weighted
     return CrossSection(axial, shear, rest, per_pressure)
 
 

@@ -12,7 +12,7 @@ from calibration.identify.setup import Setup
 from model.actuation import ACTUATION_LAWS, Proportional, StopElement
 from model.arm import Arm
 from model.material import MaxwellBranch
-from model.variants import MODULUS_RULES, POINTWISE, VARIANTS
+from model.variants import VARIANTS
 
 DAMPING = "damping_s"
 _DAMPED_FROM_S = 0.01
@@ -45,7 +45,7 @@ class Candidate:
     @property
     def inhomogeneous(self) -> bool:
         """First column of Table 3."""
-        return self.start.arm.law.pointwise or self.start.arm.law.frozen
+        return self.start.arm.law.pointwise
 
     @property
     def radial(self) -> bool:
@@ -54,7 +54,7 @@ class Candidate:
 
 
 def candidates(setup: Setup, free: Iterable[str] = (), moving: bool = False) -> tuple[Candidate, ...]:
-    """Every variant of the model, the inhomogeneous one by each rule for E_i, and linear walls with a growing push.
+    """Every variant of the model, and linear walls with a growing push.
 
     Then the variant that the setup has, with what it may remember: a Maxwell branch of the walls, a stop element of the
     actuators, and both.
@@ -66,20 +66,14 @@ def candidates(setup: Setup, free: Iterable[str] = (), moving: bool = False) -> 
 
     def candidate(name: str, free: Iterable[str], **changes: Any) -> Candidate:
         elastic = replace(setup.arm.material, branches=())
-        plain = {"actuation": Proportional(), "modulus_rule": POINTWISE, "material": elastic}
+        plain = {"actuation": Proportional(), "material": elastic}
         arm = replace(setup.arm, **{**plain, **changes})
         return Candidate(name, replace(setup, arm=arm), (*arm.law.parameters, *extra, *free))
 
     out = []
     for variant in VARIANTS.values():
         radial = ("rpe_per_bar",) if variant.radial_effect else ()
-        if variant.rules:
-            out += [
-                candidate(f"{variant.name}, {rule}", radial, variant=variant.name, modulus_rule=rule)
-                for rule in MODULUS_RULES
-            ]
-        else:
-            out.append(candidate(variant.name, radial, variant=variant.name))
+        out.append(candidate(variant.name, radial, variant=variant.name))
     growing = [growing_law() for growing_law in ACTUATION_LAWS.values() if growing_law.grows]
     out += [
         candidate(f"homogeneous, {push.name}", (PUSH_GROWTH,), variant="homogeneous", actuation=push)

@@ -95,7 +95,7 @@ def content(
     geometry = _geometry(fit.start) if baseline is None or baseline.geometry is None else dict(baseline.geometry)
     return {
         "softrig_parameters": VERSION,
-        "identified": {"variant": start.variant, "modulus_rule": start.modulus_rule, "geometry": geometry},
+        "identified": {"variant": start.variant, "geometry": geometry},
         "arm": _arm(setup),
         "mounting": _mounting(setup),
         "sensing": {"gain": [float(x) for x in setup.sensor_gain], "lag_s": float(setup.sensor_lag_s)},

@@ -5,9 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-import numpy as np
-
-from model.arrays import Array
 from model.geometry import Geometry
 from model.material import Material
 
@@ -18,14 +15,12 @@ Response = tuple[float, float, float, float]
 class ConstitutiveLaw(ABC):
     """A law of constant stiffness, unless it is a `TubeLaw`.
 
-    parameters: the fields of `Material` that it depends on. frozen: whether the stiffness is a function of the
-    pressures, so that each row of pressures has its own section. softest: the smallest tangent stiffness in ordinary
-    use, relative to that at zero strain.
+    parameters: the fields of `Material` that it depends on. softest: the smallest tangent stiffness in ordinary use,
+    relative to that at zero strain.
     """
 
     name: str
     parameters: ClassVar[tuple[str, ...]]
-    frozen: ClassVar[bool] = False
     pointwise: ClassVar[bool] = False
     softest: ClassVar[float] = 1.0
 
@@ -41,12 +36,6 @@ class ConstitutiveLaw(ABC):
     def tube_law(self) -> TubeLaw | None:
         """The law itself if each tube follows it at its own position, else None."""
         return None
-
-    def stiffness_under_pressure_n(
-        self, material: Material, geometry: Geometry, pressure_pa: Array, push_pa: Array
-    ) -> Array:
-        """Axial stiffness [N] of each tube (.., N) under gauge pressures and push pressures (.., N) [Pa]."""
-        return np.full(pressure_pa.shape, self.stiffness_n(material, geometry))
 
 
 class TubeLaw(ConstitutiveLaw):

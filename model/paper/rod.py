@@ -18,12 +18,16 @@ from model.arrays import Array
 from model.errors import NotConverged
 from model.loads import Loads
 from model.paper.kernels import SAMPLE, STATE, RodArguments, SectionArguments, jacobian, shoot, turn
+from model.paper.moduli import frozen_stiffness_n
 from model.pressures import pressures
 from model.schemes import DEFAULT_ALPHA, DEFAULT_SCHEME, scheme_named
 from model.shape import Shape
 from model.units import PA_PER_BAR
 
 Erratum = Literal["K12", "weight moment", "stretch as strain"]
+RadialEffect = Literal["force", "strain"]
+"""How the radial pressure stretches a section (4.4): by the equivalent force of eq 22 on each tube, or by a free strain
+of the whole section, the plane through the free strains of the tubes (eq 14)."""
 
 
 @dataclass(frozen=True)
@@ -39,15 +43,17 @@ class NeutralSection:
     rest_u: Array
 
     @classmethod
-    def of(cls, arm: Arm, pressure_pa: Array, as_printed: frozenset[Erratum] = frozenset()) -> NeutralSection:
-        """The section of an arm whose moduli are frozen: any variant or rule but the pointwise one."""
-        if arm.law.pointwise:
-            raise ValueError(
-                "the paper's formulation needs one modulus per tube: choose modulus_rule 'secant', 'tangent', "
-                "'paper-secant' or 'paper-tangent', or a homogeneous variant"
-            )
+    def of(
+        cls,
+        arm: Arm,
+        pressure_pa: Array,
+        modulus_rule: str | None = None,
+        rpe_as: RadialEffect = "force",
+        as_printed: frozenset[Erratum] = frozenset(),
+    ) -> NeutralSection:
+        """The section of an arm; modulus_rule as of `moduli.frozen_stiffness_n`."""
         geometry, material = arm.geometry, arm.material
-        stiffness = arm.stiffness_n(pressure_pa)
+        stiffness = frozen_stiffness_n(arm, pressure_pa, modulus_rule)
         spread = geometry.wall_second_moment_m4 / geometry.wall_area_m2
         neutral = np.append((stiffness[:, None] * geometry.positions_m).sum(axis=0) / stiffness.sum(), 0.0)
         arms = np.column_stack([geometry.positions_m, np.zeros(len(stiffness))]) - neutral
@@ -69,7 +75,7 @@ class NeutralSection:
             free = free + 1.0
         push = arm.actuation.push_pa(pressure_pa) * geometry.chamber_area_m2
         rest_v, rest_u = np.array([0.0, 0.0, 1.0]), np.zeros(3)
-        if arm.rpe_as == "force":
+        if rpe_as == "force":
             push = push + stiffness * free
         else:
             plane = np.linalg.lstsq(np.column_stack([np.ones(len(x)), y, -x]), free, rcond=None)[0]
@@ -81,6 +87,7 @@ class NeutralSection:
 class PaperRod:
     """Statics and dynamics by eqs 22 to 29: shooting for the base loads with SciPy's MINPACK.
 
+    modulus_rule: how each E_i is found, as of `moduli.frozen_stiffness_n`. rpe_as: how the radial pressure acts.
     space: 'euler' or 'rk4' with `steps` steps. solver: 'lm' (Levenberg-Marquardt) or 'dogleg' (Powell's hybrid trust
     region). dt_s, scheme, alpha: as for `Dynamics`. as_printed: formulas of the paper to take uncorrected: 'K12'
     (eq 21), 'weight moment' (eq 24), 'stretch as strain' (eq 30 put into eq 22).
@@ -96,7 +103,11 @@ class PaperRod:
         steps: int = 50,
         solver: Literal["lm", "dogleg"] = "lm",
         as_printed: frozenset[Erratum] = frozenset(),
+        modulus_rule: str | None = None,
+        rpe_as: RadialEffect = "force",
     ) -> None:
+        if rpe_as not in ("force", "strain"):
+            raise ValueError(f"unknown rpe_as {rpe_as!r}: force or strain")
         if space not in ("euler", "rk4"):
             raise ValueError(f"unknown spatial method {space!r}: euler or rk4")
         if solver not in ("lm", "dogleg"):
@@ -110,6 +121,7 @@ class PaperRod:
             {"lm": "lm", "dogleg": "hybr"}[solver],
             as_printed,
         )
+        self._modulus_rule, self._rpe_as = modulus_rule, rpe_as
         self._inertia = _inertia(arm)
         self._states, self._samples = np.empty((steps + 1, STATE)), np.empty((steps + 1, SAMPLE))
         self._guess: Array | None = None
@@ -120,7 +132,7 @@ class PaperRod:
     def statics(self, pressure_pa: ArrayLike, loads: Loads | None = None) -> Shape:
         """The shape at rest under gauge pressures (N,) [Pa]. Raises NotConverged."""
         pressure = pressures(self._arm, pressure_pa)
-        known = NeutralSection.of(self._arm, pressure, self._as_printed)
+        known = self._section(pressure)
         # The load at the base is about the push of the pressures.
         guess = np.zeros(6)
         # The first step of MINPACK is proportional to the guess, so the guess must not be zero.
@@ -149,7 +161,7 @@ class PaperRod:
         if self._last is None or self._guess is None:
             raise ValueError("start(pressure_pa) comes before the first step")
         pressure = pressures(self._arm, pressure_pa)
-        known = NeutralSection.of(self._arm, pressure, self._as_printed)
+        known = self._section(pressure)
         c = self._scheme
         history = c.c1 * self._past[0] + c.c2 * self._past[1] + c.c3 * self._past[2] + c.d1 * self._rate
         if not self._solve(known, self._guess, history, c.c0, loads):
@@ -159,6 +171,9 @@ class PaperRod:
         self._rate = c.c0 * self._samples + history
         self._last = self._shape(known, ok=True)
         return self._last
+
+    def _section(self, pressure: Array) -> NeutralSection:
+        return NeutralSection.of(self._arm, pressure, self._modulus_rule, self._rpe_as, self._as_printed)
 
     def _solve(self, known: NeutralSection, guess: Array, history: Array, c0: float, loads: Loads | None) -> bool:
         arm = self._arm

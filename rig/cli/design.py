@@ -18,16 +18,6 @@ Criterion = Annotated[
     ),
 ]
 
-Compare = Annotated[
-    tuple[str, str] | None,
-    typer.Option(
-        "--compare",
-        metavar="LAW_A LAW_B",
-        help="Separate two laws instead, by the names of `rig identify compare` or shorter: homogeneous+rpe secant.",
-    ),
-]
-
-
 ErrorsOf = Annotated[
     Path | None,
     typer.Option(
@@ -44,7 +34,6 @@ def design(
     rig: RigName = None,
     duration_s: Duration = 60.0,
     criterion: Criterion = "d",
-    compare: Compare = None,
     errors_of: ErrorsOf = None,
     seed: Seed = 0,
     to: OutputFile = Path("design.yaml"),
@@ -53,33 +42,21 @@ def design(
 ) -> None:
     """Write the protocol that makes the error bars of an identification smallest.
 
-    Without --free: the default parameters of `rig identify` for motions, and the shear ratio. --compare writes the
-    protocol that separates two laws, for `rig identify compare RUN --between LAW_A LAW_B`.
+    Without --free: the default parameters of `rig identify` for motions, and the shear ratio.
     """
     from rig.cli import design_output as output
     from rig.cli.assignments import names
     from rig.cli.run_names import resolve
     from rig.config.loader import chosen_rig, read
+    from rig.design.design import design as find
     from rig.design.expected_poses import errors_of_run
     from runs.overwriting import refuse_existing, write_text
     from runs.run import Run
 
-    if compare is not None and (free or criterion != "d"):
-        given = "--free" if free else "--criterion"
-        raise typer.BadParameter("--compare has its own free parameters and criterion", param_hint=given)
     refuse_existing([to], replace=replace)
     config = read(chosen_rig(rig).name).config
     errors = None if errors_of is None else errors_of_run(Run(resolve(errors_of)))
     source = "" if errors_of is None else str(errors_of)
-    if compare is None:
-        from rig.design.design import design as find
-
-        found = find(config, names(free), duration_s, criterion, seed, errors)
-        write_text(to, found.text)
-        output.error_bars(found, to, source, as_json=json)
-    else:
-        from rig.design.law_comparison import design_comparison
-
-        separated = design_comparison(config, compare, duration_s, seed, errors)
-        write_text(to, separated.text)
-        output.separations(separated, to, source, as_json=json)
+    found = find(config, names(free), duration_s, criterion, seed, errors)
+    write_text(to, found.text)
+    output.error_bars(found, to, source, as_json=json)

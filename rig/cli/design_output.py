@@ -1,4 +1,4 @@
-"""Output of `rig design`: expected error bars, or the expected separation of two laws."""
+"""Output of `rig design`: expected error bars."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from calibration.identify.simulated_experiments import MeasurementErrors
 from rig.cli.output import ColumnTable, console, print_json
 from rig.design.design import LIBRARY, REPEATS, Design
 from rig.design.expected_poses import errors_text
-from rig.design.law_comparison import RIGHT, LawDesign, share_text
 
 
 def error_bars(found: Design, to: Path, source: str, *, as_json: bool) -> None:
@@ -67,53 +66,3 @@ def _assumed(errors: MeasurementErrors, source: str, sections: Sequence[str] = (
 
 def _errors(errors: MeasurementErrors, source: str) -> dict[str, object]:
     return {"source": source or None, **asdict(errors), "rest_pressure_pa": errors.plateau_pa}
-
-
-def separations(found: LawDesign, to: Path, source: str, *, as_json: bool) -> None:
-    """Print the expected share of right decisions, with either law true; source: run of the assumed errors."""
-    if as_json:
-        rows = [
-            {
-                "true": one.truth,
-                "rival": one.rival,
-                "distance": one.distance2**0.5,
-                "right": one.share,
-                "bound": not one.separable,
-            }
-            for one in found.separations
-        ]
-        facts = {
-            "protocol": str(to),
-            "errors": _errors(found.errors, source),
-            "sufficient": found.sufficient,
-            "right_in_longest": [one.share for one in found.longest],
-            "cases": rows,
-        }
-        print_json(facts)
-        return
-    table = ColumnTable("true law", "rival", "distance", "right decisions")
-    for one in found.separations:
-        distance = f"{one.distance2**0.5:.3g}" if one.separable else "0"
-        table.add_row(one.truth, one.rival, distance, share_text(one))
-    screen = console()
-    screen.print(table)
-    screen.print(_assumed(found.errors, source), soft_wrap=True)
-    screen.print(
-        f"distance: of the predictions, in standard errors, after a fit of the rival; {len(found.planned)} plateaus",
-        soft_wrap=True,
-    )
-    for one in found.separations:
-        if not one.separable:
-            screen.print(
-                f"{one.rival} contains {one.truth}: no pressures tell them apart if {one.truth} is true. Only the "
-                "number of parameters then decides, or `rig identify compare` says that the data do not decide.",
-                soft_wrap=True,
-            )
-    if min(one.share for one in found.separations) < RIGHT:
-        least = min(found.longest, key=lambda one: one.share)
-        screen.print(
-            f"fewer than {100 * RIGHT:.0f} % right decisions are expected: allow more --duration-s; the longest one "
-            f"that the rig's limits allow reaches {share_text(least)}",
-            soft_wrap=True,
-        )
-    typer.echo(to)

@@ -46,7 +46,7 @@ def reproduce(
     json: AsJson = False,
 ) -> None:
     """Compute a result of the paper beside the printed one, and explain the difference."""
-    from calibration.identify.paper_identification import published_modulus
+    from model.paper.identification import published_modulus
     from rig.cli import reproduction_output
     from rig.cli.output import console, print_json
     from rig.reproduce.all_results import NEEDS, results

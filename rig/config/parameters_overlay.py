@@ -28,7 +28,6 @@ class InitialArm(Section):
     """The model variant and the arm's geometry before identification."""
 
     variant: Variant
-    modulus_rule: Literal["pointwise"] = Field(description="how each E_i is found; a rig runs none but this")
     geometry: GeometryConfig
 
 

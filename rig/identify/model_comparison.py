@@ -11,7 +11,6 @@ from calibration.identify.model_comparison import ModelComparison, compare_model
 from calibration.identify.parameter import Prior
 from calibration.identify.poses import Poses
 from calibration.identify.setup import Setup
-from model.variants import POINTWISE
 from protocols import arguments
 from protocols.problems import bad_input, closest
 from rig.config.schema import RigConfig
@@ -22,7 +21,7 @@ BASE = ("base",)
 
 
 def laws_named(names: Sequence[str], start: Setup, option: str, free: Sequence[str] = BASE) -> tuple[Candidate, ...]:
-    """The two laws by name, from a setup. A variant alone means its pointwise law; rules and push laws need no variant.
+    """The two laws by name, from a setup. Laws of the push need no variant.
 
     option: where the names come from, for the message.
 
@@ -32,7 +31,6 @@ def laws_named(names: Sequence[str], start: Setup, option: str, free: Sequence[s
     names = arguments.names(option, names)
     every = {law.name: law for law in candidates(start, free)}
     short = {name.rpartition(", ")[2]: name for name in every}
-    short |= {name.removesuffix(f", {POINTWISE}"): name for name in every}
     found = []
     for name in names:
         full = name if name in every else short.get(name)

@@ -10,16 +10,17 @@ from matplotlib.figure import Figure
 
 import model
 from calibration.identify.data import at_rest
-from calibration.identify.paper_identification import (
+from calibration.identify.errors import NoDataError
+from calibration.identify.poses import Poses
+from model.arrays import Array
+from model.paper.identification import (
     PUBLISHED_MODULUS_PA,
     Elongation,
     PaperIdentification,
-    elongation,
     identify_paper,
     published_modulus,
 )
-from model.arrays import Array
-from model.tube import BallooningError, Tube
+from model.paper.tube import BallooningError, Tube
 from model.units import GRAVITY_M_S2, PA_PER_BAR
 from rig.config.arm_model import model_geometry
 from rig.config.loader import recorded
@@ -31,6 +32,10 @@ from runs.run import Run
 
 TUBE = Tube(0.0095, 0.0125, 0.014, 82e3, 1.1e6, 3.0)
 """Constants of section 3 that come near both printed curves; the paper prints none of them."""
+
+_UNPRESSURISED_PA = 2e3
+# A measured force below this is the noise of its sensor.
+_UNLOADED_N = 0.02
 
 
 class Elongations:
@@ -45,6 +50,31 @@ class Elongations:
         self.weights: Elongation = elongation(at_rest(weights), geometry.length_m)
         self.pressure: Elongation = elongation(at_rest(pressure), geometry.length_m)
         self.found: PaperIdentification = identify_paper(self.weights, self.pressure, geometry)
+
+
+def elongation(poses: Poses, length_m: float) -> Elongation:
+    """Elongation of an arm under equal pressures or weights, from its plateaus without a measured force.
+
+    Raises:
+        NoDataError: no plateau without pressure, weight and measured force, or no other plateau.
+    """
+    pulled = np.linalg.norm(poses.wrench[:, :3], axis=1) > _UNLOADED_N
+    pressure = poses.pressure_pa.mean(axis=1)
+    free = (np.abs(poses.pressure_pa) < _UNPRESSURISED_PA).all(axis=1)
+    nothing = free & (poses.weight_kg == 0) & ~pulled
+    if not nothing.any():
+        missing = "no plateau without pressure, weight and measured force"
+        raise NoDataError(f"{poses.run_id}: {missing} to count the elongation from")
+    loaded = ~nothing & ~pulled
+    if not loaded.any():
+        raise NoDataError(f"{poses.run_id}: nothing stretches the arm")
+    along = poses.tip_m[:, 2]
+    return Elongation(
+        pressure_pa=np.where(free, 0.0, pressure)[loaded],
+        force_n=poses.weight_kg[loaded] * GRAVITY_M_S2 / poses.actuators,
+        strain=((along - along[nothing].mean()) / length_m)[loaded],
+        length_m=length_m,
+    )
 
 
 def published_strain(pressure_pa: Array, force_n: Array) -> Array:

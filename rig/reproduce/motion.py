@@ -62,9 +62,11 @@ class SinusoidalRun:
     def by_method(self, space: Space, scheme: str, alpha: float, steps: int) -> Array:
         """Tips (k, 3) [mm] over the second by one of Table 4's methods, from rest at its first pressures."""
         config = recorded(self.run.header, self.run.path).config
-        arm = replace(model_arm(config), variant="inhomogeneous+rpe", modulus_rule="secant")
+        arm = replace(model_arm(config), variant="inhomogeneous+rpe")
         pressure = self.run.tip.pressure_bar[self.second] * PA_PER_BAR
-        rod = PaperRod(arm, 1 / self.run.header.camera_hz, scheme, alpha, space=space, steps=steps)
+        rod = PaperRod(
+            arm, 1 / self.run.header.camera_hz, scheme, alpha, space=space, steps=steps, modulus_rule="secant"
+        )
         first = rod.start(pressure[0])
         return 1e3 * np.array([first.tip_m, *(rod.step(p).tip_m for p in pressure[1:])])
 

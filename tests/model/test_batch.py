@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from model import Arm, batch
+from model.actuation import PressureSum
 from model.batch import motions
 from model.dynamics import Dynamics
 from model.kernels.axis import equilibria
@@ -15,10 +16,10 @@ from model.statics import statics
 
 BAR = 1e5
 variants: tuple[str, ...] = ("homogeneous", "homogeneous+rpe", "inhomogeneous+rpe")
-rules: tuple[str, ...] = ("secant", "paper-tangent")
+GROWING = replace(Arm.paper(), actuation=PressureSum(0.1))
 
 
-@pytest.mark.parametrize("arm", [*map(Arm.paper, variants), *(replace(Arm.paper(), modulus_rule=r) for r in rules)])
+@pytest.mark.parametrize("arm", [*map(Arm.paper, variants), GROWING])
 @pytest.mark.parametrize("workers", [1, 2, 3])
 def test_a_batch_equals_its_members_solved_one_by_one(arm: Arm, workers: int) -> None:
     p = np.random.default_rng(1).uniform(0, 0.65 * BAR, (7, 3))
@@ -48,9 +49,8 @@ def test_a_member_without_equilibrium_is_flagged_and_does_not_affect_the_others(
     assert np.array_equal(tips.tip_m[0], tips.tip_m[2])
 
 
-@pytest.mark.parametrize("rule", ["pointwise", "secant"])
-def test_a_motion_in_one_call_equals_its_single_steps(rule: str) -> None:
-    arm = replace(Arm.paper(), modulus_rule=rule)  # type: ignore[arg-type]
+@pytest.mark.parametrize("arm", [Arm.paper(), GROWING])
+def test_a_motion_in_one_call_equals_its_single_steps(arm: Arm) -> None:
     p = np.random.default_rng(2).uniform(0, 0.5 * BAR, (12, 3))
     one, many = Dynamics(arm, 0.02), Dynamics(arm, 0.02)
     one.start(p[0])
@@ -71,7 +71,7 @@ def test_a_motion_flags_a_failed_step_and_continues() -> None:
     assert np.array_equal(run.tip_m[1], run.tip_m[0])
 
 
-@pytest.mark.parametrize("arm", [Arm.paper("homogeneous+rpe"), replace(Arm.paper(), modulus_rule="secant")])
+@pytest.mark.parametrize("arm", [Arm.paper("homogeneous+rpe"), GROWING])
 def test_a_batch_of_motions_equals_its_members(arm: Arm) -> None:
     p = np.random.default_rng(3).uniform(0, 0.5 * BAR, (3, 6, 3))
     for path, found in zip(p, motions(arm, p, 1 / 30, workers=2), strict=True):

@@ -13,17 +13,15 @@ from hypothesis import strategies as st
 
 from model import Arm, Geometry, Loads, Material
 from model.dynamics import Dynamics
+from model.paper.moduli import MODULUS_RULES, frozen_stiffness_n
 from model.paper.rod import NeutralSection, PaperRod
 from model.schemes import scheme_named
 from model.statics import statics
 from tests.support.budget import examples
+from tests.support.linear_rod import linear_rod_tip
 
 BAR = 1e5
-FROZEN: tuple[str, ...] = ("secant", "tangent", "paper-secant", "paper-tangent")
-
-
-def frozen(rule: str = "secant") -> Arm:
-    return replace(Arm.paper(), modulus_rule=rule)
+ARM = Arm.paper()
 
 
 def test_the_arm_has_the_measures_of_table_1() -> None:
@@ -59,24 +57,38 @@ def test_a_passive_tube_stays_passive_under_the_sensors_noise(
     rule: str, bar: tuple[float, ...], noise_pa: tuple[int, ...]
 ) -> None:
     # The paper's sensor is good to 0.01 bar; its n on a passive tube is an even share of what the others push.
-    arm = frozen(rule)
+    arm = ARM
     clean = np.array(bar) * BAR
     read = clean + np.array(noise_pa)
     passive = clean == 0
     share = (read[~passive] * arm.geometry.chamber_area_m2).sum() / passive.sum()
-    alone = replace(arm, modulus_rule="secant" if rule == "paper-secant" else "tangent")
+    alone = "secant" if rule == "paper-secant" else "tangent"
     like = np.where(passive, share / arm.geometry.chamber_area_m2, read)
-    assert np.allclose(arm.stiffness_n(read), alone.stiffness_n(like), rtol=1e-12)
-    assert np.abs(statics(arm, read).tip_m - statics(arm, clean).tip_m).max() < 5e-3
+    assert np.allclose(frozen_stiffness_n(arm, read, rule), frozen_stiffness_n(arm, like, alone), rtol=1e-12)
+    rod = PaperRod(arm, modulus_rule=rule)
+    assert np.abs(rod.statics(read).tip_m - rod.statics(clean).tip_m).max() < 5e-3
 
 
 @pytest.mark.parametrize("bar", [(0.65, 0, 0), (0, 0.65, 0.65), (0.65, 0.3, 0.1)])
 @pytest.mark.parametrize("rpe_as", ["force", "strain"])
 @pytest.mark.parametrize("solver", ["lm", "dogleg"])
-@pytest.mark.parametrize("rule", FROZEN)
-def test_both_formulations_agree_at_rest(rule: str, solver: str, rpe_as: str, bar: tuple[float, ...]) -> None:
-    arm = replace(frozen(rule), rpe_as=rpe_as)
+@pytest.mark.parametrize("rule", MODULUS_RULES)
+def test_the_neutral_axis_with_frozen_moduli_agrees_with_the_central_axis_at_rest(
+    rule: str, solver: str, rpe_as: str, bar: tuple[float, ...]
+) -> None:
     p = np.array(bar) * BAR
+    rod = PaperRod(ARM, steps=100, solver=solver, modulus_rule=rule, rpe_as=rpe_as)  # type: ignore[arg-type]
+    printed = rod.statics(p)
+    tip, turned = linear_rod_tip(ARM, p, frozen_stiffness_n(ARM, p, rule), rpe_as)
+    assert np.abs(printed.tip_m - tip).max() < 1e-9
+    assert np.abs(printed.tip_rotation - turned).max() < 1e-8
+
+
+@pytest.mark.parametrize("bar", [(0.65, 0, 0), (0, 0.65, 0.65), (0.65, 0.3, 0.1)])
+@pytest.mark.parametrize("solver", ["lm", "dogleg"])
+@pytest.mark.parametrize("variant", ["homogeneous", "homogeneous+rpe"])
+def test_both_formulations_agree_at_rest(variant: str, solver: str, bar: tuple[float, ...]) -> None:
+    arm, p = Arm.paper(variant), np.array(bar) * BAR
     printed = PaperRod(arm, steps=100, solver=solver).statics(p)  # type: ignore[arg-type]
     ours = statics(arm, p, nodes=100)
     assert np.abs(printed.p_m - ours.p_m).max() < 1e-9
@@ -186,7 +198,7 @@ def test_the_pointwise_section_has_no_neutral_axis_of_the_papers_kind() -> None:
 
 def test_erratum_a_stretch_put_in_as_a_strain_pushes_with_96_newtons_at_no_pressure() -> None:
     arm = Arm.paper("homogeneous+rpe")
-    printed = NeutralSection.of(arm, np.zeros(3), frozenset({"stretch as strain"}))
+    printed = NeutralSection.of(arm, np.zeros(3), as_printed=frozenset({"stretch as strain"}))
     assert printed.push_n == pytest.approx([96.0] * 3, abs=0.2)
     assert NeutralSection.of(arm, np.zeros(3)).push_n == pytest.approx([0, 0, 0])
 
@@ -206,28 +218,27 @@ def test_erratum_the_strain_at_an_actuator_is_v3_plus_y_u1_minus_x_u2() -> None:
 
 
 def test_erratum_the_sign_of_k12_matters_as_soon_as_three_pressures_differ() -> None:
-    arm = frozen("tangent")
+    right_rod = PaperRod(ARM, modulus_rule="tangent")
+    wrong_rod = PaperRod(ARM, modulus_rule="tangent", as_printed=frozenset({"K12"}))
     for bar in ((0.65, 0, 0), (0, 0.65, 0.65)):
-        right = PaperRod(arm).statics(np.array(bar) * BAR).tip_m
-        assert (
-            np.abs(PaperRod(arm, as_printed=frozenset({"K12"})).statics(np.array(bar) * BAR).tip_m - right).max() < 1e-9
-        )
+        p = np.array(bar) * BAR
+        assert np.abs(wrong_rod.statics(p).tip_m - right_rod.statics(p).tip_m).max() < 1e-9
     apart = []
     for bar in ((0.65, 0.3, 0.1), (0.6, 0.0, 0.4), (0.0, 0.3, 0.65)):
-        right = PaperRod(arm).statics(np.array(bar) * BAR).tip_m
-        wrong = PaperRod(arm, as_printed=frozenset({"K12"})).statics(np.array(bar) * BAR).tip_m
-        apart.append(np.linalg.norm(right - wrong))
+        p = np.array(bar) * BAR
+        apart.append(np.linalg.norm(right_rod.statics(p).tip_m - wrong_rod.statics(p).tip_m))
     assert min(apart) > 0.002
     assert max(apart) < 0.03
 
 
 def test_erratum_the_cross_stiffness_follows_from_the_energy() -> None:
     # m1 by u2 is -sum E_i A x_i y_i: stretch by u2 alone is -x u2, its moment about x is y times the force.
-    known = NeutralSection.of(frozen(), np.array([0.65, 0.3, 0.1]) * BAR)
-    stiffness = frozen().stiffness_n(np.array([0.65, 0.3, 0.1]) * BAR)
+    p = np.array([0.65, 0.3, 0.1]) * BAR
+    known = NeutralSection.of(ARM, p, "secant")
+    stiffness = frozen_stiffness_n(ARM, p, "secant")
     x, y, _ = known.arms_m.T
     assert known.bending_torsion[0, 1] == pytest.approx((y * stiffness * -x).sum())
-    printed = NeutralSection.of(frozen(), np.array([0.65, 0.3, 0.1]) * BAR, frozenset({"K12"}))
+    printed = NeutralSection.of(ARM, p, "secant", as_printed=frozenset({"K12"}))
     assert printed.bending_torsion[0, 1] == pytest.approx(-known.bending_torsion[0, 1])
 
 
@@ -243,19 +254,20 @@ def test_erratum_each_tube_bends_about_its_own_axis_with_its_own_modulus() -> No
 
 
 def test_the_neutral_axis_is_where_eq_18_says() -> None:
-    arm, p = frozen(), np.array([0.65, 0.3, 0.1]) * BAR
-    e1, e2, e3 = arm.stiffness_n(p)
+    p = np.array([0.65, 0.3, 0.1]) * BAR
+    e1, e2, e3 = frozen_stiffness_n(ARM, p, "secant")
     b, total = 0.055, e1 + e2 + e3
     printed = [math.sqrt(3) * b / 6 * (2 * e1 - e2 - e3) / total, b / 2 * (e2 - e3) / total, 0]
-    assert NeutralSection.of(arm, p).neutral_m == pytest.approx(printed, abs=1e-12)
+    assert NeutralSection.of(ARM, p, "secant").neutral_m == pytest.approx(printed, abs=1e-12)
 
 
 def test_erratum_the_weights_moment_has_the_sign_of_eq_29() -> None:
-    arm = replace(frozen("tangent"), cap_mass_kg=0.3)
+    arm = replace(ARM, cap_mass_kg=0.3)
     p = np.array([0.65, 0.0, 0.0]) * BAR
-    ours = statics(arm, p, nodes=50).tip_m
-    assert np.abs(PaperRod(arm).statics(p).tip_m - ours).max() < 1e-8
-    printed = PaperRod(arm, as_printed=frozenset({"weight moment"})).statics(p).tip_m
+    ours, _ = linear_rod_tip(arm, p, frozen_stiffness_n(arm, p, "tangent"))
+    assert np.abs(PaperRod(arm, modulus_rule="tangent").statics(p).tip_m - ours).max() < 1e-8
+    wrong = PaperRod(arm, modulus_rule="tangent", as_printed=frozenset({"weight moment"}))
+    printed = wrong.statics(p).tip_m
     assert np.linalg.norm(printed - ours) > 0.002
 
 
@@ -275,35 +287,38 @@ def test_erratum_a_tangent_modulus_used_as_a_secant_bends_far_beyond_the_force_s
     m = Material.paper()
     n = 0.65 * BAR * Geometry.paper().chamber_area_m2
     measured = m.a1_per_n * n + m.a2_per_n2 * n * n
-    p = [0.65 * BAR] * 3
-    assert n / frozen("secant").stiffness_n(np.array(p))[0] == pytest.approx(measured)
-    assert n / frozen("tangent").stiffness_n(np.array(p))[0] > 1.4 * measured
+    p = np.array([0.65 * BAR] * 3)
+    assert n / frozen_stiffness_n(ARM, p, "secant")[0] == pytest.approx(measured)
+    assert n / frozen_stiffness_n(ARM, p, "tangent")[0] > 1.4 * measured
     one = (0.65 * BAR, 0, 0)
-    bends = {rule: abs(statics(frozen(rule), one).tip_m[0]) for rule in ("tangent", "secant", "pointwise")}  # type: ignore[arg-type]
+    tangent = abs(PaperRod(ARM, modulus_rule="tangent").statics(one).tip_m[0])
     rpe = abs(statics(Arm.paper("homogeneous+rpe"), one).tip_m[0])
     plain = abs(statics(Arm.paper("homogeneous"), one).tip_m[0])
     # Table 3: the inhomogeneity adds about a third of what the RPE does; the tangent adds over three times as much.
-    assert bends["pointwise"] - rpe < rpe - plain
-    assert bends["tangent"] - rpe > 3 * (rpe - plain)
+    assert abs(statics(ARM, one).tip_m[0]) - rpe < rpe - plain
+    assert tangent - rpe > 3 * (rpe - plain)
 
 
 def test_the_rule_for_passive_tubes_is_the_papers() -> None:
-    arm, p = frozen("paper-secant"), np.array([0.65, 0.0, 0.0]) * BAR
-    m, n = arm.material, 0.65 * BAR * arm.geometry.chamber_area_m2
-    assert 1 / arm.stiffness_n(p) == pytest.approx(
+    p = np.array([0.65, 0.0, 0.0]) * BAR
+    m, n = ARM.material, 0.65 * BAR * ARM.geometry.chamber_area_m2
+    assert 1 / frozen_stiffness_n(ARM, p, "paper-secant") == pytest.approx(
         [m.a1_per_n + m.a2_per_n2 * n, *[m.a1_per_n + m.a2_per_n2 * n / 2] * 2]
     )
-    assert 1 / frozen("secant").stiffness_n(p) == pytest.approx([m.a1_per_n + m.a2_per_n2 * n, m.a1_per_n, m.a1_per_n])
+    assert 1 / frozen_stiffness_n(ARM, p, "secant") == pytest.approx(
+        [m.a1_per_n + m.a2_per_n2 * n, m.a1_per_n, m.a1_per_n]
+    )
 
 
 def test_as_a_strain_the_radial_effect_stretches_each_tube_freely() -> None:
-    arm = replace(Arm.paper("homogeneous+rpe"), gravity_m_s2=(0.0, 0.0, 0.0), rpe_as="strain")
+    arm = replace(Arm.paper("homogeneous+rpe"), gravity_m_s2=(0.0, 0.0, 0.0))
     plain = replace(arm, variant="homogeneous")
     p = np.array([0.6, 0.2, 0.0]) * BAR
-    grown = statics(arm, p).actuator_lengths_m - statics(plain, p).actuator_lengths_m
+    stretched = PaperRod(arm, rpe_as="strain").statics(p)
+    grown = stretched.actuator_lengths_m - statics(plain, p).actuator_lengths_m
     assert grown == pytest.approx(0.17 * 0.05324473 * np.array([0.6, 0.2, 0.0]), rel=1e-3, abs=1e-6)
 
 
-def test_the_radial_effect_as_a_strain_is_refused_for_the_pointwise_section() -> None:
-    with pytest.raises(ValueError, match="pointwise"):
-        replace(Arm.paper(), rpe_as="strain")
+def test_an_unknown_way_of_the_radial_effect_is_refused() -> None:
+    with pytest.raises(ValueError, match="force or strain"):
+        PaperRod(Arm.paper("homogeneous+rpe"), rpe_as="stretch")  # type: ignore[arg-type]

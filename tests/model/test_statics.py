@@ -273,17 +273,16 @@ def test_its_own_weight_stretches_a_hanging_arm() -> None:
 
 
 @examples(20)
-@given(three_pressures, st.tuples(*[st.floats(-1, 1)] * 3), st.sampled_from(variants))
+@given(three_pressures, st.tuples(*[st.floats(-1, 1)] * 3), st.sampled_from(variants[:2]))
 def test_the_base_carries_what_hangs_on_the_arm(bar: tuple[float, ...], force: tuple[float, ...], variant: str) -> None:
     # Global balance: total wrench at the base, from the solved strain there, against every load outside.
     from model.section import section
 
     arm = replace(Arm.paper(variant), rod_weight=True)
-    if variant == "inhomogeneous+rpe":
-        arm = replace(arm, modulus_rule="secant")
     p = np.array(bar) * BAR
     shape = statics(arm, p, Loads(tip_force_n=force), nodes=40)
-    law = section(arm.geometry, arm.geometry.positions_m, arm.stiffness_n(p), arm.material.shear_ratio, arm.rpe_per_bar)
+    stiffness = np.full(3, arm.stiffness_n)
+    law = section(arm.geometry, arm.geometry.positions_m, stiffness, arm.material.shear_ratio, arm.rpe_per_bar)
     strain = np.concatenate([shape.v[0], shape.u[0]])
     wrench = law.rest + law.per_pressure @ p
     for rows, block in (((2, 3, 4), law.axial), ((0, 1, 5), law.shear)):

@@ -73,11 +73,9 @@ def test_an_invalid_arm_is_refused(change: dict[str, object]) -> None:
         replace(Arm.paper(), **change)  # type: ignore[arg-type]
 
 
-def test_unknown_variants_and_rules_are_refused_with_the_known_ones_named() -> None:
+def test_unknown_variants_are_refused_with_the_known_ones_named() -> None:
     with pytest.raises(ValueError, match=r"inhomogeneous\+rpe"):
         Arm.paper("heterogeneous")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r"paper-secant"):
-        replace(Arm.paper(), modulus_rule="median")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

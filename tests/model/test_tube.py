@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from model import BallooningError, PrincipalStretches, Tube
+from model.paper.tube import BallooningError, PrincipalStretches, Tube
 from tests.support.budget import examples
 
 # Table 1 and the constants that give the printed a and eq 32.

@@ -97,7 +97,7 @@ COUNTERPARTS = {
     "design": Counterpart(
         "rig.design.design:design",
         {"rig": "config", "errors_of": "errors"},
-        FILE | {"compare": "rig.design.law_comparison:design_comparison"},
+        FILE,
     ),
     "identify fit": Counterpart(
         "rig.identify:identify",

@@ -85,8 +85,8 @@ def wrench_of(arm: Arm, pressure_pa: Array, strains: Array) -> Array:
     v1, v2, v3, u1, u2, u3 = strains.T
     slender = geometry.wall_second_moment_m4 / geometry.wall_area_m2
     wrench = np.zeros(strains.shape)
-    for (x, y), pressed, stiffness in zip(geometry.positions_m, pressure_pa, arm.stiffness_n(pressure_pa), strict=True):
-        strain, k = v3 - 1 + y * u1 - x * u2 - arm.rpe_per_bar * pressed / 1e5, np.full(len(v3), stiffness)
+    for (x, y), pressed in zip(geometry.positions_m, pressure_pa, strict=True):
+        strain, k = v3 - 1 + y * u1 - x * u2 - arm.rpe_per_bar * pressed / 1e5, np.full(len(v3), arm.stiffness_n)
         pull = k * strain
         if isinstance(arm.law, QuadraticCompliance):
             a1, a2 = material.a1_per_n, material.a2_per_n2

@@ -9,10 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 import model
-from calibration.identify import Poses, Setup, named
+from calibration.identify import Setup, named
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.simulated_experiments import plan
 from calibration.identify.tip_predictor import Predictor
+from model.actuation import ActuationLaw, PressureSum, Proportional
 
 BAR = 1e5
 FREE = ("law", "rpe_per_bar", "density_kg_m3", "damping_s", "cap_mass_kg", "length_m", "base", "tool_z_m",
@@ -71,21 +72,13 @@ PULLED = replace(
 )
 
 
-@pytest.mark.parametrize(
-    ("poses", "rule", "free"),
-    [
-        (MOVING, "secant", ("law",)),
-        (PULLED, "pointwise", ("law", "tool_x_m", "base_rx_rad")),
-        (PULLED, "secant", ("law",)),
-    ],
-)
-def test_dynamic_slopes_equal_finite_differences_for_frozen_moduli_and_under_a_wrench(
-    monkeypatch: pytest.MonkeyPatch, poses: Poses, rule: str, free: tuple[str, ...]
+@pytest.mark.parametrize("actuation", [Proportional(), PressureSum(0.2)])
+def test_dynamic_slopes_equal_finite_differences_under_a_wrench(
+    monkeypatch: pytest.MonkeyPatch, actuation: ActuationLaw
 ) -> None:
     monkeypatch.setattr("model.dynamics.TOLERANCE_IN_MOTION", 1e-7)
-    problem = LeastSquaresProblem(
-        [poses], replace(start(), arm=replace(start().arm, modulus_rule=rule)), named(free, 3)
-    )
+    free = named(("law", "tool_x_m", "base_rx_rad"), 3)
+    problem = LeastSquaresProblem([PULLED], replace(start(), arm=replace(start().arm, actuation=actuation)), free)
     z = np.zeros(len(problem.unknowns))
     found = problem.slopes(z, range(len(z)))[0]
     assert np.abs(found).max(axis=(0, 1)).min() > 1e-4

@@ -19,7 +19,6 @@ from rig.calibrate import board_drawing
 from rig.config import loader
 from rig.design.design import design
 from rig.design.expected_poses import errors_of_run
-from rig.design.law_comparison import design_comparison
 from rig.doctor import examine
 from rig.experiment.replay import replay
 from rig.identify import compare, identify
@@ -232,14 +231,6 @@ def test_wrong_arguments_of_a_design_are_refused() -> None:
     for arguments in wrong:
         with pytest.raises(BadInputError):
             design(**{"config": config, **arguments})
-    laws = ("homogeneous", "homogeneous+rpe")
-    worse: list[dict[str, Any]] = [
-        {"config": 3}, {"laws": 3}, {"laws": laws[:1]}, {"duration_s": None}, {"duration_s": float("nan")},
-        {"seed": 0.5}, {"errors": "x"}, {"errors": {}},
-    ]  # fmt: skip
-    for arguments in worse:
-        with pytest.raises(BadInputError):
-            design_comparison(**{"config": config, "laws": laws, **arguments})
     for no_steps in (3, None, "x", [3]):
         with pytest.raises(BadInputError, match="a list of mappings"):
             protocols.from_steps("title", no_steps)  # type: ignore[arg-type]

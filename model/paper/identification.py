@@ -6,18 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-import model
-from calibration.identify.errors import NoDataError
-from calibration.identify.poses import Poses
 from model.arrays import Array
+from model.geometry import Geometry
+from model.material import Material
 from model.units import GRAVITY_M_S2, PA_PER_BAR
 
 # Eq 32 was fitted to weights of 100 to 1200 g, and E is printed beside it.
 PUBLISHED_WEIGHTS_KG: Array = np.linspace(0.1, 1.2, 12)
 PUBLISHED_MODULUS_PA = 289142.05
-_UNPRESSURISED_PA = 2e3
-# A measured force below this is the noise of its sensor.
-_UNLOADED_N = 0.02
+
+
+class TooFewLoadsError(ValueError):
+    """Fewer loads than the identification has constants."""
 
 
 @dataclass(frozen=True)
@@ -89,39 +89,14 @@ class PublishedModulus:
         )
 
 
-def elongation(poses: Poses, length_m: float) -> Elongation:
-    """Elongation of an arm under equal pressures or weights, from its plateaus without a measured force.
-
-    Raises:
-        NoDataError: no plateau without pressure, weight and measured force, or no other plateau.
-    """
-    pulled = np.linalg.norm(poses.wrench[:, :3], axis=1) > _UNLOADED_N
-    pressure = poses.pressure_pa.mean(axis=1)
-    free = (np.abs(poses.pressure_pa) < _UNPRESSURISED_PA).all(axis=1)
-    nothing = free & (poses.weight_kg == 0) & ~pulled
-    if not nothing.any():
-        missing = "no plateau without pressure, weight and measured force"
-        raise NoDataError(f"{poses.run_id}: {missing} to count the elongation from")
-    loaded = ~nothing & ~pulled
-    if not loaded.any():
-        raise NoDataError(f"{poses.run_id}: nothing stretches the arm")
-    along = poses.tip_m[:, 2]
-    return Elongation(
-        pressure_pa=np.where(free, 0.0, pressure)[loaded],
-        force_n=poses.weight_kg[loaded] * GRAVITY_M_S2 / poses.actuators,
-        strain=((along - along[nothing].mean()) / length_m)[loaded],
-        length_m=length_m,
-    )
-
-
 def line(x: Array, strain: Array) -> RegressionLine:
     """Least squares through the origin.
 
     Raises:
-        NoDataError: fewer than two points.
+        TooFewLoadsError: fewer than two points.
     """
     if len(x) < 2:
-        raise NoDataError("one elongation makes no line: take the arm to two levels at least")
+        raise TooFewLoadsError("one elongation makes no line: take the arm to two levels at least")
     slope = float((x @ strain) / (x @ x))
     return RegressionLine(slope, _r2(strain, strain - slope * x))
 
@@ -129,7 +104,7 @@ def line(x: Array, strain: Array) -> RegressionLine:
 def softening(force_n: Array, strain: Array) -> Softening:
     """Eq 32 by least squares, its constant term 1."""
     if len(force_n) < 3:
-        raise NoDataError(f"eq 32 has two constants; {len(force_n)} loads are too few for it")
+        raise TooFewLoadsError(f"eq 32 has two constants; {len(force_n)} loads are too few for it")
     columns = np.stack([force_n, force_n**2], axis=1)
     (a1, a2), *_ = np.linalg.lstsq(columns, strain, rcond=None)
     rest = strain - columns @ np.array([a1, a2])
@@ -139,7 +114,7 @@ def softening(force_n: Array, strain: Array) -> Softening:
 
 def published_modulus() -> PublishedModulus:
     """Derive E from the printed polynomial, eq 32."""
-    material, geometry = model.Material.paper(), model.Geometry.paper()
+    material, geometry = Material.paper(), Geometry.paper()
     force: Array = PUBLISHED_WEIGHTS_KG * GRAVITY_M_S2
     strain = material.a1_per_n * force + material.a2_per_n2 * force**2
     area = geometry.wall_area_m2
@@ -153,9 +128,7 @@ def published_modulus() -> PublishedModulus:
     )
 
 
-def identify_paper(
-    under_weights: Elongation, under_pressure: Elongation, geometry: model.Geometry
-) -> PaperIdentification:
+def identify_paper(under_weights: Elongation, under_pressure: Elongation, geometry: Geometry) -> PaperIdentification:
     """Return E, a1, a2 and the free strain from the two extension experiments."""
     force, strain = under_weights.force_n, under_weights.strain
     beta = line(force, strain)

@@ -9,15 +9,10 @@ import pytest
 
 import model
 from calibration.identify.errors import NoDataError
-from calibration.identify.paper_identification import (
-    elongation,
-    identify_paper,
-    line,
-    published_modulus,
-    softening,
-)
 from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
+from model.paper.identification import identify_paper, line, published_modulus, softening
+from rig.reproduce.elongation import elongation
 
 EXACT = MeasurementErrors((1e-9, 1e-9, 1e-9), 0.0, 0.0)
 
