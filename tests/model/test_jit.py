@@ -96,7 +96,8 @@ print(os.waitpid(child, 0)[1])
 
 OTHER_LIBRARIES = """
 import importlib, pkgutil, sys, types
-import llvmlite.binding, numba, numba.core.codegen, numba.core.compiler, numba.core.caching, numba.extending, numpy, scipy
+import llvmlite.binding, numba, numba.core.caching, numba.core.codegen, numba.core.compiler, numba.extending
+import numpy, scipy
 
 OTHERS = ("numba", "llvmlite", "numpy", "scipy")
 
