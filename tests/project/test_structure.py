@@ -43,7 +43,7 @@ KINDS = {
     for registry, kinds in {
         "rig.valves.registry": VALVE_TYPES,
         "rig.arm_effects.registry": ARM_EFFECTS,
-        "model.variants": [type(law) for one in VARIANTS.values() for law in (one.law, *one.rules.values())],
+        "model.variants": [type(one.law) for one in VARIANTS.values()],
         "protocols.schema": [kind for field in Step.model_fields.values() for kind in leaf_steps(field.annotation)],
     }.items()
 }
