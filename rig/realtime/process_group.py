@@ -23,6 +23,8 @@ WATCHDOG_TRIPPED = "the watchdog took the bench over, and exited before it could
 EXIT_STATUS_S = 1.0
 """Time for an exiting process to release its memory: its exit status is known only then."""
 LATE_NS = 200_000_000
+STOPPED_S = 5.0
+"""A process that a signal has stopped is a fault after this silence, however long a busy machine may delay it."""
 
 
 class ProcessFault(NamedTuple):
@@ -117,6 +119,9 @@ class ProcessGroup:
         silent_s = {name: self._heartbeats[name].silent_ns(now, memory.heartbeat_ns(name)) * 1e-9 for name in limits_s}
         ended = memory.stage("control") in (Stage.DONE, Stage.FAILED)
         for name in ("observer",) if ended else limits_s:
+            if silent_s[name] > STOPPED_S and self.stopped(name):
+                since = f"has been stopped for {silent_s[name]:.1f} s, by a signal (SIGSTOP) or a debugger"
+                return ProcessFault(name, f"the {name} process {since}")
             if silent_s[name] > limits_s[name]:
                 return ProcessFault(name, f"the {name} process has been silent for {silent_s[name]:.1f} s")
         if self._plant is not None and timing.simulator_ns is not None and not ended:
@@ -147,7 +152,9 @@ class ProcessGroup:
         killed = set()
         # The watchdog ends last: it writes the safe state when the others cannot.
         for name, process in sorted(self._children.items(), key=lambda member: member[0] == "watchdog"):
-            if not ended_within(process, timeout_s):
+            # A stopped observer ends no sooner: it drives nothing.
+            patience_s = 0.0 if name == "observer" and self.stopped(name) else timeout_s
+            if not ended_within(process, patience_s):
                 process.kill()
                 # A time-out, because the exit of a traced process is hidden until its debugger collects it.
                 ended_within(process, EXIT_STATUS_S)

@@ -29,12 +29,16 @@ _OTHER_NOISE = 1_000_003
 
 @dataclass(frozen=True)
 class Exposure:
-    """Input of rendering: the tip's poses at the begin and the middle of the exposure; its pulse, if it has one."""
+    """Input of rendering: the tip's poses at the begin and the middle of the exposure; its pulse, if it has one.
+
+    `stamped` is the pose at the time that the picture will have, which is later than the middle if the driver is late.
+    """
 
     index: int
     t_ns: int
     opened: TipPose
     middle: TipPose
+    stamped: TipPose
     fault: CameraFault
     trigger: TriggerMatch | None = None
 
@@ -133,6 +137,11 @@ class MockCamera:
         """The mid-exposure that the simulated driver gives for the true one."""
         return t_ns + self._stamp_delay_ns
 
+    @property
+    def stamped_after_ns(self) -> int:
+        """How much later than the middle of its exposure a picture's time is; a triggered one has that of its pulse."""
+        return self._stamp_delay_ns if self._edges is None else 0
+
     def rise_ns(self) -> int | None:
         """Time of the newest rising edge that the camera takes since the last call; None without one."""
         if self._edges is None:
@@ -149,7 +158,7 @@ class MockCamera:
         return self.develop(self.expose(index, t_ns))
 
     def expose(self, index: int, t_ns: int) -> Exposure:
-        """The exposure of frame `index`; takes microseconds and uses the poses of the source up to `t_ns`.
+        """The exposure of frame `index`; takes microseconds and uses the poses of the source up to the picture's time.
 
         Raises:
             CameraError: the camera gives no pictures.
@@ -157,7 +166,8 @@ class MockCamera:
         if self._faults.camera(self._number) in (CameraFault.UNPLUGGED, CameraFault.SILENT):
             raise CameraError("the camera gives no more pictures: is it plugged in?")
         opened, middle = (self._source.pose_at(at_ns) for at_ns in (t_ns - self._exposure_ns // 2, t_ns))
-        return Exposure(index, t_ns, opened, middle, self._faults.camera(self._number))
+        stamped = self._source.pose_at(t_ns + self.stamped_after_ns) if self.stamped_after_ns else middle
+        return Exposure(index, t_ns, opened, middle, stamped, self._faults.camera(self._number))
 
     def develop(self, exposure: Exposure) -> Frame:
         """Render the picture of an exposure; called by one thread in the order of the exposures.
@@ -172,7 +182,7 @@ class MockCamera:
         )
         along = [MovingBoard(board, *poses) for board, poses in zip(self._section_boards, others, strict=True)]
         image = self.scene.render(opened, middle, closed, exposure.index, along)
-        truth_m = self._base.apply(np.array(exposure.middle.position_m, dtype=np.float64))
+        truth_m = self._base.apply(np.array(exposure.stamped.position_m, dtype=np.float64))
         trigger, t_ns = exposure.trigger, self.stamp_ns(exposure.t_ns)
         if trigger is not None:
             t_ns = trigger.t_ns
@@ -186,7 +196,7 @@ class MockCamera:
         if self._edges is not None:
             return self._read_triggered(timeout_s)
         # The newest finished exposure after a long gap, else the one after the last.
-        takes_ns = self._exposure_ns // 2 + self._faults.camera_delay_ns(self._number)
+        takes_ns = self._exposure_ns // 2 + self.stamped_after_ns + self._faults.camera_delay_ns(self._number)
         ended = (now - takes_ns - self._start_ns) // self._period_ns
         step = 1 if self._faults.camera(self._number) is not CameraFault.DROPPING else DROPPED + 1
         self._index = max(self._index + step, ended)

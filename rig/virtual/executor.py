@@ -267,8 +267,9 @@ class _VirtualRun:
         if self._trigger is not None:
             yield from self._trigger.finished(now)
             return
-        # A frame is processed once there are samples before and after it, and the last camera has exposed.
-        while (t_ns := START_NS + (self._frame + 1) * self._frame_ns) + max(self._skews_ns, default=0) <= now:
+        # A frame is processed once there are samples before and after its time, and the last camera has exposed.
+        late_ns = max((camera.stamped_after_ns for camera in self._cameras.values()), default=0)
+        while (t_ns := START_NS + (self._frame + 1) * self._frame_ns) + max(self._skews_ns, default=0) + late_ns <= now:
             exposures: list[Exposure | None] = []
             failures = []
             for camera, skew_ns in zip(self._cameras.values(), self._skews_ns, strict=True):
@@ -277,7 +278,7 @@ class _VirtualRun:
                 except CameraError as error:
                     exposures.append(None)
                     failures.append(error)
-            yield FrameExposures(self._frame + 1, t_ns, exposures, failures)
+            yield FrameExposures(self._frame + 1, t_ns + late_ns, exposures, failures)
 
     def _observe(self, exposed: FrameExposures, protocol_s: float) -> None:
         """Pass a frame to the pipeline that renders and measures it."""

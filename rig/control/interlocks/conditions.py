@@ -136,8 +136,8 @@ class FrozenReading(ActuatorInterlock):
         return Trip(t_ns, name, message)
 
 
-class UnresponsiveSensor(ActuatorInterlock):
-    """The reading moves by noise only while the reference leads it away."""
+class UnresponsivePressure(ActuatorInterlock):
+    """The reading moves by noise only while the reference leads it away: valve, air or sensor may be the cause."""
 
     def __init__(self, config: RigConfig, sensor: Sensor) -> None:
         super().__init__(config, sensor)
@@ -149,9 +149,10 @@ class UnresponsiveSensor(ActuatorInterlock):
         reference_change = demand.reference_pa - state.moved_reference_pa
         if not (abs(reference_change) > self.tracking_pa and state.unmoved_s > self.response_s):
             return None
-        name = f"sensor {self.actuator}"
+        name = f"actuator {self.actuator}"
         message = (
-            f"{name} stays at {state.pressure_pa / PA_PER_BAR:.3f} bar: frozen, or no air, while its reference moved by"
+            f"{name} stays at {state.pressure_pa / PA_PER_BAR:.3f} bar: no air, too little flow through its valve, or "
+            "a sensor that hangs, while its reference moved by"
         )
         return _trip_bar(t_ns, name, message, reference_change, self.tracking_pa)
 

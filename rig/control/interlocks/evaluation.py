@@ -26,7 +26,7 @@ ACTUATOR_INTERLOCKS: tuple[type[ActuatorInterlock], ...] = (
     conditions.PressureRange,
     conditions.PressureRate,
     conditions.FrozenReading,
-    conditions.UnresponsiveSensor,
+    conditions.UnresponsivePressure,
     conditions.Tracking,
 )
 

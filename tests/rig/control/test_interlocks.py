@@ -202,7 +202,7 @@ def test_a_moving_set_point_that_is_not_followed_trips() -> None:
     t = 0.0
     while not (command := loop.cycle((0.3 + 0.02 * np.sin(9 * t), 0, 0), (0.3 + 0.25 * np.sin(t), 0, 0))).trip:
         t += 0.005
-    assert command.trip.source in ("tracking", "sensor 1")
+    assert command.trip.source in ("tracking", "actuator 1")
     assert t < 2.0
 
 
@@ -229,7 +229,7 @@ def test_a_pressure_that_does_not_follow_is_a_fault_of_a_pressure_valve_only_aft
     cycles = 0
     while not (command := loop.cycle((float(bar), 0, 0), (0.6, 0, 0))).trip:
         cycles += 1
-    assert command.trip.message.startswith("sensor 1 stays at")
+    assert command.trip.message.startswith("actuator 1 stays at")
     # Until the reference, at 1 bar/s, is 0.05 bar away.
     assert cycles * 0.005 == pytest.approx(max(allowed_s, 0.05), abs=0.03)
 

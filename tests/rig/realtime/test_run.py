@@ -242,6 +242,15 @@ def test_a_delayed_process_does_not_stop_a_run_on_a_simulated_bench(tmp_path: Pa
     assert "simulated bench" in run.output
 
 
+def test_a_stopped_observer_ends_a_run_on_a_simulated_bench(tmp_path: Path) -> None:
+    with rig_run(tmp_path, supervised=False) as run:
+        run.wait_until_pressurised()
+        os.kill(run.pid_of(OBSERVER), signal.SIGSTOP)
+        run.wait_until_safe(20.0)
+        assert run.end() == 1, run.output
+    assert "the observer process has been stopped for 5.0 s, by a signal" in runs.open(run.archive()).message
+
+
 def test_a_simulator_that_stalls_for_good_ends_the_run(tmp_path: Path) -> None:
     with rig_run(tmp_path, supervised=False) as run:
         run.wait_until_pressurised()

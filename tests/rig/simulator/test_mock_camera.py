@@ -14,6 +14,8 @@ from rig.simulator.mock_camera import MockCamera
 from rig.simulator.tip_pose import TipPose
 from tests.support.vision_bench import FRAME_NS, Sweep
 
+DELAY_MS = 40.0
+
 
 @pytest.fixture(scope="module")
 def config() -> rig.config.schema.RigConfig:
@@ -28,6 +30,29 @@ def test_a_frame_in_virtual_time_is_repeatable_and_knows_the_truth(config: rig.c
         assert (a.index, a.t_ns) == (k, k * FRAME_NS)
         assert a.truth_m is not None
         assert np.array_equal(a.truth_m, Sweep().pose_at(a.t_ns).position_m)
+
+
+@pytest.fixture(scope="module")
+def late() -> rig.config.schema.RigConfig:
+    """The rig with a camera whose driver gives times that are late."""
+    text = rig.config.loader.text("mock")
+    return rig.config.loader.parse(
+        text.replace("  scene: {", f"  scene: {{stamp_delay_ms: {DELAY_MS:g}, "), "late.yaml"
+    )
+
+
+def test_the_truth_is_that_of_the_time_that_a_late_driver_gives(late: rig.config.schema.RigConfig) -> None:
+    frame = MockCamera(late, Sweep(), seed=3).frame_at(1, FRAME_NS)
+    assert frame.t_ns == FRAME_NS + DELAY_MS * 1e6
+    assert np.array_equal(frame.truth_m, Sweep().pose_at(frame.t_ns).position_m)
+
+
+@pytest.mark.realtime
+def test_a_picture_comes_once_the_pose_at_its_late_time_is_known(late: rig.config.schema.RigConfig) -> None:
+    camera = MockCamera(late, Sweep(), seed=3)
+    for frame in [camera.read(1.0) for _ in range(3)]:
+        assert frame.t_ns < time.monotonic_ns()
+        assert np.array_equal(frame.truth_m, Sweep().pose_at(frame.t_ns).position_m)
 
 
 @pytest.mark.realtime

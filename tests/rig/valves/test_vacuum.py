@@ -44,7 +44,7 @@ def test_a_vacuum_supply_that_is_too_weak_ends_the_run() -> None:
     weak = [valve.model_copy(update={"vacuum_bar": -0.2}) for valve in config.valves]
     played = play(config.model_copy(update={"valves": tuple(weak)}), staircase([-0.5], 3.0, [0]), 3.0)
     assert played.trip is not None
-    assert "sensor 1 stays at -0.2" in played.trip.message
+    assert "actuator 1 stays at -0.2" in played.trip.message
     assert "no air" in played.trip.message
 
 
