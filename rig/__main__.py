@@ -60,9 +60,21 @@ def _interrupt_outside(function: CodeType) -> None:
     signal.pthread_kill(main_thread, signal.SIGINT)
 
 
+def vent_first(arguments: list[str]) -> None:
+    """Signal the running experiments, whose own processes then vent, and go on above ordinary processes."""
+    from rig.hardware.running import first_act
+    from rig.realtime.scheduling import raise_priority
+
+    first_act(arguments)
+    raise_priority()
+
+
 def main() -> None:
     """Load the command, then obey it."""
     _stand_in_for_closed()
+    # Before anything else is imported: on a busy machine that takes seconds.
+    if sys.argv[1:2] == ["vent"]:
+        vent_first(sys.argv[1:])
     # Imported modules are hundreds of thousands of objects and no garbage: Python would scan them again and again.
     gc.set_threshold(_NEW_OBJECTS)
     # Pydantic would look for plugins in every installed distribution, here and in every process of a run.

@@ -18,6 +18,7 @@ from rig.calibrate.bench_driver import BenchClock, BenchDriver, TrippedError, ma
 from rig.config.schema import RigConfig
 from rig.control.control_loop import ValveOutputs
 from rig.execution.plan import RunPlan, StartError
+from rig.hardware import running
 from rig.hardware.bench import Bench, open_bench
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
@@ -149,6 +150,7 @@ def _watched(config: RigConfig, rig_file: Path) -> Iterator[tuple[SharedState, P
     nothing = SetPointTrajectory(0.0, config.actuators, (), (), "")
     plan = RunPlan(config, rig_file, nothing, config.model.variant, 0)
     watchdog = spawn("rig.realtime.watchdog_process", ChildJob(plan, memory.fd, os.getpid()))
+    running.listens(watchdog.pid)
     life = ProcessMonitor(watchdog.pid)
     # It ends when its input is closed: by the kernel when we die.
     stand_in = subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True)

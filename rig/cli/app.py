@@ -182,17 +182,14 @@ def protocols() -> None:
 
 
 @app.command()
-def vent(rig: options.VentedRig = None) -> None:
-    """Vent every chamber of a rig, even if another process uses it; a running experiment ends.
+def vent(rig: options.VentedRig = None, everything: options.Everything = False) -> None:
+    """End and vent every running experiment of yours, then vent the rig that is named, whichever process uses it.
 
-    Without a rig, vent the rigs of this user's running experiments.
+    Simulated experiments are ended only where none runs on real devices, or with --all.
     """
-    from rig.realtime.scheduling import raise_priority
-
-    raise_priority()  # before the slow imports, so that a busy machine does not delay the valves
     from rig.cli.vent import vent as vent_rigs
 
-    vent_rigs(rig)
+    vent_rigs(rig, everything)
 
 
 @app.command(cls=NumericalCommand)

@@ -9,6 +9,7 @@ import typer
 
 from rig.cli import completion
 from rig.config.tip_controllers import KNOWN
+from rig.hardware import running
 
 
 def _rig(default: str) -> Any:
@@ -24,7 +25,8 @@ def _rig(default: str) -> Any:
 
 RigName = Annotated[str | None, _rig("$SOFTRIG_RIG, else ./softrig.yaml, else mock")]
 ExistingRig = Annotated[str | None, _rig("$SOFTRIG_RIG, else ./softrig.yaml, else none")]
-VentedRig = Annotated[str | None, _rig("$SOFTRIG_RIG, else ./softrig.yaml, else the running experiments")]
+VentedRig = Annotated[str | None, _rig("$SOFTRIG_RIG, else ./softrig.yaml, else none beside the running experiments")]
+Everything = Annotated[bool, typer.Option(running.ALL, help="Also simulated experiments beside those on real devices.")]
 RecordedRig = Annotated[str | None, _rig("the rig of the run")]
 ViewedRig = Annotated[str | None, _rig("none; --capture: as for rig run")]
 

@@ -1,61 +1,149 @@
-"""`rig vent`: vent a named rig, or the rigs of running experiments."""
+"""`rig vent`: ends and vents the running experiments, then the rig that is named.
+
+Nothing that is read from a file of the user comes before the first write, and nothing that cannot be read or vented
+keeps the rest from being vented.
+"""
 
 from __future__ import annotations
 
-import typer
+from contextlib import suppress
+from dataclasses import dataclass
 
-from rig.cli.exit_status import BAD_INPUT
-from rig.config.loader import load, named_rig
-from rig.config.schema import RigConfig
-from rig.hardware.cards.base import CardError
-from rig.hardware.lock import described, locked_devices, running_rigs
-from rig.hardware.vent import VentResult
-from rig.hardware.vent import vent as vent_rig
-from rig.simulator.plant_launcher import is_absent
+import typer
+from pydantic import ValidationError
+
+from rig.cli.exit_status import BAD_INPUT, FAULT
+from rig.config.bench import BenchConfig, VentedBench
+from rig.hardware.lock import described, locked_devices, outputs_of
+from rig.hardware.running import RunningRig, signalled
+from rig.hardware.vent import Venting, VentResult, results
 
 NOTHING = "nothing to vent: --rig, SOFTRIG_RIG or softrig.yaml here names no rig, and no experiment of this user runs"
 
 
-def vent(option: str | None) -> None:
-    """Vent the named rig, or else every rig of this user's running experiments.
+@dataclass(frozen=True)
+class _Rig:
+    """A rig whose venting has begun, and where it is known from."""
+
+    bench: BenchConfig
+    source: str
+    venting: Venting
+
+
+def vent(option: str | None, everything: bool = False) -> None:
+    """Vent the running experiments of this user and the named rig.
+
+    With `everything` also simulated experiments beside those on real devices.
 
     Raises:
-        BadInputError: the named rig is invalid.
-        CardError: a rig cannot be vented or does not stay vented; the other rigs are vented.
-        typer.Exit: status 2, there is nothing to vent.
+        typer.Exit: status 1, a rig could not be read or vented, the others are vented; 2, there is nothing to vent.
     """
-    if (chosen := named_rig(option)) is not None:
-        config = load(chosen.name)
-        if is_absent(config):
-            simulated = f"the simulated rig {config.name}, chosen by {chosen.source}, has never run"
-            typer.echo(f"nothing to vent: {simulated}", err=True)
-            raise typer.Exit(BAD_INPUT)
-        typer.echo(f"{_vented(config, vent_rig(config))}; rig chosen by {chosen.source}")
-        return
-    running = running_rigs()
-    if not running:
-        typer.echo(NOTHING, err=True)
+    rigs, problems = _running(everything)
+    nothing = ""
+    try:
+        named, unread, nothing = _named(option, rigs)
+        rigs += named
+        problems += unread
+    except Exception as error:  # no file of the user may keep a running experiment from being vented
+        problems.append(f"the rig that is named cannot be read: {error}")
+    for rig, result in zip(rigs, results(rig.venting for rig in rigs), strict=True):
+        if result.failures:
+            problems += [f"rig {rig.bench.name} ({rig.source}): {failure}" for failure in result.failures]
+        else:
+            typer.echo(f"{_vented(rig.bench, result)}; {rig.source}")
+    for problem in problems:
+        typer.echo(problem, err=True)
+    if problems:
+        raise typer.Exit(FAULT)
+    if nothing:
+        typer.echo(nothing, err=True)
+    if not rigs:
         for node, pid in locked_devices():
             typer.echo(f"{node} is held by {described(pid)}: name its rig with --rig", err=True)
         raise typer.Exit(BAD_INPUT)
-    failures = []
-    for held in running:
+
+
+def _running(everything: bool) -> tuple[list[_Rig], list[str]]:
+    """The running experiments, whose venting begins, and what cannot be read of them."""
+    told = signalled(simulated=everything)
+    rigs, problems = [], []
+    for run in told.runs:
         try:
-            vented = vent_rig(held.config)
-        except CardError as error:
-            failures.append(f"rig {held.config.name}: {error}")
-        else:
-            typer.echo(f"{_vented(held.config, vented)}; it was held by process {held.pid}, {held.purpose}")
-    if failures:
-        raise CardError("; ".join(failures))
+            bench = VentedBench.model_validate(run.bench)
+        except ValidationError as error:
+            reason = str(error).replace("\n", " ")
+            problems.append(_unread(run.process.pid, f"{run.purpose} on rig {run.rig}", reason))
+            continue
+        rigs.append(_begun(bench, _described(run), of_run=True))
+        _forget(run)
+    problems += [_unread(record.process.pid, f"record {record.file}", record.reason) for record in told.unreadable]
+    return rigs, problems
 
 
-def _vented(config: RigConfig, vented: VentResult) -> str:
+def _unread(pid: int, what: str, reason: str) -> str:
+    return (
+        f"NOT vented: {what} of process {pid} cannot be read ({reason}); the process was told to end. "
+        "Look at the gauge, and vent its rig with --rig"
+    )
+
+
+def _described(run: RunningRig) -> str:
+    ended = "" if run.process.alive else ", which has ended"
+    return f"it was held by process {run.process.pid}, {run.purpose}{ended}"
+
+
+def _forget(run: RunningRig) -> None:
+    """Remove the record of a run that was killed."""
+    if not run.process.alive and not any(process.alive for process in run.listeners):
+        with suppress(OSError):
+            run.file.unlink(missing_ok=True)
+
+
+def _begun(bench: BenchConfig, source: str, *, of_run: bool = False) -> _Rig:
+    venting = Venting(bench, of_run=of_run)
+    venting.begin()
+    return _Rig(bench, source, venting)
+
+
+def _named(option: str | None, running: list[_Rig]) -> tuple[list[_Rig], list[str], str]:
+    """The named rig, whose venting begins, what cannot be read of it, and what there is not to vent."""
+    # Imported here: the running experiments do not wait for it.
+    from protocols import BadInputError
+    from rig.config import vented_bench
+    from rig.config.loader import path_of, unread_named_rig
+    from rig.simulator.plant_launcher import is_absent
+
+    choice = unread_named_rig(option)
+    if choice is None:
+        return [], [], "" if running else NOTHING
+    source = f"rig chosen by {choice.source}"
+    try:
+        bench, unread = vented_bench.read(path_of(choice.name))
+    except BadInputError as bad:
+        return [], [f"NOT vented: {problem} ({source})" for problem in bad.problems], ""
+    problems = [f"NOT vented: {problem} ({source})" for problem in unread]
+    if bench is None:
+        return [], problems, ""
+    covered = {output for rig in running for output in outputs_of(rig.bench)}
+    if outputs_of(bench) <= covered:
+        return [], problems, ""
+    if is_absent(bench):
+        return (
+            [],
+            problems,
+            f"nothing to vent: the simulated rig {bench.name}, chosen by {choice.source}, has never run",
+        )
+    return [_begun(bench, source)], problems, ""
+
+
+def _vented(bench: BenchConfig, vented: VentResult) -> str:
+    if vented.gone:
+        return f"rig {bench.name} is simulated, and its cards do not exist: its run has ended, or had not made them"
     confirmation = f"; {vented.confirmation}" if vented.confirmation else ""
     if vented.unverified:
         gauge = confirmation or ": look at the gauge"
         cards = f"card {', '.join(vented.unverified)} has no read-back"
-        return f"every output of rig {config.name} was commanded to vent; {cards}{gauge}"
-    mock = all(card.simulated for card in config.cards.values())
+        return f"every output of rig {bench.name} was commanded to vent; {cards}{gauge}"
+    mock = all(card.simulated for card in bench.cards.values())
     simulated = " (simulated: no hardware was touched)" if mock else ""
-    return f"every chamber of rig {config.name} is open to the exhaust{simulated}{confirmation}"
+    return f"every chamber of rig {bench.name} is open to the exhaust{simulated}{confirmation}"

@@ -56,15 +56,23 @@ def named_rig(option: str | None) -> RigChoice | None:
         BadInputError: the variable names no rig, or the file of variable or folder is no YAML mapping; the message says
             what chose it.
     """
+    choice = unread_named_rig(option)
+    match choice:
+        case RigChoice(source=Source.ENVIRONMENT):
+            return _readable(choice, f"chosen by {VARIABLE}")
+        case RigChoice(source=Source.FOLDER):
+            return _readable(choice, f"chosen because neither {Source.OPTION} nor {VARIABLE} names a rig")
+    return choice
+
+
+def unread_named_rig(option: str | None) -> RigChoice | None:
+    """Return the rig of a command as `named_rig` does, without a look at its file."""
     if option is not None:
         return RigChoice(option, Source.OPTION)
     if name := os.environ.get(VARIABLE, ""):
-        return _readable(RigChoice(name, Source.ENVIRONMENT), f"chosen by {VARIABLE}")
+        return RigChoice(name, Source.ENVIRONMENT)
     # A broken link also counts: it must raise an error instead of selecting the simulated rig.
-    if os.path.lexists(HERE):
-        choice = RigChoice(os.fspath(HERE), Source.FOLDER)
-        return _readable(choice, f"chosen because neither {Source.OPTION} nor {VARIABLE} names a rig")
-    return None
+    return RigChoice(os.fspath(HERE), Source.FOLDER) if os.path.lexists(HERE) else None
 
 
 def _readable(choice: RigChoice, why: str) -> RigChoice:

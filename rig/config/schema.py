@@ -13,39 +13,35 @@ from pydantic.json_schema import SkipJsonSchema
 from protocols import arguments
 from protocols.validation import faults
 from rig.config import consistency
+from rig.config.bench import BenchConfig
 from rig.config.board_sections import AnyBoard, MeasuredSection
-from rig.config.card_sections import AnyCard
-from rig.config.input_sections import AuxiliaryInput, EmergencyStop
 from rig.config.metadata import Metadata
-from rig.config.sections import AnyCamera, ArmConfig, CameraConfig, ModelConfig, Recording, Sensor, TipControlSection
+from rig.config.sections import (
+    AnyCamera,
+    ArmConfig,
+    CameraConfig,
+    CameraTrigger,
+    ModelConfig,
+    Recording,
+    Sensor,
+    TipControlSection,
+)
 from rig.config.simulator_sections import Simulator
 from rig.config.tracker_sections import AnyTracker, TrackerConfig
 from rig.config.uncertainties import Uncertainties
-from rig.sections.base import Section
 from rig.sections.control import Control, Limits
-from rig.sections.quantities import Name, Named, NamedOrNone, Word
-from rig.valves.registry import Valve
+from rig.sections.quantities import Named, NamedOrNone, Word
 
 
-class RigConfig(Section):
-    """One bench."""
+class RigConfig(BenchConfig):
+    """One rig: its bench, and everything about the arm, its measurement and its model."""
 
-    name: Name
     description: str = ""
     calibrations: tuple[Word, ...] = Field(
         default=(), description="files of `rig calibrate`, from this file's folder: they replace what is stated here"
     )
     metadata: Metadata = Metadata()
-    cards: Named[AnyCard]
-    valves: Annotated[tuple[Valve, ...], Field(min_length=1)]
     sensors: Annotated[tuple[Sensor, ...], Field(min_length=1)]
-    inputs: NamedOrNone[AuxiliaryInput] = Field(
-        default_factory=dict, description="quantities recorded beside the pressures"
-    )
-    emergency_stops: NamedOrNone[EmergencyStop] = Field(
-        default_factory=dict,
-        description="normally-closed contacts: one that opens ends the run and vents every chamber",
-    )
     limits: Limits
     control: Control
     cameras: Named[AnyCamera] = Field(
@@ -87,9 +83,8 @@ class RigConfig(Section):
         return [valve.actuators[0] - 1 for valve in self.valves]
 
     @property
-    def sensors_by_actuator(self) -> list[Sensor]:
-        """The pressure sensors in the order of their actuators."""
-        return sorted(self.sensors, key=lambda sensor: sensor.actuator)
+    def trigger_outputs(self) -> tuple[CameraTrigger, ...]:
+        return tuple(camera.trigger for camera in self.cameras.values() if camera.trigger is not None)
 
     @property
     def observation_hz(self) -> float:
@@ -142,11 +137,6 @@ class RigConfig(Section):
         """True when a device of the rig belongs to the simulated bench."""
         cards = any(card.is_mock for card in self.cards.values())
         return cards or any(source.is_mock for source in self.tip_sources)
-
-    @property
-    def has_real_valves(self) -> bool:
-        """True when a card of the rig is real hardware."""
-        return any(not card.is_mock for card in self.cards.values())
 
     @property
     def as_built(self) -> RigConfig:

@@ -1,14 +1,18 @@
-"""SIGINT, SIGTERM and SIGHUP as a stop request that the run polls, instead of an asynchronous exception."""
+"""Stop signals and that of `rig vent` as a request that the run polls, instead of an asynchronous exception."""
 
 from __future__ import annotations
 
 import signal
 from types import FrameType
 
+VENT_SIGNAL = signal.SIGUSR1
+"""Tells a process that listens to it to vent; the default action of this signal would end any other process."""
+VENTED = "vented by `rig vent`"
 _MEANING = {
     signal.SIGINT: "by the operator (Ctrl-C)",
     signal.SIGTERM: "by SIGTERM",
     signal.SIGHUP: "the terminal was closed (SIGHUP)",
+    VENT_SIGNAL: VENTED,
 }
 
 

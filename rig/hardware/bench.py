@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.config.bench import BenchConfig
 from rig.config.input_sections import AuxiliaryInput
-from rig.config.schema import RigConfig
 from rig.config.sections import Sensor
 from rig.hardware.cards.base import Card, CardError, DigitalInputCard, Scans, SelfClockedCard, card_setup, open_cards
 from rig.hardware.driver_calls import as_error
@@ -54,7 +54,7 @@ class BenchScans:
 class Bench(SafeOutputs):
     """The open cards of a rig: outputs that can be made safe, and inputs. Methods may raise `CardError`."""
 
-    def __init__(self, config: RigConfig, cards: Mapping[str, Card]) -> None:
+    def __init__(self, config: BenchConfig, cards: Mapping[str, Card]) -> None:
         """`cards` are open, by their names in the rig, set up by `card_setup`.
 
         A part of them suffices: signals of the others are NaN.
@@ -179,7 +179,7 @@ class Bench(SafeOutputs):
         return bool(np.all(np.abs(stands - self.vent_outputs)[off] <= self.output_tolerance[off]))
 
 
-def open_bench(config: RigConfig, *, by_instruction: bool = False) -> Bench:
+def open_bench(config: BenchConfig, *, by_instruction: bool = False) -> Bench:
     """Open every card of the rig; with `by_instruction` a card that could sample by its own clock does not.
 
     Raises:
@@ -189,7 +189,7 @@ def open_bench(config: RigConfig, *, by_instruction: bool = False) -> Bench:
     return Bench(config, open_cards(config, setups))
 
 
-def _digital_cards(config: RigConfig, cards: Mapping[str, Card]) -> dict[str, DigitalInputCard]:
+def _digital_cards(config: BenchConfig, cards: Mapping[str, Card]) -> dict[str, DigitalInputCard]:
     """The open cards that have emergency stops. Raises CardError for a driver that reads no digital inputs."""
     found: dict[str, DigitalInputCard] = {}
     for stop, section in config.emergency_stops.items():

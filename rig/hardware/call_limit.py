@@ -26,6 +26,11 @@ def within(call: Callable[[], T], limit_s: float = LONGEST_CALL_S, alive: Callab
         CardError: the call has not returned within `limit_s`.
         Exception: any that `call` raises.
     """
+    return awaited(begun(call), limit_s, alive)
+
+
+def begun(call: Callable[[], T]) -> Future[T]:
+    """Begin a call in a daemon thread of its own; `awaited` returns what it returns."""
     future: Future[T] = Future()
 
     def run() -> None:
@@ -35,9 +40,14 @@ def within(call: Callable[[], T], limit_s: float = LONGEST_CALL_S, alive: Callab
             future.set_exception(error)
 
     threading.Thread(target=run, name="driver", daemon=True).start()
+    return future
+
+
+def awaited(future: Future[T], limit_s: float, alive: Callable[[], None] = lambda: None) -> T:
+    """Return what a call that has begun returns; raises as `within`."""
     until = time.monotonic() + limit_s
     while not wait([future], _POLL_S).done:
         alive()
         if time.monotonic() > until:
-            raise CardError(f"the driver of a card has not returned within {limit_s:g} s")
+            raise CardError(f"the driver of a card has not returned within {limit_s:.3g} s")
     return future.result()

@@ -9,36 +9,24 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import json
 import os
 import pwd
 import stat
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from rig.config.bench import BenchConfig, VentedBench
 from rig.config.card_sections import CardConfig
-from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.cards.kernel_devices import boards_called
-from rig.hardware.runtime_folder import open_private, runtime_folder, subfolder
+from rig.hardware.running import recorded
+from rig.hardware.runtime_folder import open_private, runtime_folder
 
 LOCKS = Path("/proc/locks")
-_RECORDS = "rigs"
-_MOST_BYTES = 1_000_000
 _COMMAND_LENGTH = 120
-
-
-@dataclass(frozen=True)
-class RunningRig:
-    """A rig whose cards a process of this user holds."""
-
-    pid: int
-    purpose: str
-    config: RigConfig
 
 
 def lock_file(card: CardConfig) -> Path:
@@ -47,8 +35,7 @@ def lock_file(card: CardConfig) -> Path:
     Raises:
         OSError: this user's runtime folder cannot be made.
     """
-    device = card.device if card.is_mock else os.fspath(device_node(card))
-    name = "".join(c if c.isalnum() else "-" for c in f"{card.driver}-{device}")
+    name = "".join(c if c.isalnum() else "-" for c in f"{card.driver}-{device_of(card)}")
     return runtime_folder() / f"{name}.lock"
 
 
@@ -60,7 +47,18 @@ def device_node(card: CardConfig) -> Path:
     return Path(found[0].node if len(found) == 1 else card.device)
 
 
-def holders(config: RigConfig) -> tuple[int, ...]:
+def outputs_of(config: BenchConfig) -> set[tuple[str, str, int]]:
+    """The outputs of the valves of a rig, each by driver, device and channel; the same for every name of the card."""
+    cards = {name: (card.driver, device_of(card)) for name, card in config.cards.items()}
+    return {(*cards[valve.card], valve.channel) for valve in config.valves}
+
+
+def device_of(card: CardConfig) -> str:
+    """The device of a card; the same for every name of it."""
+    return card.device if card.is_mock else os.fspath(device_node(card))
+
+
+def holders(config: BenchConfig) -> tuple[int, ...]:
     """Processes, of any user, that hold the lock of a card of the rig, as far as this process can see them."""
     files = set()
     for path in (place for card in config.cards.values() for place in _places(card)):
@@ -69,7 +67,7 @@ def holders(config: RigConfig) -> tuple[int, ...]:
     return tuple(sorted({pid for pid, file in _locks() if file in files}))
 
 
-def held_by_unseen(config: RigConfig) -> bool:
+def held_by_unseen(config: BenchConfig) -> bool:
     """True if a card is locked by a process that this one cannot see, such as one in another container."""
     if holders(config):
         return False
@@ -110,44 +108,22 @@ def described(pid: int) -> str:
 
 
 @contextmanager
-def cards_locked(config: RigConfig, purpose: str) -> Iterator[None]:
-    """Lock every card of the rig and register it for `running_rigs`.
+def cards_locked(config: BenchConfig, purpose: str) -> Iterator[None]:
+    """Lock every card of the rig, and record the run for `rig vent`.
 
     Raises:
         CardError: another run holds a card; the message names the process and its start time.
     """
     held: list[int] = []
-    record: Path | None = None
     try:
         for name, card in sorted(config.cards.items()):
             _lock(name, card, config, held)
-        record = _recorded(config, purpose)
-        yield
+        bench = VentedBench.of(config).model_dump(mode="json", exclude_none=True)
+        with recorded(purpose, config.name, simulated=not config.has_real_valves, bench=bench):
+            yield
     finally:
-        if record is not None:
-            with suppress(OSError):
-                record.unlink()
         for descriptor in held:
             os.close(descriptor)
-
-
-def running_rigs() -> tuple[RunningRig, ...]:
-    """The rigs whose cards are held by processes of this user."""
-    found = []
-    try:
-        records = sorted(subfolder(_RECORDS).glob("*.json"))
-    except OSError:
-        return ()
-    for record in records:
-        with suppress(OSError, ValueError, KeyError, TypeError):
-            pid = int(record.stem)
-            descriptor = open_private(record, os.O_RDONLY)
-            with os.fdopen(descriptor, "rb") as file:
-                facts = json.loads(file.read(_MOST_BYTES))
-            running = RunningRig(pid, str(facts["purpose"]), RigConfig.model_validate_json(json.dumps(facts["rig"])))
-            if pid in holders(running.config):
-                found.append(running)
-    return tuple(found)
 
 
 def locked_devices() -> tuple[tuple[Path, int], ...]:
@@ -169,7 +145,7 @@ def _places(card: CardConfig) -> tuple[Path, ...]:
     return tuple(places)
 
 
-def _lock(name: str, card: CardConfig, config: RigConfig, held: list[int]) -> None:
+def _lock(name: str, card: CardConfig, config: BenchConfig, held: list[int]) -> None:
     """Lock one card; the descriptors that must stay open are added to `held`."""
     try:
         path = lock_file(card)
@@ -208,7 +184,7 @@ def _open_node(name: str, node: Path) -> int:
     return descriptor
 
 
-def _take(descriptor: int, name: str, card: CardConfig, config: RigConfig) -> None:
+def _take(descriptor: int, name: str, card: CardConfig, config: BenchConfig) -> None:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -218,21 +194,6 @@ def _take(descriptor: int, name: str, card: CardConfig, config: RigConfig) -> No
             f"card '{name}' ({card.device}) is in use by another run: {by}. "
             "Wait for it to end, stop it, or make everything safe with `rig vent --rig` and this rig."
         ) from None
-
-
-def _recorded(config: RigConfig, purpose: str) -> Path | None:
-    """Write the file that `running_rigs` reads; None if it cannot be written, which does not prevent a run."""
-    with suppress(OSError):
-        folder = subfolder(_RECORDS)
-        for old in folder.glob("*.json"):
-            if not Path("/proc", old.stem).exists():
-                old.unlink(missing_ok=True)  # its process was killed
-        path = folder / f"{os.getpid()}.json"
-        path.unlink(missing_ok=True)
-        with os.fdopen(open_private(path, os.O_RDWR | os.O_CREAT | os.O_EXCL), "w", encoding="utf-8") as file:
-            json.dump({"purpose": purpose, "rig": config.model_dump(mode="json", exclude_none=True)}, file)
-        return path
-    return None
 
 
 def _locks() -> Iterator[tuple[int, tuple[int, int, int]]]:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import stat
-import tempfile
 from contextlib import suppress
 from pathlib import Path
 
@@ -36,7 +35,11 @@ def runtime_folder() -> Path:
             return folder
     with suppress(FileExistsError):
         usual.mkdir(mode=_MODE)
-    return usual if is_private(usual) else Path(tempfile.mkdtemp(prefix=f"{name}.", dir=BASE))
+    if is_private(usual):
+        return usual
+    import tempfile  # rarely needed, and slow to load for `rig vent`
+
+    return Path(tempfile.mkdtemp(prefix=f"{name}.", dir=BASE))
 
 
 def is_private(folder: Path) -> bool:

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config.schema import RigConfig
+from rig.config.bench import BenchConfig
 from rig.hardware.cards.base import Card, CardBusyError, CardError, DigitalOutputCard, card_setup, open_cards
 from rig.hardware.driver_calls import as_error, release
 
@@ -28,7 +28,7 @@ RETRY_S = 0.002
 """Pause between attempts to write the safe state."""
 
 
-def safe_outputs(config: RigConfig, *, vent: bool = False) -> tuple[float, ...]:
+def safe_outputs(config: BenchConfig, *, vent: bool = False) -> tuple[float, ...]:
     """The safe output of each valve: vented, or held where the rig file says so and `vent` is false."""
     return tuple(valve.safe_output(vent=vent) for valve in config.valves)
 
@@ -43,7 +43,7 @@ def armed_sentence(unverified: int) -> str:
 class SafeOutputs:
     """Open cards of a rig, as outputs that can be made safe. Methods may raise `CardError`."""
 
-    def __init__(self, config: RigConfig, cards: Mapping[str, Card]) -> None:
+    def __init__(self, config: BenchConfig, cards: Mapping[str, Card]) -> None:
         """`cards` are open, by their names in the rig, set up by `card_setup`; they may be some of the rig's."""
         self._cards, self._valves = cards, config.valves
         self.safe_outputs: NDArray[np.float64] = np.array(safe_outputs(config))
@@ -132,7 +132,7 @@ class SafeOutputs:
         release(self._cards.values())
 
 
-def open_outputs(config: RigConfig, *names: str) -> SafeOutputs:
+def open_outputs(config: BenchConfig, *names: str) -> SafeOutputs:
     """Open cards of a rig for their outputs only; control may use the inputs of the same cards.
 
     Raises:
@@ -142,7 +142,7 @@ def open_outputs(config: RigConfig, *names: str) -> SafeOutputs:
     return SafeOutputs(config, open_cards(config, setups))
 
 
-def cards_with_outputs(config: RigConfig) -> tuple[str, ...]:
+def cards_with_outputs(config: BenchConfig) -> tuple[str, ...]:
     """Names of the cards that drive valves or trigger cameras."""
     setups = {name: card_setup(config, name) for name in config.cards}
     return tuple(name for name, setup in setups.items() if setup.outputs or setup.digital_outputs)
@@ -167,7 +167,7 @@ def failure_of(write: Callable[[], None], patience_s: float = 0.0) -> str:
             return ""
 
 
-def make_safe(config: RigConfig, *, vent: bool) -> None:
+def make_safe(config: BenchConfig, *, vent: bool) -> None:
     """Open every card of a rig and write its safe state, also if another card fails.
 
     Raises:
@@ -186,7 +186,7 @@ def make_safe(config: RigConfig, *, vent: bool) -> None:
         raise CardError("; ".join(map(str, failures)))
 
 
-def unsafe_output(config: RigConfig) -> str:
+def unsafe_output(config: BenchConfig) -> str:
     """Open every card and return a message about a valve that is neither safe nor vented.
 
     Empty if there is none, or if a card cannot be opened or has no read-back.
@@ -204,7 +204,7 @@ class WatchdogOutputs:
     Such a card is open in control, so the watchdog can write only once control is dead.
     """
 
-    def __init__(self, config: RigConfig) -> None:
+    def __init__(self, config: BenchConfig) -> None:
         """Test whether two processes can open the cards at once; control must not have opened them yet.
 
         Raises:
@@ -238,7 +238,7 @@ class WatchdogOutputs:
             self._outputs.close()
 
 
-def _trigger_cards(config: RigConfig, cards: Mapping[str, Card]) -> dict[str, DigitalOutputCard]:
+def _trigger_cards(config: BenchConfig, cards: Mapping[str, Card]) -> dict[str, DigitalOutputCard]:
     """The open cards that trigger cameras. Raises CardError for a driver that writes no digital outputs."""
     found: dict[str, DigitalOutputCard] = {}
     for name, card in cards.items():

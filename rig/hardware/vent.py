@@ -1,4 +1,4 @@
-"""Vents a rig from another process, in every state of its run."""
+"""Vents rigs from another process, in every state of their runs."""
 
 from __future__ import annotations
 
@@ -6,13 +6,17 @@ import contextlib
 import os
 import signal
 import time
-from dataclasses import dataclass
+from collections.abc import Iterable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from functools import partial
 
-from rig.config.schema import RigConfig
-from rig.hardware.cards.base import CardBusyError, CardError
+from rig.config.bench import BenchConfig
+from rig.hardware.call_limit import LONGEST_CALL_S, awaited, begun, within
+from rig.hardware.cards.base import AbsentCardError, CardBusyError, CardError
 from rig.hardware.lock import described, held_by_unseen, holders
 from rig.hardware.safe_state import SafeOutputs, cards_with_outputs, open_outputs, safe_outputs
-from rig.hardware.vent_verification import LONGEST_VENTING_S, verify_venting
+from rig.hardware.vent_verification import LONGEST_VENTING_S, UNCONFIRMED, verify_venting
 
 REPEATED_S = 0.25
 NOTICED_S = 0.1
@@ -21,120 +25,204 @@ PAUSE_S = 0.002
 PATIENCE_S = 0.5
 """How long a process may keep the card: a watchdog needs a moment, another `rig vent` 0.25 s."""
 FREED_S = 2.0
+"""How long a card that admits one process is awaited: its holder gets SIGTERM, and is killed after PATIENCE_S."""
 ENDED_S = 3.0
+"""How long the end of a run is awaited: more than control and watchdog take to make the valves safe."""
 LOOK_S = 0.02
 _STOP_IT = "it may move the valves again; shut the air off, and stop it as its user or as root"
 
 
 @dataclass(frozen=True)
 class VentResult:
-    """A vented rig: the cards without read-back, and how the pressures confirm it; empty for a simulated card."""
+    """What came of venting a rig.
 
-    unverified: tuple[str, ...]
+    The cards without read-back, how the pressures confirm it (empty for a simulated card), and what has failed.
+    `gone`: the cards were simulated by a run that has ended, or that has not made them.
+    """
+
+    unverified: tuple[str, ...] = ()
     confirmation: str = ""
+    failures: tuple[str, ...] = ()
+    gone: bool = False
 
 
-def vent(config: RigConfig) -> VentResult:
-    """Write the vented state to every card repeatedly, for longer than a control period; watch the chambers empty.
-
-    A running experiment detects the external write and ends; a write of its current cycle is overwritten. A run that
-    has not begun, has stalled, or whose valves are vented already, gets SIGTERM. A run with a card that allows one
-    process only gets SIGTERM at once, and a process that still has the card after that is killed. If the safe state
-    holds valves, the end of the run is awaited.
+def vent(config: BenchConfig) -> VentResult:
+    """Vent a rig; see `Venting`.
 
     Raises:
         CardError: a card cannot be opened or written, an output does not keep its value, a camera trigger cannot be
             set low, the pressures do not confirm it, or a process that holds the rig continues and cannot be signalled;
             the other cards are vented nevertheless.
     """
-    running = bool(holders(config))
-    unsignalled: set[int] = set()
-    unverified, failures = _vent(config, unsignalled)
-    if running and safe_outputs(config) != safe_outputs(config, vent=True):
-        # After a killed process the watchdog writes the safe state, which holds valves.
-        _wait_for_end(config, set(holders(config)))
-        unverified, failures = _vent(config, unsignalled)
-    if staying := _wait_for_end(config, unsignalled):
-        failures += [f"{described(pid)} still runs and cannot be stopped: {_STOP_IT}" for pid in staying]
-    elif held_by_unseen(config):
-        failures.append(f"a process that this one cannot see, as in a container, holds the rig: {_STOP_IT}")
-    if failures:
-        raise CardError("; ".join(failures))
-    return VentResult(unverified, _confirmation(config))
+    venting = Venting(config)
+    venting.begin()
+    (result,) = results([venting])
+    if result.failures:
+        raise CardError("; ".join(result.failures))
+    return result
 
 
-def _confirmation(config: RigConfig) -> str:
-    """How the pressures confirm that the chambers are empty; raises CardError where they do not."""
-    if all(card.is_mock for card in config.cards.values()):
-        return ""  # the pressures of a simulated card exist during a run only, which confirms them itself
-    # A run that ends reads its inputs until its chambers are empty, and so reports them, too.
-    until = time.monotonic() + LONGEST_VENTING_S
-    while holders(config) and time.monotonic() < until:
-        time.sleep(LOOK_S)
-    outcome = verify_venting(config, vent=True)
-    if not outcome.confirmed:
-        raise CardError(outcome.sentence)
-    return outcome.sentence
+def results(rigs: Iterable[Venting]) -> list[VentResult]:
+    """The results of rigs whose venting has begun: every rig is written before the first is confirmed."""
+    begun_rigs = list(rigs)
+    for rig in begun_rigs:
+        rig.finish_writing()
+    for rig in begun_rigs:
+        rig.vent_held_valves()
+    return [rig.result() for rig in begun_rigs]
 
 
-def _wait_for_end(config: RigConfig, pids: set[int]) -> set[int]:
-    """Wait until these processes release the rig, with a time-out; return those that have not."""
-    until = time.monotonic() + ENDED_S
-    while (staying := pids & set(holders(config))) and time.monotonic() < until:
-        time.sleep(LOOK_S)
-    return staying
+class Venting:
+    """The venting of one rig: writes the vented state to every card repeatedly, for longer than a control period.
 
-
-def _vent(config: RigConfig, unsignalled: set[int]) -> tuple[tuple[str, ...], list[str]]:
-    """Vent for REPEATED_S; return the cards without read-back, and the failures of cards and outputs.
-
-    Holders that this user may not signal are added to `unsignalled`.
+    A running experiment detects the external write and ends; a write of its current cycle is overwritten. A run that
+    has not begun, has stalled, or whose valves are vented already, gets SIGTERM. A run with a card that allows one
+    process only gets SIGTERM at once, and a process that still has the card after that is killed. If the safe state
+    holds valves, the end of the run is awaited. Each card has a thread: one that is missing, in use or hangs does not
+    delay the others.
     """
-    opened: list[SafeOutputs] = []
-    unverified: list[str] = []
-    failures: list[str] = []
-    try:
-        _open(config, opened, failures, unsignalled)
-        _vent_repeatedly(opened, NOTICED_S)
-        unsignalled |= _request_end(config)
-        _vent_repeatedly(opened, REPEATED_S - NOTICED_S)
-        for outputs in opened:
+
+    def __init__(self, config: BenchConfig, *, of_run: bool = False) -> None:
+        """`of_run`: the rig is that of a run, which may have ended since."""
+        self._config = config
+        self._running = bool(holders(config))
+        self._of_run = of_run or self._running
+        self._unsignalled: set[int] = set()
+        self._cards: dict[str, Future[_CardOutcome]] = {}
+        self._began = time.monotonic()
+        self._outcomes: dict[str, _CardOutcome] = {}
+
+    def begin(self) -> None:
+        """Begin to write to every card; does not wait."""
+        self._began = time.monotonic()
+        for name in cards_with_outputs(self._config):
+            self._cards[name] = begun(partial(self._vent_card, name))
+
+    def finish_writing(self) -> None:
+        """Wait until every card has been written and read back, or has failed."""
+        for name, card in self._cards.items():
             try:
-                unverified += outputs.arm(vent=True)
+                outcome = awaited(card, max(0.1, self._began + LONGEST_CALL_S - time.monotonic()))
+            except Exception as error:  # whatever a driver raises: the other cards are vented
+                outcome = _CardOutcome(failures=(f"card {name}: {error}",))
+            self._outcomes[name] = outcome
+        self._request_end()
+
+    def vent_held_valves(self) -> None:
+        """Wait for the end of a run whose safe state holds valves, and vent again.
+
+        After a killed process the watchdog writes the safe state.
+        """
+        if self._running and safe_outputs(self._config) != safe_outputs(self._config, vent=True):
+            self._wait_for_end(set(holders(self._config)))
+            self.begin()
+            self.finish_writing()
+
+    def result(self) -> VentResult:
+        """What came of it, confirmed by the pressures of a real rig."""
+        outcomes = self._outcomes.values()
+        failures = [failure for outcome in outcomes for failure in outcome.failures]
+        if staying := self._wait_for_end(self._unsignalled):
+            failures += [f"{described(pid)} still runs and cannot be stopped: {_STOP_IT}" for pid in sorted(staying)]
+        elif held_by_unseen(self._config):
+            failures.append(f"a process that this one cannot see, as in a container, holds the rig: {_STOP_IT}")
+        unverified = tuple(name for outcome in outcomes for name in outcome.unverified)
+        if failures:
+            return VentResult(unverified, failures=tuple(failures))
+        if all(outcome.absent for outcome in outcomes):
+            return VentResult(gone=True)
+        try:
+            return VentResult(unverified, _confirmation(self._config))
+        except CardError as error:
+            return VentResult(unverified, failures=(str(error),))
+
+    def _vent_card(self, name: str) -> _CardOutcome:
+        """Vent one card for REPEATED_S and read it back."""
+        try:
+            outputs = self._opened(name)
+        except CardError as error:
+            return _CardOutcome(failures=(str(error),))
+        if outputs is None:
+            return _CardOutcome(absent=True)
+        try:
+            _vent_repeatedly(outputs, NOTICED_S)
+            self._request_end()
+            _vent_repeatedly(outputs, REPEATED_S - NOTICED_S)
+            failures = []
+            unverified: tuple[str, ...] = ()
+            try:
+                unverified = outputs.arm(vent=True)
             except CardError as error:
                 failures.append(str(error))
             if outputs.trigger_failure:
                 failures.append(outputs.trigger_failure)
-    finally:
-        for outputs in opened:
+            return _CardOutcome(unverified, tuple(failures))
+        finally:
             outputs.close()
-    return tuple(unverified), failures
 
-
-def _open(config: RigConfig, opened: list[SafeOutputs], failures: list[str], unsignalled: set[int]) -> None:
-    """Open every card and vent it at once; a card that is missing or in use does not delay the others."""
-    began = time.monotonic()
-    seen: dict[int, float] = {}
-    requested = False
-    closed = list(cards_with_outputs(config))
-    while closed:
-        for card in tuple(closed):
+    def _opened(self, name: str) -> SafeOutputs | None:
+        """Open a card; None for a simulated card of a run that has ended. Raises CardError."""
+        seen: dict[int, float] = {}
+        requested = False
+        while True:
+            waited_s = time.monotonic() - self._began
             try:
-                opened.append(open_outputs(config, card))
+                return open_outputs(self._config, name)
+            except AbsentCardError:
+                if not self._of_run or waited_s > ENDED_S:
+                    raise
+                if not holders(self._config):
+                    return None
             except CardBusyError as busy:
-                if time.monotonic() - began < FREED_S:
-                    if not requested:
-                        requested = True
-                        unsignalled |= _request_end(config)
-                    _kill_overdue(busy.holders, seen)
-                    continue
-                failures.append(str(busy))
-            except CardError as error:
-                failures.append(str(error))
-            closed.remove(card)
-        _vent_repeatedly(opened, 0.0)
-        if closed:
+                if waited_s > FREED_S:
+                    raise
+                _kill_overdue(busy.holders, seen)
+            if not requested:
+                requested = True
+                self._request_end()
             time.sleep(PAUSE_S)
+
+    def _request_end(self) -> None:
+        """Send SIGTERM to the holders of the rig; note those that this user may not signal."""
+        for holder in holders(self._config):
+            try:
+                os.kill(holder, signal.SIGTERM)
+            except ProcessLookupError:
+                continue
+            except PermissionError:
+                self._unsignalled.add(holder)
+
+    def _wait_for_end(self, pids: set[int]) -> set[int]:
+        """Wait until these processes release the rig, with a time-out; return those that have not."""
+        until = time.monotonic() + ENDED_S
+        while (staying := pids & set(holders(self._config))) and time.monotonic() < until:
+            time.sleep(LOOK_S)
+        return staying
+
+
+@dataclass(frozen=True)
+class _CardOutcome:
+    """What came of venting a card; `absent`: a simulated card of a run that has ended."""
+
+    unverified: tuple[str, ...] = field(default=())
+    failures: tuple[str, ...] = ()
+    absent: bool = False
+
+
+def _confirmation(config: BenchConfig) -> str:
+    """How the pressures confirm that the chambers are empty; raises CardError where they do not."""
+    if not config.has_real_valves:
+        return ""  # the pressures of a simulated card exist during a run only, which confirms them itself
+    if not config.sensors:
+        raise CardError(f"{UNCONFIRMED}: the rig file states no sensor for each actuator that can be read")
+    # A run that ends reads its inputs until its chambers are empty, and so reports them, too.
+    until = time.monotonic() + LONGEST_VENTING_S
+    while holders(config) and time.monotonic() < until:
+        time.sleep(LOOK_S)
+    outcome = within(lambda: verify_venting(config, vent=True), LONGEST_VENTING_S + LONGEST_CALL_S)
+    if not outcome.confirmed:
+        raise CardError(outcome.sentence)
+    return outcome.sentence
 
 
 def _kill_overdue(holders: tuple[int, ...], seen: dict[int, float]) -> None:
@@ -146,25 +234,11 @@ def _kill_overdue(holders: tuple[int, ...], seen: dict[int, float]) -> None:
                 os.kill(holder, signal.SIGKILL)
 
 
-def _request_end(config: RigConfig) -> set[int]:
-    """Send SIGTERM to the holders of the rig; return those that this user may not signal."""
-    refused = set()
-    for holder in holders(config):
-        try:
-            os.kill(holder, signal.SIGTERM)
-        except ProcessLookupError:
-            continue
-        except PermissionError:
-            refused.add(holder)
-    return refused
-
-
-def _vent_repeatedly(opened: list[SafeOutputs], seconds: float) -> None:
+def _vent_repeatedly(outputs: SafeOutputs, seconds: float) -> None:
     until = time.monotonic() + seconds
     while True:
-        for outputs in opened:
-            with contextlib.suppress(CardError):  # the final `arm` reports failures
-                outputs.make_safe(vent=True)
+        with contextlib.suppress(CardError):  # the final `arm` reports failures
+            outputs.make_safe(vent=True)
         if time.monotonic() >= until:
             return
         time.sleep(PAUSE_S)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.units import PA_PER_BAR
-from rig.config.schema import RigConfig
+from rig.config.bench import BenchConfig
 from rig.hardware.bench import Bench, BenchScans, open_bench
 from rig.hardware.cards.base import CardError
 
@@ -58,7 +58,7 @@ class VentVerification:
 
     def __init__(
         self,
-        config: RigConfig,
+        config: BenchConfig,
         bench: Bench | _OpenedBench,
         *,
         vent: bool = False,
@@ -180,7 +180,7 @@ class VentVerification:
         )
 
 
-def verify_venting(config: RigConfig, *, vent: bool, patience_s: float = VENTING_S) -> VentOutcome:
+def verify_venting(config: BenchConfig, *, vent: bool, patience_s: float = VENTING_S) -> VentOutcome:
     """Open a rig whose safe state has been written and watch its chambers vent.
 
     For a process that does not sample itself. A card that cannot be opened, because another process still has it, is
@@ -205,7 +205,7 @@ def real_time(alive: Callable[[], None]) -> Iterator[float]:
 class _OpenedBench:
     """The pressures of a rig that is opened at the first reading that succeeds."""
 
-    def __init__(self, config: RigConfig) -> None:
+    def __init__(self, config: BenchConfig) -> None:
         self._config = config
         self._bench: Bench | None = None
 

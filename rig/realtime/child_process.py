@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from rig.execution.plan import RunPlan
+from rig.execution.stop_signals import VENT_SIGNAL
+from rig.hardware.running import vent_signal_held_back
 from rig.hardware.vent_verification import VentOutcome
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.shared_state import SharedState, Stop
@@ -40,12 +42,19 @@ def spawn(module: str, job: ChildJob) -> subprocess.Popen[bytes]:
     with os.fdopen(os.memfd_create("softrig-job"), "w+b") as file:
         pickle.dump(job, file)
         file.seek(0)
-        return subprocess.Popen(
-            [sys.executable, "-P", "-X", "faulthandler", "-m", module],
-            stdin=file,
-            pass_fds=[job.fd],
-            start_new_session=True,
-        )
+        with vent_signal_held_back():
+            return subprocess.Popen(
+                [sys.executable, "-P", "-X", "faulthandler", "-m", module],
+                stdin=file,
+                pass_fds=[job.fd],
+                start_new_session=True,
+            )
+
+
+def vent_at_signal(memory: SharedState) -> None:
+    """In a child that writes to the cards: vent at the signal of `rig vent`, also at one that came while it loaded."""
+    signal.signal(VENT_SIGNAL, lambda *_: memory.request_stop(Stop.VENT_COMMAND))
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {VENT_SIGNAL})
 
 
 def ended_within(process: subprocess.Popen[bytes], timeout_s: float) -> bool:

@@ -23,6 +23,7 @@ from rig.realtime.child_process import (
     receive_job,
     report_end,
     supervisor_monitor,
+    vent_at_signal,
 )
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
@@ -46,6 +47,7 @@ def main() -> int:
     """Arm, run, write the safe state; the valves are safe before anything is reported."""
     job, memory = receive_job()
     signal.signal(signal.SIGTERM, lambda *_: memory.request_stop(Stop.TERMINATED))
+    vent_at_signal(memory)
     supervisor = supervisor_monitor(job)
     # The watchdog opens the cards first, to find out whether a card allows one process only.
     if not await_device_access(memory, supervisor, lambda: memory.stage("watchdog") is Stage.READY):

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from rig.execution.plan import RunPlan
+from rig.hardware import running
 from rig.realtime.child_process import ChildJob, ended_within, spawn
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import HeartbeatMonitor, set_niceness
@@ -58,6 +59,8 @@ class ProcessGroup:
             self._memory.control_pid = process.pid
         elif name == "watchdog":
             self._memory.watchdog_pid = process.pid
+        if name in ("control", "watchdog"):
+            running.listens(process.pid)
 
     def ready(self, name: str) -> bool:
         """True once a process, or the "simulator", has completed its start."""

@@ -55,6 +55,8 @@ class Stop(IntEnum):
     SILENT = 2
     TERMINATED = 3
     VENT = 4
+    VENT_COMMAND = 5
+    """`rig vent`."""
 
 
 _PROCESS = np.dtype([("stage", "<i8"), ("heartbeat_ns", "<i8"), ("message", f"S{MESSAGE_BYTES}")], align=True)
@@ -203,9 +205,10 @@ class SharedState:
 
     def request_stop(self, reason: Stop) -> None:
         """Request that every process ends with the valves safe. The first stop reason is kept; VENT overrides it."""
-        if reason is Stop.VENT:
+        vents = reason in (Stop.VENT, Stop.VENT_COMMAND)
+        if vents:
             self.vent_requested = True
-        if reason is Stop.VENT or self.stop_request is Stop.NONE:
+        if vents or self.stop_request is Stop.NONE:
             self.stop_request = reason
 
     @property

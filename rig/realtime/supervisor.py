@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from rig.execution.plan import OpenRecord, OperatorInterface, RunPlan, StartError, StoppedError
+from rig.execution.stop_signals import VENTED
 from rig.hardware.cards.base import CardError, card_type
 from rig.hardware.safe_state import UNSAFE, armed_sentence
 from rig.hardware.vent_verification import UNCONFIRMED
@@ -38,6 +39,7 @@ STOP_MESSAGES = {
     Stop.SILENT: "the supervisor had been silent, and the other processes were requested to make the bench safe",
     Stop.TERMINATED: "the control process received SIGTERM",
     Stop.VENT: "venting was requested",
+    Stop.VENT_COMMAND: VENTED,
 }
 
 
@@ -137,7 +139,9 @@ class Supervisor:
             self.record.poll()
             if ending := self._session.end_requested():
                 return ending
-            if (stop := memory.stop_request) != Stop.NONE:
+            if (stop := memory.stop_request) is Stop.VENT_COMMAND:
+                return Status.INTERRUPTED, STOP_MESSAGES[stop]
+            if stop is not Stop.NONE:
                 self._event(Level.FAULT, "supervisor", STOP_MESSAGES[stop])
                 return Status.ABORTED, STOP_MESSAGES[stop]
             if fault := self.processes.fault(self.timing):
@@ -193,6 +197,8 @@ class Supervisor:
         """Raise if the run must not begin: a stop was requested, or a starting process has failed."""
         if reason := self._session.start_cancelled():
             raise StoppedError(f"stopped before the run began: {reason}")
+        if self.memory.stop_request is Stop.VENT_COMMAND:
+            raise StoppedError(f"stopped before the run began: {VENTED}")
         if fault := self.processes.failure():
             message = self.processes.explained(fault)
             raise StartError(message.replace("process died", "process died while it started"))

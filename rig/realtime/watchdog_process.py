@@ -22,6 +22,7 @@ from rig.realtime.child_process import (
     report,
     report_end,
     supervisor_monitor,
+    vent_at_signal,
 )
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import (
@@ -43,6 +44,7 @@ def main() -> int:
     """Monitor control until it has exited; write the safe state if control has not."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     job, memory = receive_job()
+    vent_at_signal(memory)
     supervisor = supervisor_monitor(job)
     if not await_device_access(memory, supervisor, lambda: not memory.simulator_starting):
         memory.publish_stage("watchdog", Stage.DONE)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from rig.config.bench import BenchConfig
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import holders
@@ -116,7 +117,7 @@ def simulated(
         yield simulation
 
 
-def is_absent(config: RigConfig) -> bool:
+def is_absent(config: BenchConfig) -> bool:
     """Return True for a rig of simulated cards that has never run: no device exists, and no process holds it."""
     absent = (card.is_mock and not Registers.exist(card.device) for card in config.cards.values())
     return all(absent) and not holders(config)

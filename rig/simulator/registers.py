@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.card_sections import CardConfig
-from rig.hardware.cards.base import CardError, Scans
+from rig.hardware.cards.base import AbsentCardError, CardError, Scans
 from rig.hardware.runtime_folder import open_private, runtime_folder
 from rig.simulator.faults import FAULTS_DTYPE, Faults
 from rig.simulator.tip_pose import TipPose, pose_among, pose_dtype
@@ -155,7 +155,7 @@ class Registers:
         try:
             descriptor = open_private(path)
         except FileNotFoundError:
-            raise CardError(
+            raise AbsentCardError(
                 f"mock card {device} does not exist: "
                 "start its plant with `python -m rig.simulator.plant_process --rig FILE`"
             ) from None

@@ -48,7 +48,9 @@ COUNTERPARTS = {
     "study": Counterpart("rig.session.session:Session.study", elsewhere=OPEN),
     "protocols": Counterpart("protocols:named"),
     "doctor": Counterpart("rig.doctor:examine", {"rig": "config", "out": "folder"}),
-    "vent": Counterpart("rig.hardware.vent:vent", {"rig": "config"}),
+    "vent": Counterpart(
+        "rig.hardware.vent:vent", {"rig": "config"}, {"everything": "rig.hardware.running:signal_runs"}
+    ),
     "live": Counterpart("rig.live.launch:show"),
     "note": Counterpart("runs.annotations:add_note", {"archive": "run"}),
     "tag": Counterpart("runs.annotations:add_tags", {"archive": "run"}, {"remove": "runs.annotations:remove_tags"}),

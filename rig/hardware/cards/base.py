@@ -13,8 +13,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.config.bench import BenchConfig
 from rig.config.card_sections import CardConfig
-from rig.config.schema import RigConfig
 from rig.hardware.cards.scan_clock import ScanClock
 from rig.hardware.driver_calls import as_error, release
 
@@ -26,6 +26,10 @@ class CardError(Exception):
         super().__init__(f"{what}: {remedy}" if remedy else what)
         self.what = what
         self.remedy = remedy
+
+
+class AbsentCardError(CardError):
+    """A simulated card that does not exist: no simulator runs behind it."""
 
 
 class CardBusyError(CardError):
@@ -138,7 +142,7 @@ class Card(Protocol):
         """Stop sampling and release the device. The outputs keep their values."""
 
 
-def card_setup(config: RigConfig, name: str, *, by_instruction: bool = False) -> CardSetup:
+def card_setup(config: BenchConfig, name: str, *, by_instruction: bool = False) -> CardSetup:
     """The setup of one card of the rig.
 
     Its inputs are the sensors in actuator order, then the auxiliary inputs; these, valves and emergency stops are in
@@ -148,7 +152,6 @@ def card_setup(config: RigConfig, name: str, *, by_instruction: bool = False) ->
     sensors = [s for s in config.sensors_by_actuator if s.card == name]
     auxiliary = [i for i in config.inputs.values() if i.card == name]
     valves = [v for v in config.valves if v.card == name]
-    triggers = [camera.trigger for camera in config.cameras.values()]
     return CardSetup(
         name=name,
         device=card.device,
@@ -160,7 +163,7 @@ def card_setup(config: RigConfig, name: str, *, by_instruction: bool = False) ->
         sampling_hz=card.sampling_hz,
         section=card,
         digital_inputs=tuple(stop.channel for stop in config.emergency_stops.values() if stop.card == name),
-        digital_outputs=tuple(sorted({t.channel for t in triggers if t is not None and t.card == name})),
+        digital_outputs=tuple(sorted({t.channel for t in config.trigger_outputs if t.card == name})),
         by_instruction=by_instruction,
     )
 
@@ -181,7 +184,7 @@ def open_card(card: CardConfig, setup: CardSetup) -> Card:
         return driver(setup)
 
 
-def open_cards(config: RigConfig, setups: Iterable[CardSetup]) -> dict[str, Card]:
+def open_cards(config: BenchConfig, setups: Iterable[CardSetup]) -> dict[str, Card]:
     """Open cards of a rig; if one fails, release the others. Raises CardError: a card cannot be opened."""
     cards: dict[str, Card] = {}
     try:

@@ -18,10 +18,8 @@ from rig.config import loader
 from rig.config.loader import Source, chosen_rig, named_rig
 from rig.config.schema import RigConfig
 from rig.hardware import runtime_folder
-from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
 from rig.hardware.vent import VentResult
-from rig.realtime import scheduling
 from rig.simulator.registers import Registers
 from tests.support.command_line import status_of
 
@@ -33,7 +31,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty folder to stand in, no variable, no running experiment."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("SOFTRIG_RIG", raising=False)
-    monkeypatch.setattr(scheduling, "raise_priority", lambda: None)  # this process keeps its priority
     (tmp_path / "shared").mkdir(mode=0o700)
     monkeypatch.setattr(runtime_folder, "BASE", tmp_path / "shared")
     return tmp_path
@@ -83,7 +80,6 @@ def test_screen_and_record_state_what_chose_the_rig(
         ("check", "ramp-a"),
         ("run", "ramp-a", "--fast", "--yes"),
         ("simulate", "ramp-a"),
-        ("vent",),
         ("doctor",),
         ("calibrate", "tool", "--capture"),
         ("calibrate", "pressure", "--fast", "--yes"),
@@ -127,11 +123,16 @@ def test_a_rig_file_that_cannot_be_read_is_reported_with_what_chose_it(
     if source == "variable":
         monkeypatch.setenv("SOFTRIG_RIG", str(file))
         why = "chosen by SOFTRIG_RIG"
-    for arguments in (("check", "ramp-a"), ("vent",), ("board",)):
+    for arguments in (("check", "ramp-a"), ("board",)):
         assert status_of(*arguments) == 2
         said = capsys.readouterr().err
         assert why in said.splitlines()[0]
         assert reason in said
+    assert status_of("vent") == 1
+    said = capsys.readouterr().err
+    assert said.startswith("NOT vented: ")
+    assert reason in said
+    assert f"rig chosen by {'SOFTRIG_RIG' if source == 'variable' else 'softrig.yaml in this folder'}" in said
 
 
 def test_vent_without_a_rig_and_without_a_run_vents_nothing_and_returns_2(
@@ -191,7 +192,7 @@ def test_vent_does_not_claim_what_a_card_without_read_back_cannot_show(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     (running, _), _ = two_cards
-    monkeypatch.setattr(rig.cli.vent, "vent_rig", lambda config: VentResult(("daq",)))
+    monkeypatch.setattr(rig.cli.vent, "results", lambda rigs: [VentResult(("daq",)) for _ in rigs])
     with cards_locked(running, "protocol ramp-a"):
         assert status_of("vent") == 0
     said = capsys.readouterr().out
@@ -204,22 +205,15 @@ def test_a_running_rig_that_cannot_be_vented_does_not_stop_the_venting_of_others
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    (one, _), (other, registers) = two_cards
+    (one, broken), (other, registers) = two_cards
     monkeypatch.setattr(rig.hardware.vent.os, "kill", lambda pid, number: None)
-
-    def vented(config: RigConfig) -> tuple[str, ...]:
-        if config.name == one.name:
-            raise CardError("the card is gone")
-        return rig.hardware.vent.vent(config)
-
-    monkeypatch.setattr(rig.cli.vent, "vent_rig", vented)
+    broken.faults.inject(failing_writes=2**40)
     with cards_locked(one, "one"), cards_locked(other, "other"):
-        # Both are of this process, and the later record names the rig that is found.
-        assert status_of("vent") == 0
-    assert registers.outputs["value"].tolist() == [0.0, 0.0]
-    with cards_locked(one, "one"):
         assert status_of("vent") == 1
-    assert "rig bench1: the card is gone" in capsys.readouterr().err
+    assert registers.outputs["value"].tolist() == [0.0, 0.0]
+    said = capsys.readouterr()
+    assert "rig bench1 (it was held by process" in said.err
+    assert "every chamber of rig bench2 is open to the exhaust" in said.out
 
 
 @pytest.mark.parametrize("like", loader.named())

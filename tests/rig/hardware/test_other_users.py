@@ -23,7 +23,8 @@ import rig.hardware.vent
 from rig.config.schema import RigConfig
 from rig.hardware import lock, runtime_folder
 from rig.hardware.cards.base import CardBusyError, CardError
-from rig.hardware.lock import cards_locked, held_by_unseen, holders, lock_file, running_rigs
+from rig.hardware.lock import cards_locked, held_by_unseen, holders, lock_file
+from rig.hardware.running import records
 from rig.hardware.runtime_folder import open_private
 from rig.hardware.vent_verification import VentOutcome
 from rig.realtime.control_socket import socket_paths
@@ -190,26 +191,30 @@ def test_text_in_a_lock_file_names_no_holder(shared: Path) -> None:
         assert holders(config) == (os.getpid(),)
 
 
-def test_leftovers_of_a_killed_run_lock_nothing(shared: Path, tmp_path: Path) -> None:
+def test_a_killed_run_locks_nothing_and_keeps_its_record_for_rig_vent(shared: Path, tmp_path: Path) -> None:
     file = tmp_path / "rig.yaml"
     file.write_text(rig.config.loader.text("mock"))
     with holder(file, shared) as process:
-        assert [(r.pid, r.config) for r in running_rigs()] == [(process.pid, rig.config.loader.load(file))]
+        ((run,), _) = records()
+        assert (run.process.pid, run.rig, run.purpose) == (process.pid, "mock", "of another process")
+        assert run.process.alive
         process.kill()
         process.wait()
-        assert running_rigs() == ()
+        ((killed,), _) = records()
+        assert not killed.process.alive
     with cards_locked(mock_rig(), "the next"):
-        assert [r.purpose for r in running_rigs()] == ["the next"]
-    assert running_rigs() == ()
-    assert not list((runtime_folder.runtime_folder() / "rigs").iterdir())
+        assert "the next" in [run.purpose for run in records()[0]]
+    assert [run.purpose for run in records()[0]] == ["of another process"]
 
 
 @pytest.mark.parametrize("forged", ["", "[]", '{"purpose": "x"}', '{"purpose": 1, "rig": {"name": 2}}', "\x00" * 99])
-def test_a_damaged_record_of_a_running_rig_is_ignored(shared: Path, forged: str) -> None:
+def test_a_damaged_record_is_named_with_its_process(shared: Path, forged: str) -> None:
     with cards_locked(mock_rig(), "a test"):
         (record,) = (runtime_folder.runtime_folder() / "rigs").iterdir()
         record.write_text(forged)
-        assert running_rigs() == ()
+        (read, (unreadable,)) = records()
+        assert read == ()
+        assert unreadable.process.pid == os.getpid()
 
 
 def test_the_message_names_the_holder_that_the_kernel_reports(shared: Path, tmp_path: Path) -> None:
