@@ -16,6 +16,7 @@ from model.arrays import Array
 from model.dynamics import Dynamics
 from model.units import PA_PER_BAR
 from rig.arm_effects.base import ArmEffect
+from rig.control.plan_follower import PlanFollower
 from rig.tip_control.interface import (
     ControllerMeasurement,
     ReferenceTrajectory,
@@ -23,7 +24,6 @@ from rig.tip_control.interface import (
     TipController,
     TipControlSettings,
 )
-from rig.tip_control.plan_follower import PlanFollower
 
 CYCLE_S = 0.005
 _HISTORY_S = 1.0

@@ -206,7 +206,7 @@ def summarise(run: ArchiveReader) -> Summary:
         reprojection_px=_percentile(tip.reprojection_px[measured], 50),
         truth=_truth(run, measured, plane),
         tip_path=tip_error(run),
-        tip_plans=tip_plans(run.tip_control),
+        tip_plans=tip_plans(run),
         periodic=periodic_motions(run),
         frames_oriented=int(oriented.sum()),
         orientation_std_deg=_rms(tip.orientation_uncertainty_deg[oriented].ravel()),

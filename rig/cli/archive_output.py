@@ -216,6 +216,9 @@ def _add_tip_plans(table: Table, plans: TipPlans) -> None:
         counts.append(f"{sum(plans.refused.values())} refused: {refusals(plans.refused)}")
     table.add_row("plans of the tip controller", ", ".join(counts))
     table.add_row("  at a limit of pressure or rate", str(plans.constrained))
+    if not math.isnan(plans.without_feedback):
+        lost = f"{100 * plans.without_feedback:.1f} %"
+        table.add_row("path without feedback", Text(lost, "bold red") if plans.without_feedback else lost)
     if not math.isnan(plans.solve_p99_ms):
         solve = (plans.solve_p50_ms, plans.solve_p99_ms, plans.solve_max_ms)
         table.add_row("  solver time p50/p99/max [ms]", " / ".join(_number(ms, 1) for ms in solve))

@@ -23,6 +23,7 @@ from protocols.validation import ValidationFault, faults
 from rig.config.drivers import DeviceSection, Driver, DriverRegistry, resolved
 from rig.config.tip_controllers import CONTROLLERS, FEED_FORWARD, KNOWN
 from rig.sections.base import Section
+from rig.sections.control import Patience
 from rig.sections.quantities import (
     ActuatorNumber,
     BarSpan,
@@ -331,6 +332,9 @@ class TipControlSection(Section):
     )
     pressure_lag_ms: NonNegative = Field(
         default=10.0, le=500, description="from a moving set-point to the pressure in the chamber"
+    )
+    no_plan_s: Patience = Field(
+        default=3.0, ge=0.5, description="longest time on a tip path without a plan; then the run ends"
     )
 
     @field_validator("controller")

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from model.units import PA_PER_BAR
 from rig.config.schema import RigConfig
 from rig.control import step as control
-from rig.control.interlocks.base import Sample, Trip
+from rig.control.interlocks.base import Sample, Silence, Trip
+from rig.control.plan_follower import PlanFollower, SetPointSource, StampedPlan
 from rig.control.protocol_position import ProtocolPosition, advance, skip
 from rig.control.stream_follower import StreamFollower
 from rig.execution.plan import RunPlan, sample_rows
 from rig.hardware.bench import BenchScans
-from rig.tip_control.plan_follower import PlanFollower, SetPointSource, StampedPlan
 from runs.records import SolveStatus, blank
 
 
@@ -60,6 +60,7 @@ class ControlLoop:
                 limits.pressure_bar * PA_PER_BAR,
                 limits.rate_bar_per_s * PA_PER_BAR,
                 limits.lowest_pressure_bar * PA_PER_BAR,
+                config.tip_control.no_plan_s,
             )
         self._stream = StreamFollower(config, plan.trajectory) if plan.trajectory.streams else None
         self._stopped = False
@@ -113,6 +114,11 @@ class ControlLoop:
         point = self._follower.follow(protocol_s, dt_s, protocol_pa[first], protocol_rate_pa_s[first])
         return point.pressure_pa[self._valve_of], point.rate_pa_s[self._valve_of]
 
+    def _silences(self) -> tuple[Silence, ...]:
+        """Of the sources from which set-points are due now."""
+        sources = (source for source in (self._stream, self._follower) if source is not None)
+        return tuple(silence for source in sources if (silence := source.silence) is not None)
+
     def skip(self) -> None:
         """Continue with the next segment in the next cycle."""
         self.position = skip(self.position, self._starts_s, self._trajectory.duration_s, self._prompts_s)
@@ -165,7 +171,7 @@ class ControlLoop:
             time_stopped=self._time_may_stop,
             late_ns=late_ns,
             stops_closed=self._stops_closed,
-            stream=None if self._stream is None else self._stream.silence,
+            silences=self._silences(),
         )
         self._state, command = control.step(self._prepared, self._state, sample, setpoint_pa, rate_pa_s)
         self._bench.write(command.outputs)

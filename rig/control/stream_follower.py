@@ -12,7 +12,7 @@ from model.units import PA_PER_BAR
 from protocols import SetPointTrajectory
 from protocols.trajectory import StreamInterval
 from rig.config.schema import RigConfig
-from rig.control.interlocks.base import StreamSilence
+from rig.control.interlocks.base import Silence
 from runs.columns import StreamStatus
 
 
@@ -121,13 +121,16 @@ class StreamFollower:
         return given, protocol_rate_pa_s if returned else np.zeros_like(given)
 
     @property
-    def silence(self) -> StreamSilence | None:
+    def silence(self) -> Silence | None:
         """For how long no set-point has come; None outside of a stream."""
         if self._interval is None:
             return None
         first = self._setpoint_pa is None
-        limit_s = self._interval.connect_s if first else self._interval.timeout_s
-        return StreamSilence(self._silent_s, limit_s, first, self._interval.line, self._newest.sequence)
+        what = "no program has sent a set-point" if first else f"no set-point after number {self._newest.sequence}"
+        limit_s, key = self._interval.connect_s, "connect_s"
+        if not first:
+            limit_s, key = self._interval.timeout_s, "timeout_s"
+        return Silence("stream", self._silent_s, limit_s, what, f"{key} of line {self._interval.line}")
 
     def _enter(self, interval: StreamInterval | None) -> None:
         if interval is not self._interval:

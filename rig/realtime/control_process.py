@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.control.control_loop import ControlLoop
+from rig.control.plan_follower import StampedPlan
 from rig.control.trigger import TriggerPulses
 from rig.hardware.bench import Bench, open_bench
 from rig.hardware.cards.base import CardError
@@ -35,7 +36,6 @@ from rig.realtime.scheduling import (
 )
 from rig.realtime.shared_state import SharedState, Stage, Stop
 from rig.realtime.timing_limits import timing_limits
-from rig.tip_control.plan_follower import StampedPlan
 
 BEFORE_START_NS = 5_000_000
 WARM_UP_S = 0.05

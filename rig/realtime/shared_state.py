@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
+from rig.control.plan_follower import SetPointSource, plan_dtype
 from rig.execution.plan import observation_rows, sample_rows
 from rig.realtime.picture_rings import PICTURES, VIEWS, PictureRing, ViewRing, view_dtype
 from rig.realtime.ring import RingBuffer, ring_bytes
 from rig.realtime.scheduling import Scheduling
-from rig.tip_control.plan_follower import SetPointSource, plan_dtype
 from runs.records import Event, Level, adaptation_dtype, pulse_dtype, streamed_dtype, tip_control_dtype
 
 T = TypeVar("T", bound=float)

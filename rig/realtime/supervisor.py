@@ -19,9 +19,8 @@ from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, Stop
 from rig.realtime.shutdown import Shutdown
 from rig.realtime.timing_limits import TimingProfile, timing_limits, timing_sentence
 from rig.simulator.plant_launcher import PlantProcess, started
+from rig.tip_control.monitor import LOST_S, TipControlMonitor
 from rig.tip_control.monitor import SOURCE as TIP_CONTROLLER_SOURCE
-from rig.tip_control.monitor import TipControlMonitor
-from rig.tip_control.plan_follower import LOST_S
 from runs.records import Event, Level, RunFooter, Status
 
 SLOW_START_S = 4.0
@@ -149,7 +148,7 @@ class Supervisor:
                 self.shutdown.make_safe(self.timing)
                 fault = self.processes.completed(fault, self.timing)
                 self._event(Level.FAULT, fault.source, fault.message)
-                return Status.ABORTED, fault.message
+                return _aborted(fault.message, self._tip_monitor.loss)
             if failure := self.record.failure:
                 return Status.ABORTED, failure
             self.record.report(*self._tip_control_events(time.monotonic_ns()))

@@ -1,8 +1,7 @@
 """The process of the tip controller: a plan from every frame that the observer has measured.
 
 It has no device and can write to its own pages of the shared memory only (see `SharedState`). The control process
-checks each plan and keeps within the limits of the rig; without plans it returns to the
-set-points of the protocol.
+checks each plan and keeps within the limits of the rig; without plans it follows the protocol and the last correction.
 """
 
 from __future__ import annotations
@@ -12,10 +11,10 @@ import time
 
 import numpy as np
 
+from rig.control.plan_follower import record_of
 from rig.realtime.child_process import ChildJob, exit_process, receive_job, supervisor_monitor
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, Stop
 from rig.tip_control.monitor import failure_message
-from rig.tip_control.plan_follower import record_of
 from rig.tip_control.session import HISTORY_S, TipControlSession
 
 POLL_S = 0.001

@@ -43,7 +43,6 @@ MOST_ITERATIONS = 200
 _SOLVED = (1, 2)
 """Exit flags of DAQP: optimal, and optimal with soft constraints violated."""
 _SOFT = 8
-_LONGEST_GAP_S = 0.5
 
 
 class HorizonState(NamedTuple):
@@ -98,13 +97,15 @@ class HorizonControl:
     ) -> tuple[HorizonState, float]:
         """The state at the time of the frame, and the NIS."""
         passed_s = measurement.time_s - state.time_s
-        if 0 < passed_s < _LONGEST_GAP_S:
-            steps = max(1, round(passed_s / self._step_s))
+        # After a long gap, as of a stalled process, the motion from before it has decayed.
+        moved_s = min(passed_s, measurement.time_s - float(samples.times_s[0]))
+        if moved_s > 0:
+            steps = max(1, round(moved_s / self._step_s))
         else:
-            passed_s, steps = 0.0, 0
+            passed_s, moved_s, steps = 0.0, 0.0, 0
         dynamics = self._estimated(state)
         motion, pressure = advanced(
-            self._tip_map, dynamics.omega_rad_s, dynamics.tau_s, state.motion, measurement.time_s - passed_s,
+            self._tip_map, dynamics.omega_rad_s, dynamics.tau_s, state.motion, measurement.time_s - moved_s,
             measurement.time_s, steps, self._settings.pressure_lag_s, samples,
         )  # fmt: skip
         estimator, nis = state.estimator, math.nan

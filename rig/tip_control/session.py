@@ -12,9 +12,9 @@ from protocols.tip_reference import TipMotion
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
+from rig.control.plan_follower import StampedPlan
 from rig.execution.plan import RunPlan
 from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory, SetPointPlan, TipControlSettings
-from rig.tip_control.plan_follower import StampedPlan
 from rig.tip_control.registry import controller_class
 from runs.columns import PLAN_AHEAD_S
 from runs.interpolation import interpolated

@@ -201,7 +201,7 @@ class _VirtualRun:
         if trip is not None:
             self._vents = trip.vent
             self._event(now, Level.FAULT, "control", trip.message)
-            return Status.ABORTED, trip.message
+            return Status.ABORTED, "; ".join(filter(None, (trip.message, self._tip_monitor.loss)))
         if self._loop.finished:
             self._record.drain()
             return Status.FINISHED, self._tip_monitor.message(self._record.plan_counts)
@@ -334,7 +334,7 @@ def _tip_control(plan: RunPlan) -> TipControlSession | None:
     from rig.tip_control.session import TipControlSession
 
     try:
-        with time_limit.time_limit(2 * time_limit.LONGEST_CALL_S):
+        with time_limit.time_limit(time_limit.WARM_UP_S):
             session = TipControlSession(plan)
             session.warm_up()
     except (Exception, SystemExit) as error:

@@ -23,13 +23,14 @@ from runs.columns.observations import (
     TriggeredFrame,
 )
 from runs.columns.streamed import StreamedSetPoints, StreamStatus
-from runs.columns.tip_control import PLAN_AHEAD_S, Learning, Reference, SolveStatus, TipControl
+from runs.columns.tip_control import FOLLOWED_S, PLAN_AHEAD_S, Learning, Reference, SolveStatus, TipControl
 
 __all__ = [
     "AXES",
     "BACKBONE_POINTS",
     "COUNT",
     "DATAGRAM_COUNTS",
+    "FOLLOWED_S",
     "PLAN_AHEAD_S",
     "SECONDS",
     "TABLES",

@@ -23,6 +23,8 @@ from runs.columns.declaration import Column, Table, Values
 
 PLAN_AHEAD_S = (0.0, 0.1, 0.2, 0.3)
 """Times after the start of a plan at which its set-points are recorded."""
+FOLLOWED_S = PLAN_AHEAD_S[-1]
+"""For how long after its start a plan is followed; without a newer one the tip is without feedback from then on."""
 
 
 class SolveStatus(IntEnum):

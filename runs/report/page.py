@@ -181,6 +181,7 @@ def _tiles(s: Summary) -> str:
             (with_unit(s.tip_path.measured.noise_mm, "mm", 3), "noise of the measured tip"),
         ]
     if s.tip_plans is not None:
+        tiles.append((with_unit(100 * s.tip_plans.without_feedback, "%", 1), "of the tip path without feedback"))
         tiles.append((with_unit(s.tip_plans.solve_p99_ms, "ms", 1), "solver time of the tip controller, 99 % below"))
     shown = (
         f'<div class="tile"><b>{value}</b><span>{label}</span></div>' for value, label in tiles if DASH not in value

@@ -18,17 +18,17 @@ from rig.config.sections import Sensor
 from rig.control.sensor_state import RegulatorDemand, SensorState
 
 
-class StreamSilence(NamedTuple):
-    """For how long another program that sends the set-points has sent none.
+class Silence(NamedTuple):
+    """For how long a source of the set-points, such as another program, has sent none.
 
-    `first`: it has sent none since the step in this `line` of the protocol began. `sequence`: number of the last one.
+    `source`: its name in the record. `what` has not come, and `limit_key` of rig or protocol states the limit.
     """
 
+    source: str
     silent_s: float
     limit_s: float
-    first: bool
-    line: int
-    sequence: int
+    what: str
+    limit_key: str
 
 
 class Sample(NamedTuple):
@@ -38,8 +38,8 @@ class Sample(NamedTuple):
     `pressure_pa` (N,) come from the scans since the last cycle, or repeat the last values if there were none.
     `stops_closed` (E,): whether the contact of each emergency stop is closed now.
     `stalled_ns`: duration of a stall of this program just now, else 0. `time_stopped`: the bench is a simulation whose
-    time stopped during the stall; `late_ns`: how far its time is behind `t_ns`, 0 for hardware. `stream`: the silence
-    of another program that sends the set-points.
+    time stopped during the stall; `late_ns`: how far its time is behind `t_ns`, 0 for hardware. `silences`: those of
+    the sources of the set-points.
     """
 
     t_ns: int
@@ -50,7 +50,7 @@ class Sample(NamedTuple):
     time_stopped: bool = False
     late_ns: int = 0
     stops_closed: tuple[bool, ...] = ()
-    stream: StreamSilence | None = None
+    silences: tuple[Silence, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -47,20 +47,18 @@ class StaleSamples(SampleInterlock):
         return Trip(sample.t_ns, "stale samples", message)
 
 
-class SilentStream(SampleInterlock):
-    """Another program sends the set-points, and none has come for the time that the step of the protocol allows.
+class SilentSource(SampleInterlock):
+    """A source of the set-points has sent none for the time that the protocol or the rig allows.
 
     The duration of a stall of this computer does not count, as for `StaleSamples`.
     """
 
     def trip(self, sample: Sample, *, new: bool) -> Trip | None:
-        stream = sample.stream
-        if stream is None or stream.silent_s - sample.stalled_ns * 1e-9 <= stream.limit_s:
-            return None
-        key = "connect_s" if stream.first else "timeout_s"
-        what = "no program has sent a set-point" if stream.first else f"no set-point after number {stream.sequence}"
-        message = f"{what} for {stream.silent_s:.2f} s (limit {stream.limit_s:g} s: {key} of line {stream.line})"
-        return Trip(sample.t_ns, "stream", message)
+        for silence in sample.silences:
+            if silence.silent_s - sample.stalled_ns * 1e-9 > silence.limit_s:
+                limit = f"(limit {silence.limit_s:g} s: {silence.limit_key})"
+                return Trip(sample.t_ns, silence.source, f"{silence.what} for {silence.silent_s:.2f} s {limit}")
+        return None
 
 
 class BrokenSensors(SampleInterlock):

@@ -19,7 +19,7 @@ from rig.control.sensor_state import RegulatorDemand, SensorSettings, SensorStat
 SAMPLE_INTERLOCKS: tuple[type[SampleInterlock], ...] = (
     conditions.EmergencyStops,
     conditions.StaleSamples,
-    conditions.SilentStream,
+    conditions.SilentSource,
     conditions.BrokenSensors,
 )
 ACTUATOR_INTERLOCKS: tuple[type[ActuatorInterlock], ...] = (

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from protocols.trajectory import Segment, SetPointTrajectory, StreamInterval
 from rig.config.loader import load
 from rig.control.interlocks.base import Sample
-from rig.control.interlocks.conditions import SilentStream
+from rig.control.interlocks.conditions import SilentSource
 from rig.control.stream_follower import StreamFollower
 from runs.columns import StreamStatus
 from runs.records import blank, streamed_dtype
@@ -103,8 +103,10 @@ def test_outside_of_the_step_and_in_a_pause_set_points_are_refused() -> None:
 
 def test_silence_trips_the_interlock_after_the_time_of_the_step_but_not_in_a_pause() -> None:
     def trip(loop: Loop, stalled_ns: int = 0) -> str:
-        sample = Sample(0, 0, np.zeros(3), np.zeros(3), stalled_ns, stream=loop.follower.silence)
-        found = SilentStream(CONFIG).trip(sample, new=True)
+        silence = loop.follower.silence
+        assert silence is not None
+        sample = Sample(0, 0, np.zeros(3), np.zeros(3), stalled_ns, silences=(silence,))
+        found = SilentSource(CONFIG).trip(sample, new=True)
         return found.message if found else ""
 
     loop = Loop()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rig.tip_control.plan_follower import MOST_POINTS, StampedPlan
+from rig.control.plan_follower import MOST_POINTS, StampedPlan
 
 
 def test_lists_and_integers_are_a_plan() -> None:

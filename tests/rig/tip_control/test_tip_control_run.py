@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +15,7 @@ from typer.testing import Result
 
 import protocols
 import runs
-from benchmarks import virtual_tip_run
+from benchmarks import tip_lost_controller, virtual_tip_run
 from benchmarks.random_tip_paths import stated_rig
 from rig.config import loader
 from rig.config.schema import RigConfig
@@ -292,9 +293,42 @@ def test_a_run_goes_on_without_a_controller_that_raises_as_in_real_time(tmp_path
     assert run.status is Status.FINISHED
     assert "RuntimeError: no idea" in run.message
     events = "\n".join(event.message for event in run.events)
-    assert "the set-points are held" in events
-    assert "the set-points return to those of the protocol" in events
+    assert "the tip is without feedback" in events
     assert "in step" in events
+    # Lost at 0.5 s of 3 s, and noticed 0.3 s later.
+    assert run.summary.tip_plans is not None
+    assert run.summary.tip_plans.without_feedback == pytest.approx(2.2 / 3, abs=0.03)
+    assert "path without feedback" in result.output
+    assert "of the tip path without feedback" in page([run])
+
+
+def test_a_run_ends_in_the_safe_state_when_no_plan_comes_for_longer_than_the_rig_allows(
+    tmp_path: Path, steered_by: SteeredBy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "tests.rig.tip_control.test_tip_control_run.PROTOCOL", PROTOCOL.replace("periods: 2", "periods: 4")
+    )
+    result = steered_by("dying_controller", RAISES.replace("FROM_S", "0.5"), "Raises")
+    assert result.exit_code == 1, result.output
+    (archive,) = tmp_path.glob("*.h5")
+    run = runs.open(archive)
+    assert run.status is Status.ABORTED
+    assert run.message.startswith("no plan of the tip controller for 3.0")
+    assert "tip_control, no_plan_s" in run.message
+    assert "RuntimeError: no idea" in run.message
+    assert run.pressure.protocol_s[-1] == pytest.approx(3.5, abs=0.1)
+
+
+@pytest.mark.parametrize("silent_s", [math.inf, tip_lost_controller.STALL_S], ids=["dies", "stalls"])
+@pytest.mark.parametrize("path", tip_lost_controller.STATED)
+def test_the_tip_stays_near_its_path_when_the_controller_dies_or_stalls(path: str, silent_s: float) -> None:
+    config = RigConfig.model_validate(stated_rig())
+    frames, motion, footer, ended_s = tip_lost_controller.lost(config, path, "horizon", 3.3, silent_s, 0)
+    assert (footer.status is Status.ABORTED) == math.isinf(silent_s)
+    last_s = ended_s - 0.05 if footer.status is Status.ABORTED else math.inf
+    error_mm, speed_mm_s, path_mm_s = tip_lost_controller.figures(frames, motion, 3.3, last_s)
+    assert error_mm < 3.0
+    assert speed_mm_s < 2 * path_mm_s
 
 
 def test_a_run_goes_on_without_a_controller_that_does_not_return(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -9,12 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.arrays import Array
+from rig.control.interlocks.base import Silence
+from runs.columns import FOLLOWED_S
 from runs.records import SolveStatus, tip_control_dtype
 
-LONGEST_S = 0.3
-"""For how long after its start a plan is followed; then the set-points are held."""
-LOST_S = 1.0
-"""How long after the start of the last plan the set-points return to those of the protocol."""
+CORRECTION_S = 2.0
+"""Time constant with which the slow part of the last correction decays: it belongs to where the tip was."""
+SLOW_S = 1.0
+"""Time constant of the low-pass filter that gives the slow part: what changes faster changes along the path, and would
+be wrong a moment later."""
+LARGEST_CORRECTION = 0.25
+"""Largest correction that goes on without plans, as a share of the pressure limit: a fault may have made it."""
+HANDOVER_S = 0.15
+"""Time constant of the rest of the correction, and of the return to plans: about the period of the arm's first mode."""
 TOLERANCE_PA = 1.0
 """How far a set-point may be out of limits by rounding; it is clipped."""
 MOST_POINTS = 64
@@ -75,14 +83,13 @@ def record_of(plan: StampedPlan, row: NDArray[np.void] | np.void) -> NDArray[np.
 class SetPointSource(IntEnum):
     """Where the set-points come from.
 
-    PROTOCOL: no plan has come yet, or the tip has no reference. HELD: no plan since LONGEST_S. LOST: none since LOST_S:
-    the protocol's.
+    PROTOCOL: no plan has come yet, or the tip has no reference. LOST: no plan since FOLLOWED_S, the tip is without
+    feedback: the set-points are those of the protocol and the last correction.
     """
 
     PROTOCOL = 0
     PLAN = 1
-    HELD = 2
-    LOST = 3
+    LOST = 2
 
 
 class SetPoint(NamedTuple):
@@ -93,23 +100,47 @@ class SetPoint(NamedTuple):
 
 
 class PlanFollower:
-    """The set-points of the newest plan at a protocol time, inside box and rate limit whatever a plan holds."""
+    """The set-points of the newest plan at a protocol time, inside box and rate limit whatever a plan holds.
 
-    def __init__(self, valves: int, limit_pa: float, rate_limit_pa_s: float, lowest_pa: float = 0.0) -> None:
-        """`lowest_pa` is the lowest set-point of the protocol; that of a plan is 0."""
+    Where a plan ends without a newer one, its correction (plan minus feed-forward) goes on, limited and decaying, on
+    top of the protocol's set-points. Plans that come again are reached without a jump (bumpless transfer).
+    """
+
+    def __init__(
+        self, valves: int, limit_pa: float, rate_limit_pa_s: float, lowest_pa: float = 0.0, no_plan_s: float = math.inf
+    ) -> None:
+        """`lowest_pa` is the lowest set-point of the protocol; that of a plan is 0. `no_plan_s`: limit of `silence`."""
         self._valves, self._limit_pa, self._rate_pa_s = valves, limit_pa, rate_limit_pa_s
-        self._lowest_pa = lowest_pa
+        self._lowest_pa, self._no_plan_s = lowest_pa, no_plan_s
         self._times_s: Array = np.empty(0)
         self._setpoint_pa: Array = np.empty((0, valves))
         self._last: Array | None = None
         self._since_s: float | None = None
+        self._silent_s = 0.0
+        self._correction_pa: Array = np.zeros(valves)
+        """Of the last cycle with a plan, which was at `_corrected_s`: set-points minus those of the protocol."""
+        self._corrected_s = 0.0
+        self._slow_pa: Array = np.zeros(valves)
+        """The slow part of the correction."""
+        self._return_pa: Array = np.zeros(valves)
+        """Of the cycle at which plans came again, `_returned_s`: set-points minus those of the plan."""
+        self._returned_s = 0.0
         self.source = SetPointSource.PROTOCOL
+
+    @property
+    def silence(self) -> Silence | None:
+        """For how long no plan has begun; None where the tip has no reference."""
+        if self._since_s is None:
+            return None
+        return Silence(
+            "tip controller", self._silent_s, self._no_plan_s, "no plan of the tip controller", "tip_control, no_plan_s"
+        )
 
     def take(self, protocol_s: float, times_s: Array, setpoint_pa: Array) -> SolveStatus | None:
         """Follow a plan from now on, or return why it is refused: then the old one is kept.
 
         Times (K,) must ascend and set-points (K, V) be finite and within the pressure limit. The plan must start
-        within LONGEST_S of now, and not before the old one.
+        within FOLLOWED_S of now, and not before the old one.
         """
         reason = self._refusal(protocol_s, times_s, setpoint_pa)
         if reason is None:
@@ -125,16 +156,17 @@ class PlanFollower:
             return SolveStatus.MALFORMED
         if (setpoint_pa < -TOLERANCE_PA).any() or (setpoint_pa > self._limit_pa + TOLERANCE_PA).any():
             return SolveStatus.OUT_OF_LIMITS
-        if abs(ahead_s := float(times_s[0]) - protocol_s) > LONGEST_S:
+        if abs(ahead_s := float(times_s[0]) - protocol_s) > FOLLOWED_S:
             return SolveStatus.EARLY if ahead_s > 0 else SolveStatus.LATE
         if len(self._times_s) and times_s[0] < self._times_s[0]:
             return SolveStatus.OUTDATED
         return None
 
     def drop(self) -> None:
-        """Forget the plan: the protocol's set-points hold again."""
-        self._times_s = self._times_s[:0]
-        self._since_s = None
+        """Forget plan and correction: the protocol's set-points hold again."""
+        self._times_s, self._since_s, self.source = self._times_s[:0], None, SetPointSource.PROTOCOL
+        self._correction_pa, self._return_pa = np.zeros(self._valves), np.zeros(self._valves)
+        self._slow_pa = np.zeros(self._valves)
 
     def follow(self, protocol_s: float, dt_s: float, feed_pa: Array, feed_rate_pa_s: Array) -> SetPoint:
         """The set-points at a protocol time, `dt_s` after those before; without a plan the protocol's (V,)."""
@@ -142,21 +174,31 @@ class PlanFollower:
             self._since_s = float(self._times_s[0])
         elif self._since_s is None:
             self._since_s = protocol_s
-        age_s = protocol_s - self._since_s
-        if age_s > LOST_S:
-            self._times_s = self._times_s[:0]
-        planned = bool(len(self._times_s))
-        if planned:
-            self.source = SetPointSource.HELD if age_s > LONGEST_S else SetPointSource.PLAN
-            t_s = min(protocol_s, self._times_s[-1], self._since_s + LONGEST_S)
-            wanted = np.array([np.interp(t_s, self._times_s, column) for column in self._setpoint_pa.T])
-        else:
-            self.source = SetPointSource.LOST if age_s > LOST_S else SetPointSource.PROTOCOL
-            wanted = feed_pa
+        self._silent_s = protocol_s - self._since_s
+        passed_s = protocol_s - self._corrected_s
+        wanted = feed_pa + self._slow_pa * math.exp(-passed_s / CORRECTION_S)
+        wanted = wanted + (self._correction_pa - self._slow_pa) * math.exp(-passed_s / HANDOVER_S)
+        planned = self._planned(protocol_s)
+        if planned is not None:
+            if self.source is SetPointSource.LOST:
+                self._return_pa, self._returned_s = wanted - planned, protocol_s
+            wanted = planned + self._return_pa * math.exp((self._returned_s - protocol_s) / HANDOVER_S)
+            largest = LARGEST_CORRECTION * self._limit_pa
+            self._correction_pa, self._corrected_s = np.clip(wanted - feed_pa, -largest, largest), protocol_s
+            self._slow_pa = self._slow_pa + (self._correction_pa - self._slow_pa) * (1 - math.exp(-dt_s / SLOW_S))
+            self.source = SetPointSource.PLAN
+        elif self._silent_s > FOLLOWED_S:
+            self.source = SetPointSource.LOST
         last = wanted if self._last is None else self._last
         room = self._rate_pa_s * dt_s
         limited = np.clip(np.clip(wanted, self._lowest_pa, self._limit_pa), last - room, last + room)
         moved = (limited - last) / dt_s if dt_s > 0 else np.zeros(self._valves)
-        rate = moved if planned else np.where(limited == feed_pa, feed_rate_pa_s, moved)
+        rate = moved if planned is not None else np.where(limited == feed_pa, feed_rate_pa_s, moved)
         self._last = limited
         return SetPoint(limited, rate)
+
+    def _planned(self, protocol_s: float) -> Array | None:
+        """The set-points of the plan; None without a plan, and where it has ended."""
+        if not len(self._times_s) or protocol_s > min(self._times_s[-1], self._times_s[0] + FOLLOWED_S):
+            return None
+        return np.array([np.interp(protocol_s, self._times_s, column) for column in self._setpoint_pa.T])
