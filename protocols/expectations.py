@@ -34,6 +34,26 @@ _UNITS = (
 
 UNITS = tuple(unit for _, unit in _UNITS)
 
+_IN_UNIT = {
+    "bar": {"Pa": 1e-5, "hPa": 1e-3, "mbar": 1e-3, "kPa": 1e-2, "MPa": 10.0, "psi": 0.0689475729},
+    "mm": {"um": 1e-3, "µm": 1e-3, "cm": 10.0, "m": 1e3},
+    "s": {"ms": 1e-3, "min": 60.0, "h": 3600.0},
+    "ms": {"us": 1e-3, "s": 1e3},
+    "g": {"kg": 1e3},
+    "degrees": {"deg": 1.0, "°": 1.0, "rad": 57.2957795131},
+    "Hz": {"kHz": 1e3},
+    "V": {"mV": 1e-3},
+    "Pa": {"kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "bar": 1e5},
+    "ml": {"l": 1e3},
+}
+"""Factor of each unit that people write, by the unit that a key has."""
+
+
+def factor_to(unit: str, written: str) -> float | None:
+    """What a number in the written unit is multiplied by to be in `unit`; None for a unit that cannot be converted."""
+    return 1.0 if written == unit else _IN_UNIT.get(unit, {}).get(written)
+
+
 Schema = dict[str, Any]
 
 

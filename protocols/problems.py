@@ -21,6 +21,11 @@ class Problem:
     expected: str
     suggestion: str = ""
 
+    @property
+    def place(self) -> tuple[str, int, int]:
+        """File, line and column."""
+        return self.file, self.line, self.column
+
     def __str__(self) -> str:
         place = self.file
         if self.line:

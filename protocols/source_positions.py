@@ -28,7 +28,13 @@ _TAG = "tag:yaml.org,2002:"
 _ALIKE = re.compile(r"[\n \"-;=>@-~\xa0-\ud7ff]*")
 """Texts without the characters (tab, !, ?, <) that libyaml and the pure Python parser treat differently."""
 _DECIMAL_INT = re.compile(r"[-+]?(0|[1-9][0-9]*)")
+_EXPONENT = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+")
+"""Numbers that YAML 1.1 reads as text, because they lack a point or the sign of the exponent."""
 _DECIMAL_FLOAT = re.compile(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+)([eE][-+]?[0-9]+)?")
+
+
+YamlPath = tuple[str | int, ...]
+"""Keys and list indices from the top of a document to a value."""
 
 
 @dataclass
@@ -36,7 +42,7 @@ class SourcePosition:
     """Source position of a value and of its key, its source text, and the positions of the values inside it.
 
     `line` and `column` count from 1; `hint` explains how YAML reads an ambiguous value; `children` are by key or
-    list index.
+    list index. `file` names the file of a value that was put over the document; empty for its own.
     """
 
     line: int
@@ -46,6 +52,7 @@ class SourcePosition:
     key_column: int = 0
     quoted: bool = False
     hint: str = ""
+    file: str = ""
     children: dict[str | int, SourcePosition] = field(default_factory=dict)
 
 
@@ -91,7 +98,7 @@ class Document:
         if at_key and position.key_line:
             place = position.key_line, position.key_column
         found = position.source if value is None else value
-        return Problem(self.file, *place, path_text(path), found, expected, suggestion)
+        return Problem(position.file or self.file, *place, path_text(path), found, expected, suggestion)
 
 
 def path_text(path: tuple[str | int, ...]) -> str:
@@ -300,6 +307,8 @@ class Reader:
             return None
         if kind in readers:
             return readers[kind](text, position, path)
+        if kind == "str" and node.style is None and _EXPONENT.fullmatch(text):
+            return float(text)
         if kind not in {"str", "timestamp", "value", "merge"}:
             self._fault(
                 position, path, position.source, f"a plain value: the tag {_tag_text(node.tag)} is not understood"

@@ -12,7 +12,7 @@ from typing import Any, TypeVar, get_args, get_origin
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from protocols.expectations import Expectation, Schema, in_bounds, unit_of, wants_number
+from protocols.expectations import Expectation, Schema, factor_to, in_bounds, unit_of, wants_number
 from protocols.problems import BadInputError, Problem, closest
 from protocols.source_positions import Document, SourcePosition, path_text, shortened
 
@@ -81,14 +81,15 @@ def validate(
         found = translator.problems(errors)
         if partial is not None and "faults" not in {e["type"] for e in errors if not e["loc"]}:
             found += [translator.fault((), fault) for fault in partial(_valid_parts(model_class, document.data))]
-        replaced = {(problem.line, problem.column) for problem in found} & document.replaceable
+        own = {(problem.line, problem.column) for problem in found if problem.file == document.file}
+        replaced = own & document.replaceable
         problems = [problem for problem in problems if (problem.line, problem.column) not in replaced]
         unread = {problem.where for problem in problems}
         found = [p for p in found if p.value or not any(where.startswith(f"{p.where}, ") for where in unread)]
-        known = {(problem.line, problem.column) for problem in problems}
-        problems += [problem for problem in found if (problem.line, problem.column) not in known]
+        known = {problem.place for problem in problems}
+        problems += [problem for problem in found if problem.place not in known]
     if problems or model is None:
-        raise BadInputError(sorted(_once(problems), key=lambda problem: (problem.line, problem.column)))
+        raise BadInputError(sorted(_once(problems), key=lambda one: (one.file != document.file, *one.place)))
     return model
 
 
@@ -110,7 +111,7 @@ def _once(problems: Iterable[Problem]) -> list[Problem]:
     """The problems without repetitions by an alias (*name)."""
     kept: dict[object, Problem] = {}
     for problem in problems:
-        place = (problem.line, problem.column, problem.expected, problem.value)
+        place = (problem.place, problem.expected, problem.value)
         kept.setdefault(place if problem.value else problem, problem)
     return list(kept.values())
 
@@ -194,10 +195,13 @@ class _Translator:
             expected = str(error["ctx"]["error"])
         else:
             expected = self._expectation.words(path, self._document.data)
+        suggestion = self._suggestion(path, position)
+        if suggestion and isinstance(value := self._value(path), str) and _measure(value, unit := unit_of(_key(path))):
+            expected = f"a number in {unit}, without its unit"
         if position.hint:
             expected += f"; {position.hint}"
         found = shortened(position.source) or "nothing"
-        return [self._document.problem(path, expected, found, self._suggestion(path, position))]
+        return [self._document.problem(path, expected, found, suggestion)]
 
     def _missing(self, path: tuple[str | int, ...]) -> Problem:
         expected = f"is missing: {self._expectation.words(path, self._document.data)}"
@@ -216,7 +220,7 @@ class _Translator:
 
     def _suggestion(self, path: tuple[str | int, ...], position: SourcePosition) -> str:
         """A corrected value that fits the schema."""
-        schema = self._expectation.at(path, self._document.data)
+        schema = self._schema(path)
         value = self._value(path)
         wanted = schema.get("type")
         lists_numbers = wanted == "array" and wants_number(schema.get("items", {}))
@@ -225,8 +229,9 @@ class _Translator:
         if isinstance(value, str):
             if "enum" in schema or "const" in schema:
                 return closest(value, [str(word) for word in schema.get("enum", [schema.get("const")])])
-            unit = unit_of(next((step for step in reversed(path) if isinstance(step, str)), ""))
-            return _corrected_number(value, unit, schema, position.quoted) if wants_number(schema) else ""
+            return (
+                _corrected_number(value, unit_of(_key(path)), schema, position.quoted) if wants_number(schema) else ""
+            )
         if isinstance(value, float) and wanted == "integer" and value.is_integer():
             return str(int(value))
         if isinstance(value, int | float):
@@ -234,6 +239,13 @@ class _Translator:
         if isinstance(value, dict) and lists_numbers and value and all(key.isdigit() for key in value):
             return f"[{', '.join(value)}]"
         return ""
+
+    def _schema(self, path: tuple[str | int, ...]) -> Schema:
+        """The schema of the number or of the first item of the list at a path, else of the value there."""
+        schema = self._expectation.at(path, self._document.data)
+        branches = schema.get("anyOf") or schema.get("oneOf") or ()
+        numbers = [branch for branch in branches if branch.get("type") in {"number", "integer"}]
+        return {**schema, **numbers[0]} if numbers else schema
 
     def _path(self, loc: tuple[str | int, ...]) -> tuple[str | int, ...]:
         """pydantic's location without the tags of unions; a missing key may be its last element."""
@@ -267,14 +279,29 @@ class _Translator:
         return data
 
 
+def _key(path: tuple[str | int, ...]) -> str:
+    """The last key of a path."""
+    return next((step for step in reversed(path) if isinstance(step, str)), "")
+
+
+_MEASURE = re.compile(r"\s*([-+]?\d*[.,]?\d+(?:[eE][-+]?\d{1,2})?)\s*([^\s\d]*)\s*")
+
+
+def _measure(text: str, unit: str) -> tuple[Decimal, float] | None:
+    """The number of a text such as '50 kPa', and its factor to `unit`; None for any other text."""
+    match = _MEASURE.fullmatch(text)
+    if match is None or not match[2] or (factor := factor_to(unit, match[2])) is None:
+        return None
+    return Decimal(match[1].replace(",", ".")), factor
+
+
 def _corrected_number(text: str, unit: str, schema: Schema, quoted: bool) -> str:
-    """The number in a text such as '0.15', '0,15', 1e5 or, if the unit is s, '4 s'; empty if the schema refuses it."""
-    match = re.fullmatch(r"\s*([-+]?\d*[.,]?\d+)([eE][-+]?\d{1,2})?\s*(.*)", text)
-    if not match or match[3].strip() not in {"", unit}:
+    """The number in a text such as '0.15', '0,15' or '50 kPa', in `unit`; empty if there is none, or not in bounds."""
+    match = _MEASURE.fullmatch(text)
+    if match is None:
         return ""
-    number = match[1].replace(",", ".")
-    if match[2]:
-        number = f"{Decimal(number + match[2]):f}"
-    if not in_bounds(schema, float(number)):
+    number, factor = _measure(text, unit) or (Decimal(match[1].replace(",", ".")), 0.0 if match[2] else 1.0)
+    if not factor or not in_bounds(schema, float(number) * factor):
         return ""
-    return f"{number}, without quotes" if quoted and not match[3] else number
+    written = f"{number:f}" if factor == 1.0 else f"{float(number) * factor:.6g}"
+    return f"{written}, without quotes" if quoted and not match[2] else written

@@ -67,7 +67,7 @@ def test_the_message_names_place_value_expectation_and_suggestion() -> None:
     assert str(caught.value) == (
         "p.yaml:3:24: steps #1, hold, duration_s\n"
         "  found     4 s\n"
-        "  expected  a number above 0 and up to 1000000 (s)\n"
+        "  expected  a number in s, without its unit\n"
         "  did you mean 4?"
     )
 
@@ -76,8 +76,9 @@ def test_the_message_names_place_value_expectation_and_suggestion() -> None:
     ("written", "said", "suggestion"),
     [
         ("'4'", "a number", "4, without quotes"),
-        ("4 ms", "a number", ""),
-        ("1e1", "a number", "10"),
+        ("4 s", "a number in s, without its unit", "4"),
+        ("4 ms", "a number in s, without its unit", "0.004"),
+        ("4 kPa", "a number", ""),
         ("1e9", "a number", ""),
         ("'-4'", "a number", ""),
         (".nan", "a number", ""),
@@ -104,6 +105,19 @@ def test_only_text_that_is_written_as_a_number_is_read_as_one(written: str, said
     assert problem.line == 4
     assert said in problem.expected + problem.value
     assert problem.suggestion == suggestion
+
+
+@pytest.mark.parametrize(("written", "value"), [("1e-1", 0.1), ("2E1", 20.0), ("0.5e1", 5.0), ("3.e+0", 3.0)])
+def test_a_number_may_have_an_exponent_without_point_and_sign(written: str, value: float, tmp_path: Path) -> None:
+    file = tmp_path / "p.yaml"
+    file.write_text(steps(f"hold: {{duration_s: {written}}}"))
+    assert protocols.load(file).expand(1).duration_s == value
+
+
+@pytest.mark.parametrize(("written", "meant"), [("50 kPa", "0.5"), ("500mbar", "0.5"), ("0,2 bar", "0.2")])
+def test_a_pressure_in_another_unit_is_suggested_in_bar(written: str, meant: str) -> None:
+    problem = only_problem(steps(f"ramp: {{actuators: [1], to_bar: '{written}', duration_s: 1}}"))
+    assert (problem.expected, problem.suggestion) == ("a number in bar, without its unit", meant)
 
 
 def test_a_link_to_nothing_is_not_suggested_for_itself(tmp_path: Path) -> None:
