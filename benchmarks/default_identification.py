@@ -29,7 +29,6 @@ from calibration.parallel_map import parallel_map
 from calibration.vision.transforms import RigidTransform
 from model.arrays import Array
 from rig.config.arm_model import model_arm
-from rig.config.calibration_overlay import as_stated
 from rig.config.loader import RigFile, read
 from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
@@ -98,7 +97,11 @@ def drawn_rig(text: str, config: RigConfig, rng: np.random.Generator) -> dict[st
     for sensor in sensors:
         gain = draw(f"sensor_{sensor['actuator']}_gain")
         sensor["span_bar"] = [bar / gain for bar in sensor["span_bar"]]
-    simulator["built"] = as_stated(config) | {"sensors": sensors}
+    simulator["built"] = {
+        "lenses": {name: camera.lens.model_dump(mode="json") for name, camera in config.cameras.items()},
+        "valves": [valve.model_dump(mode="json") for valve in config.valves],
+        "sensors": sensors,
+    }
     simulator["arm_effects"] = [_scaled(one, rng.uniform(0, 2)) for one in simulator.get("arm_effects", ())]
     return data
 

@@ -1,17 +1,18 @@
-"""The overlay of each kind of calibration file: what it changes in a rig's YAML, and which rigs it belongs to."""
+"""The overlay of each kind of calibration file: what it changes in a rig file, and which rigs it belongs to."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from protocols import Problem
 from protocols.document import Document
 from protocols.problems import closest
+from protocols.source_positions import YamlPath
 from rig.config.calibration_files import LoadedCalibration
 from rig.config.calibration_schema import (
     CalibrationFile,
@@ -24,15 +25,14 @@ from rig.config.calibration_schema import (
     ToolFile,
     ValveCalibration,
 )
+from rig.config.draft import Draft
 from rig.config.optics import placement_of, rigid
-from rig.config.schema import RigConfig
 from rig.config.sections import LensConfig, Placement, Sensor
 from rig.sections.base import Section
 from rig.valves.base import ValveSection
 from rig.valves.metering import CALIBRATED_KEYS, MeteringValve
 
 Problems = Iterator[Problem]
-YamlPath = tuple[str | int, ...]
 File = TypeVar("File", bound=CalibrationFile)
 
 
@@ -45,7 +45,10 @@ class CalibratedPart(NamedTuple):
 
 
 class CalibrationOverlay(ABC, Generic[File]):
-    """One calibration file as a change of a rig's YAML."""
+    """One calibration file as a change of a rig file."""
+
+    first: ClassVar[bool] = False
+    """Whether other overlays depend on what this one puts."""
 
     def __init__(self, source: Document, found: File) -> None:
         self.source = source
@@ -56,38 +59,34 @@ class CalibrationOverlay(ABC, Generic[File]):
         """Yield what the file calibrates."""
 
     @abstractmethod
-    def apply(self, data: dict[str, Any], config: RigConfig) -> None:
-        """Put the calibrated values into the YAML `data` of a rig; `config` is its parsed form."""
+    def apply(self, draft: Draft) -> None:
+        """Put the calibrated values on a rig file to which this file belongs."""
 
     def cameras(self) -> Iterator[tuple[YamlPath, CameraIdentity]]:
         """Yield the cameras that the file is for, with their paths in its YAML."""
         return iter(())
 
-    def lenses(self) -> dict[str, LensConfig]:
-        """Return the lenses that the file calibrates, by camera."""
-        return {}
-
-    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Problems:
-        """Yield the reasons why the file does not belong to the rig; lenses: those of all files, by camera."""
+    def misfits(self, draft: Draft) -> Problems:
+        """Yield the reasons why the file does not belong to the rig."""
         for path, camera in self.cameras():
-            yield from _other_camera(config, self.source, path, camera)
+            yield from _other_camera(draft, self.source, path, camera)
 
 
 class LensOverlay(CalibrationOverlay[CameraFile]):
     """The lens of a camera."""
 
+    first = True
+
     def subjects(self) -> Iterator[CalibratedPart]:
         name = self.found.camera.name
         yield CalibratedPart(("camera", "name"), ("lens", name), f"the lens of camera '{name}'")
 
-    def apply(self, data: dict[str, Any], config: RigConfig) -> None:
-        data["cameras"][self.found.camera.name]["lens"] = self.found.lens.model_dump(mode="json")
+    def apply(self, draft: Draft) -> None:
+        lens = self.found.lens.model_dump(mode="json")
+        draft.put(("cameras", self.found.camera.name, "lens"), lens, self.source, ("lens",))
 
     def cameras(self) -> Iterator[tuple[YamlPath, CameraIdentity]]:
         yield ("camera",), self.found.camera
-
-    def lenses(self) -> dict[str, LensConfig]:
-        return {self.found.camera.name: self.found.lens}
 
 
 class PlacementOverlay(CalibrationOverlay[DLTFile]):
@@ -98,28 +97,37 @@ class PlacementOverlay(CalibrationOverlay[DLTFile]):
             name = item.camera.name
             yield CalibratedPart(("cameras", i, "camera", "name"), ("place", name), f"the place of camera '{name}'")
 
-    def apply(self, data: dict[str, Any], config: RigConfig) -> None:
-        for camera in self.found.cameras:
-            _place_camera(data, config, camera.camera.name, camera.placement)
+    def apply(self, draft: Draft) -> None:
+        for index, camera in enumerate(self.found.cameras):
+            self._place(draft, camera.camera.name, camera.placement, ("cameras", index, "placement"))
+
+    def _place(self, draft: Draft, name: str, found: Placement, at: YamlPath) -> None:
+        simulator, stated = draft.simulator, draft.part(Placement, "cameras", name, "placement")
+        if simulator is not None and stated is not None:
+            # The true camera pose stays: the stated placement changes, so the simulated error absorbs the difference.
+            true = rigid(stated) @ rigid(simulator.error_of(name))
+            error = placement_of(rigid(found).inverse() @ true).model_dump(mode="json")
+            draft.put(("simulator", "camera_errors", name), error, self.source, at)
+        draft.put(("cameras", name, "placement"), found.model_dump(mode="json"), self.source, at)
 
     def cameras(self) -> Iterator[tuple[YamlPath, CameraIdentity]]:
         for i, item in enumerate(self.found.cameras):
             yield ("cameras", i, "camera"), item.camera
 
-    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Problems:
+    def misfits(self, draft: Draft) -> Problems:
         """As of every file; another frame, and another lens: a place is valid only with the lens it was found with."""
-        yield from super().misfits(config, lenses)
+        yield from super().misfits(draft)
         if self.found.world != "rod base":
             expected = "rod base: the placements of cameras are in it; calibrate with control points in it, or --base"
             yield self.source.problem(("world",), expected)
         for i, item in enumerate(self.found.cameras):
             name = item.camera.name
-            if item.lens is None or name not in config.cameras:
+            used: LensConfig | None = draft.part(LensConfig, "cameras", name, "lens")
+            if item.lens is None or used is None:
                 continue
-            used = lenses.get(name, config.cameras[name].lens)
             mine, theirs = (np.array([v.fx_px, v.fy_px, v.cx_px, v.cy_px, *v.distortion]) for v in (item.lens, used))
             if not np.allclose(mine, theirs, rtol=1e-5, atol=1e-7):
-                expected = f"{used.fx_px:g} and so on, the lens of camera {name} in rig {config.name}: the place was "
+                expected = f"{used.fx_px:g} and so on, the lens of camera {name} in rig {draft.name}: the place was "
                 expected += "found through another lens; name that lens's calibration, too"
                 yield self.source.problem(("cameras", i, "lens"), expected, f"fx_px {item.lens.fx_px:g}")
 
@@ -130,24 +138,27 @@ class BoardOverlay(CalibrationOverlay[ToolFile]):
     def subjects(self) -> Iterator[CalibratedPart]:
         yield CalibratedPart(("kind",), ("tool", ""), "the board on the tip")
 
-    def apply(self, data: dict[str, Any], config: RigConfig) -> None:
-        data["board"]["placement"] = self.found.placement.model_dump(mode="json")
+    def apply(self, draft: Draft) -> None:
+        placement = self.found.placement.model_dump(mode="json")
+        draft.put(("board", "placement"), placement, self.source, ("placement",))
 
     def cameras(self) -> Iterator[tuple[YamlPath, CameraIdentity]]:
         yield ("camera",), self.found.camera
 
-    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Problems:
-        yield from super().misfits(config, lenses)
-        if config.board is None:
-            expected = f"no calibration of a tool: rig {config.name} has no board"
+    def misfits(self, draft: Draft) -> Problems:
+        yield from super().misfits(draft)
+        if draft.get("board") is None:
+            expected = f"no calibration of a tool: rig {draft.name} has no board"
             yield self.source.problem(("board",), expected, "a board")
             return
-        board, wanted = self.found.board, config.board.pattern
+        if (stated := draft.board) is None:
+            return
+        board, wanted = self.found.board, stated.pattern
         if board.kind != wanted.kind:
-            expected = f"a {wanted.kind}, as the board of rig {config.name}"
+            expected = f"a {wanted.kind}, as the board of rig {draft.name}"
             yield self.source.problem(("board",), expected, f"a {board.kind}")
             return
-        yield from _unlike(self.source, ("board",), board, wanted.model_dump(), f"as the board of rig {config.name}")
+        yield from _unlike(self.source, ("board",), board, wanted.model_dump(), f"as the board of rig {draft.name}")
 
 
 class PressureOverlay(CalibrationOverlay[PressureFile]):
@@ -160,49 +171,55 @@ class PressureOverlay(CalibrationOverlay[PressureFile]):
         for i, sweep in enumerate(self.found.valves):
             yield CalibratedPart(("valves", i, "valve"), ("valve", sweep.valve), f"valve {sweep.valve}")
 
-    def apply(self, data: dict[str, Any], config: RigConfig) -> None:
-        for scale in self.found.sensors:
-            for sensor in data["sensors"]:
-                if int(sensor["actuator"]) == scale.actuator:
-                    sensor["span_V"] = list(scale.span_V)
-                    sensor["span_bar"] = [scale.offset_bar + scale.scale_bar_per_V * v for v in scale.span_V]
-        for sweep in self.found.valves:
-            data["valves"][sweep.valve - 1] |= sweep.model_dump(mode="json", include=set(CALIBRATED_KEYS))
+    def apply(self, draft: Draft) -> None:
+        place_of = {sensor.actuator: place for place, sensor in enumerate(draft.sensors) if sensor is not None}
+        for i, scale in enumerate(self.found.sensors):
+            if scale.actuator in place_of:
+                span_bar = [scale.offset_bar + scale.scale_bar_per_V * v for v in scale.span_V]
+                draft.put(("sensors", place_of[scale.actuator], "span_bar"), span_bar, self.source, ("sensors", i))
+        for i, sweep in enumerate(self.found.valves):
+            curve = sweep.model_dump(mode="json", include=set(CALIBRATED_KEYS))
+            draft.put(("valves", sweep.valve - 1), curve, self.source, ("valves", i))
 
-    def misfits(self, config: RigConfig, lenses: Mapping[str, LensConfig]) -> Problems:
-        yield from self._other_sensors(config)
-        yield from self._other_valves(config)
+    def misfits(self, draft: Draft) -> Problems:
+        yield from self._other_sensors(draft)
+        yield from self._other_valves(draft)
 
-    def _other_sensors(self, config: RigConfig) -> Problems:
-        sensors = {s.actuator: s for s in config.sensors}
+    def _other_sensors(self, draft: Draft) -> Problems:
+        stated = draft.sensors
+        sensors = {sensor.actuator: sensor for sensor in stated if sensor is not None}
         for i, scale in enumerate(self.found.sensors):
             path: YamlPath = ("sensors", i)
             if scale.actuator not in sensors:
-                yield self.source.problem((*path, "actuator"), f"an actuator of rig {config.name}")
+                if None not in stated:
+                    yield self.source.problem((*path, "actuator"), f"an actuator of rig {draft.name}")
                 continue
             sensor = sensors[scale.actuator]
             yield from _other_channel(
-                config, self.source, path, scale, sensor, f"the sensor of actuator {scale.actuator}"
+                draft, self.source, path, scale, sensor, f"the sensor of actuator {scale.actuator}"
             )
             if sensor.unit != "V":
                 expected = f"a sensor in volts; that of actuator {scale.actuator} gives {sensor.unit}"
                 yield self.source.problem((*path, "actuator"), expected)
             else:
-                why = f"as the sensor of rig {config.name}"
+                why = f"as the sensor of rig {draft.name}"
                 yield from _unlike(self.source, path, scale, {"span_V": sensor.span_V}, why)
 
-    def _other_valves(self, config: RigConfig) -> Problems:
+    def _other_valves(self, draft: Draft) -> Problems:
+        valves = draft.valves
         for i, sweep in enumerate(self.found.valves):
             path: YamlPath = ("valves", i)
-            if sweep.valve > len(config.valves):
-                yield self.source.problem((*path, "valve"), f"a valve from 1 to {len(config.valves)}")
+            if sweep.valve > len(valves):
+                yield self.source.problem((*path, "valve"), f"a valve from 1 to {len(valves)}")
                 continue
-            valve = config.valves[sweep.valve - 1]
+            valve = valves[sweep.valve - 1]
+            if valve is None:
+                continue
             if not isinstance(valve, MeteringValve):
-                expected = f"a valve that meters flow; valve {sweep.valve} of rig {config.name} regulates by itself"
+                expected = f"a valve that meters flow; valve {sweep.valve} of rig {draft.name} regulates by itself"
                 yield self.source.problem((*path, "valve"), expected)
                 continue
-            yield from _other_channel(config, self.source, path, sweep, valve, f"valve {sweep.valve}")
+            yield from _other_channel(draft, self.source, path, sweep, valve, f"valve {sweep.valve}")
             low_v, high_v = valve.range_V
             if not low_v < sweep.closed_V < high_v:
                 expected = f"a voltage inside range_V of the valve, {low_v:g} to {high_v:g} V"
@@ -215,9 +232,9 @@ class GravityOverlay(CalibrationOverlay[GravityFile]):
     def subjects(self) -> Iterator[CalibratedPart]:
         yield CalibratedPart(("direction",), ("gravity", ""), "the direction of gravity")
 
-    def apply(self, data: dict[str, Any], config: RigConfig) -> None:
-        data["arm"]["gravity_direction"] = list(self.found.direction)
-        data["uncertainties"] = (data.get("uncertainties") or {}) | {"gravity_direction_deg": self.found.std_deg}
+    def apply(self, draft: Draft) -> None:
+        draft.put(("arm", "gravity_direction"), list(self.found.direction), self.source, ("direction",))
+        draft.put(("uncertainties", "gravity_direction_deg"), self.found.std_deg, self.source, ("std_deg",))
 
 
 OVERLAYS: dict[type[CalibrationFile], type[CalibrationOverlay[Any]]] = {
@@ -252,23 +269,15 @@ def _short(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(list(value) if isinstance(value, tuple) else value)
 
 
-def _place_camera(data: dict[str, Any], config: RigConfig, name: str, found: Placement) -> None:
-    if config.simulator is not None:
-        # The true camera pose stays: the stated placement changes, so the simulated error absorbs the difference.
-        true = rigid(config.cameras[name].placement) @ rigid(config.simulator.error_of(name))
-        errors = data["simulator"].setdefault("camera_errors", {})
-        errors[name] = placement_of(rigid(found).inverse() @ true).model_dump(mode="json")
-    data["cameras"][name]["placement"] = found.model_dump(mode="json")
-
-
-def _other_camera(config: RigConfig, source: Document, path: YamlPath, identity: CameraIdentity) -> Problems:
-    if identity.name not in config.cameras:
-        known = ", ".join(config.cameras) or "it has none"
-        expected = f"a camera of rig {config.name}: {known}"
-        yield source.problem((*path, "name"), expected, suggestion=closest(identity.name, config.cameras))
+def _other_camera(draft: Draft, source: Document, path: YamlPath, identity: CameraIdentity) -> Problems:
+    names = draft.get("cameras") or {}
+    if identity.name not in names:
+        expected = f"a camera of rig {draft.name}: {', '.join(map(str, names)) or 'it has none'}"
+        yield source.problem((*path, "name"), expected, suggestion=closest(identity.name, map(str, names)))
         return
-    camera = config.cameras[identity.name]
-    where = f"cameras, {identity.name} of rig {config.name}"
+    if (camera := draft.cameras.get(identity.name)) is None:
+        return
+    where = f"cameras, {identity.name} of rig {draft.name}"
     for keys, why in (
         ({"width_px", "height_px"}, "a calibration holds at its own resolution only"),
         ({"driver", "device"}, "this is another camera's calibration"),
@@ -277,16 +286,17 @@ def _other_camera(config: RigConfig, source: Document, path: YamlPath, identity:
 
 
 def _other_channel(
-    config: RigConfig,
+    draft: Draft,
     source: Document,
     path: YamlPath,
     part: SensorCalibration | ValveCalibration,
     stated: Sensor | ValveSection,
     what: str,
 ) -> Problems:
-    card = config.cards[stated.card]
+    if (card := draft.cards.get(stated.card)) is None:
+        return
     identity = {"name": stated.card, "driver": card.driver, "device": card.device}
-    why = f"the card of {what} in rig {config.name}: this was measured through another card"
+    why = f"the card of {what} in rig {draft.name}: this was measured through another card"
     yield from _unlike(source, (*path, "card"), part.card, identity, why)
-    channel = f"the channel of {what} in rig {config.name}"
+    channel = f"the channel of {what} in rig {draft.name}"
     yield from _unlike(source, path, part, {"channel": stated.channel}, channel)

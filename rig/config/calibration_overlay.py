@@ -1,21 +1,16 @@
-"""Overlay of calibration files on a rig's YAML: calibrated values replace the stated ones.
-
-The simulator keeps the values that the rig stated before, under `simulator, built`.
-"""
+"""Overlay of calibration files on a rig file: calibrated values replace the stated ones."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
-
-import yaml
 
 from protocols import BadInputError, Problem
 from protocols.document import Document
 from protocols.problems import raise_all
 from rig.config.calibration_files import LoadedCalibration, read
 from rig.config.calibration_kinds import overlay_of
+from rig.config.draft import Draft
 from rig.config.schema import RigConfig
 
 Problems = Iterator[Problem]
@@ -80,38 +75,21 @@ def check_serials(config: RigConfig, calibrations: Sequence[LoadedCalibration]) 
     raise_all(problems)
 
 
-def with_calibrations(text: str, config: RigConfig, calibrations: Sequence[LoadedCalibration]) -> str:
-    """Return the rig's YAML `text` with the calibrations applied in order; `config` is its parsed form.
+def lay_over(draft: Draft, calibrations: Sequence[LoadedCalibration]) -> list[Problem]:
+    """Put calibrations on a rig file; return every reason why one of them does not belong to it.
 
-    Raises:
-        BadInputError: a calibration has another camera, resolution, board or card.
+    Lenses come first: a place of a camera is valid only with the lens that it was found with.
     """
+    draft.drop("calibrations")
+    if calibrations:
+        draft.keep_what_is_simulated()
     problems: list[Problem] = []
-    overlays = [overlay_of(calibration) for calibration in calibrations]
-    lenses = {name: lens for overlay in overlays for name, lens in overlay.lenses().items()}
-    for overlay in overlays:
-        problems += overlay.misfits(config, lenses)
-    raise_all(problems)
-    data = yaml.safe_load(text)
-    data.pop("calibrations", None)
-    built = None if config.simulator is None else as_stated(config)
-    for overlay in overlays:
-        overlay.apply(data, config)
-    if built is not None:
-        data["simulator"]["built"] = {**built, **data["simulator"].get("built", {})}
-    if built is not None and config.board is not None:
-        data["simulator"].setdefault("board", config.board.placement.model_dump(mode="json"))
-    head = "".join(f"# with {Path(c.source.file).name}, sha256 {c.sha256}\n" for c in calibrations)
-    return head + yaml.safe_dump(data, sort_keys=False, width=120, default_flow_style=None)
-
-
-def as_stated(config: RigConfig) -> dict[str, Any]:
-    """Return the stated lenses, valves and sensors, from which the simulator is built."""
-    return {
-        "lenses": {name: camera.lens.model_dump(mode="json") for name, camera in config.cameras.items()},
-        "valves": [valve.model_dump(mode="json") for valve in config.valves],
-        "sensors": [sensor.model_dump(mode="json") for sensor in config.sensors],
-    }
+    for overlay in sorted(map(overlay_of, calibrations), key=lambda one: not one.first):
+        if misfits := list(overlay.misfits(draft)):
+            problems += misfits
+        else:
+            overlay.apply(draft)
+    return problems
 
 
 def _twice(calibrations: Sequence[LoadedCalibration]) -> Problems:

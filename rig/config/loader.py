@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from protocols import BadInputError, Problem, document
 from protocols.library import find
+from protocols.problems import raise_all
 from rig.config import consistency
 from rig.config.metadata import run_metadata
 from rig.config.schema import RigConfig
@@ -94,48 +95,63 @@ class RigFile:
     """A rig file as written, its overlays, and the configuration that follows from them.
 
     `file` names the rig file in messages, `text` is its text. `calibrations` are its calibration files by name, in the
-    order of application, and `parameters` is the text of its identified parameters, or empty: both verbatim. `yaml` is
-    the rig file with all overlays applied, `config` its configuration. A `recorded` rig is from an archive: its drivers
-    need not be installed here.
+    order of application, and `parameters` is the text of its identified parameters, or empty: both verbatim. `data` is
+    the rig file as plain data with all overlays applied, `config` its configuration. A `recorded` rig is from an
+    archive: its drivers need not be installed here.
     """
 
     file: str
     text: str
     calibrations: tuple[RecordedFile, ...]
     parameters: str
-    yaml: str
+    data: Mapping[str, Any] = field(repr=False)
     config: RigConfig
     recorded: bool = False
 
+    @property
+    def yaml(self) -> str:
+        """The rig file verbatim if there are no overlays, else the YAML of both."""
+        if not self.calibrations and not self.parameters:
+            return self.text
+        import yaml
+
+        names = [*(file.name for file in self.calibrations), *(["identified parameters"] if self.parameters else ())]
+        head = f"# {Path(self.file).name} with {', '.join(names)}\n"
+        return head + yaml.safe_dump(self.data, sort_keys=False, width=120, default_flow_style=None)
+
     def calibrated(self, files: Sequence[Path]) -> RigFile:
-        """Return the rig with more calibration files; a newer calibration replaces an older one of the same subject.
-
-        Raises:
-            BadInputError: a file is invalid or belongs to another rig.
-        """
-        from rig.config import calibration_overlay
-
-        return self._calibrated(calibration_overlay.read_files(files))
+        """Return the rig with more calibration files, as `overlaid` does."""
+        return self.overlaid(read_calibrations(files))
 
     def calibrated_as(self, files: Sequence[RecordedFile]) -> RigFile:
-        """Return the rig with recorded calibrations added, as `calibrated` does."""
-        return self._calibrated(_parse_calibrations(self.file, files)) if files else self
-
-    def _calibrated(self, added: Sequence[tuple[str, LoadedCalibration]]) -> RigFile:
-        from rig.config import calibration_overlay
-
-        kept = calibration_overlay.not_replaced(_parsed(self), [one for _, one in added])
-        return _rig_file(self._document, (*kept, *added), _parameters(self.parameters), recorded=self.recorded)
+        """Return the rig with recorded calibrations added, as `overlaid` does."""
+        return self.overlaid(_parse_calibrations(self.file, files)) if files else self
 
     def identified(self, parameters: Parameters, variant: Variant | None = None) -> RigFile:
-        """Return the rig with these identified parameters, instead of any that it has.
+        """Return the rig with these identified parameters, as `overlaid` does."""
+        return self.overlaid((), parameters, variant)
 
-        `variant` is the requested model variant; by default the rig's own.
+    def overlaid(
+        self,
+        added: Sequence[tuple[str, LoadedCalibration]] = (),
+        parameters: Parameters | None = None,
+        variant: Variant | None = None,
+    ) -> RigFile:
+        """Return the rig with calibrations added, and with other identified parameters than it has, if any are given.
+
+        A newer calibration replaces an older one of the same subject. `variant` is the model variant that the
+        parameters must have; by default the rig's own.
 
         Raises:
-            BadInputError: the parameters belong to another arm or model variant.
+            BadInputError: an overlay belongs to another rig, arm or model variant.
         """
-        return _rig_file(self._document, _parsed(self), parameters, variant, recorded=self.recorded)
+        kept = _parse_calibrations(self.file, self.calibrations)
+        if added:
+            from rig.config import calibration_overlay
+
+            kept = calibration_overlay.not_replaced(kept, [one for _, one in added])
+        laid = parameters or _parameters(self.parameters)
+        return _rig_file(self._document, (*kept, *added), laid, variant, recorded=self.recorded)
 
     def run_metadata(self, given: Mapping[str, str | float]) -> tuple[dict[str, str], list[Problem]]:
         """Return the metadata of a run, where `given` overrides the rig file, and every problem of both."""
@@ -145,11 +161,21 @@ class RigFile:
         """Return the rig with its calibrations only."""
         if not self.parameters:
             return self
-        return _rig_file(self._document, _parsed(self), None, recorded=self.recorded)
+        kept = _parse_calibrations(self.file, self.calibrations)
+        return _rig_file(self._document, kept, recorded=self.recorded)
 
     @property
     def _document(self) -> document.Document:
         return document.parse(self.text, self.file)
+
+
+def read_calibrations(files: Sequence[Path]) -> tuple[tuple[str, LoadedCalibration], ...]:
+    """Read calibration files; `BadInputError` has the problems of all of them."""
+    if not files:
+        return ()
+    from rig.config import calibration_overlay
+
+    return calibration_overlay.read_files(files)
 
 
 def path_of(name_or_path: str | Path) -> Path:
@@ -162,9 +188,15 @@ def named() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in FOLDER.glob("*.yaml")))
 
 
-def read(name_or_path: str | Path) -> RigFile:
-    """Read a rig by name or path, with the calibrations that it names; raise `BadInputError` with every problem."""
-    return _from_disk(document.read(path_of(name_or_path)))
+def read(name_or_path: str | Path, parameters: Parameters | None = None, variant: Variant | None = None) -> RigFile:
+    """Read a rig by name or path, with the calibrations that it names, and with identified parameters, if given.
+
+    `variant` is the model variant that the parameters must have; by default the rig's own.
+
+    Raises:
+        BadInputError: every problem.
+    """
+    return _from_disk(document.read(path_of(name_or_path)), parameters, variant)
 
 
 def text(name_or_path: str | Path) -> str:
@@ -193,10 +225,6 @@ def recorded(header: RunHeader, archive: Path) -> RigFile:
     return _rig_file(source, calibrations, _parameters(header.parameters_yaml), recorded=True)
 
 
-def _validated(yaml: str, file: str, context: Mapping[str, bool]) -> RigConfig:
-    return document.validate(RigConfig, document.parse(yaml, file), consistency.check, context)
-
-
 def _rig_file(
     source: document.Document,
     calibrations: Sequence[tuple[str, LoadedCalibration]] = (),
@@ -205,52 +233,65 @@ def _rig_file(
     *,
     recorded: bool = False,
 ) -> RigFile:
-    """Apply calibrations, then identified parameters, to a rig file.
+    """Put calibrations, then identified parameters, on a rig file, and validate the whole once.
 
     `variant` is the model variant that the parameters must have; by default the rig's own. The drivers of a `recorded`
     rig need not be installed.
 
     Raises:
-        BadInputError: every problem of the rig file; or an overlay belongs to another rig, arm or model variant.
+        BadInputError: every problem of the rig file, and of overlays that belong to another rig, arm or model variant.
     """
-    context = {RECORDED: recorded}
-    yaml, config = source.text, document.validate(RigConfig, source, consistency.check, context)
-    if calibrations or config.calibrations:
-        from rig.config import calibration_overlay
+    laid, problems = source, list[Problem]()
+    if calibrations or source.data.get("calibrations") or parameters is not None:
+        from rig.config.draft import Draft
 
-        yaml = calibration_overlay.with_calibrations(yaml, config, [one for _, one in calibrations])
-        config = _validated(yaml, source.file, context)
-    if parameters is not None:
-        from rig.config import parameters_overlay
+        draft = Draft(source, recorded=recorded)
+        if calibrations or source.data.get("calibrations"):
+            from rig.config import calibration_overlay
 
-        yaml = parameters_overlay.with_parameters(yaml, config, source.file, parameters, variant)
-        config = _validated(yaml, f"{source.file} with {parameters.source.file}", context)
+            problems += calibration_overlay.lay_over(draft, [one for _, one in calibrations])
+        if parameters is not None:
+            from rig.config import parameters_overlay
+
+            problems += parameters_overlay.lay_over(draft, parameters, variant)
+        laid = draft.document()
     return RigFile(
         file=source.file,
         text=source.text,
         calibrations=tuple(RecordedFile.of(name, one.found.kind, one.source.text) for name, one in calibrations),
         parameters="" if parameters is None else parameters.source.text,
-        yaml=yaml,
-        config=config,
+        data=laid.data,
+        config=_validated(laid, problems, recorded=recorded),
         recorded=recorded,
     )
 
 
-def _from_disk(source: document.Document) -> RigFile:
+def _validated(source: document.Document, problems: Sequence[Problem], *, recorded: bool = False) -> RigConfig:
+    """Return the configuration of a rig; raise `BadInputError` with its problems and those found before."""
+    try:
+        config = document.validate(RigConfig, source, consistency.check, {RECORDED: recorded})
+    except BadInputError as bad:
+        raise BadInputError((*bad.problems, *problems)) from None
+    raise_all(problems)
+    return config
+
+
+def _from_disk(
+    source: document.Document, parameters: Parameters | None = None, variant: Variant | None = None
+) -> RigFile:
     """Return the rig of a file, with the calibrations that it names; they must be those of the cameras plugged in."""
-    if not source.data.get("calibrations"):
-        return _rig_file(source)
-    config = document.validate(RigConfig, source, consistency.check)
+    if not isinstance(source.data.get("calibrations", []), list) or not source.data.get("calibrations"):
+        return _rig_file(source, (), parameters, variant)
     from rig.config import calibration_overlay
 
-    calibrations = calibration_overlay.read_all(source)
-    found = _rig_file(source, calibrations)
-    calibration_overlay.check_serials(config, [one for _, one in calibrations])
+    try:
+        calibrations = calibration_overlay.read_all(source)
+    except BadInputError as bad:
+        _validated(source, bad.problems)
+        raise
+    found = _rig_file(source, calibrations, parameters, variant)
+    calibration_overlay.check_serials(found.config, [one for _, one in calibrations])
     return found
-
-
-def _parsed(rig: RigFile) -> tuple[tuple[str, LoadedCalibration], ...]:
-    return _parse_calibrations(rig.file, rig.calibrations)
 
 
 def _parse_calibrations(rig: str, files: Sequence[RecordedFile]) -> tuple[tuple[str, LoadedCalibration], ...]:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import yaml
 from pydantic import Field
 
 from calibration.vision.transforms import RigidTransform
-from protocols import BadInputError, document
-from rig.config.calibration_overlay import as_stated
+from protocols import Problem, document
+from protocols.source_positions import YamlPath
+from rig.config.draft import Draft
 from rig.config.optics import placement_of, rigid
-from rig.config.schema import RigConfig
-from rig.config.sections import ActuationConfig, GeometryConfig, MaterialConfig, Placement, Variant
+from rig.config.sections import ActuationConfig, GeometryConfig, MaterialConfig, ModelConfig, Placement, Variant
 from rig.sections.base import Section
 from rig.sections.quantities import NonNegative, Number, Positive, Triple
 
@@ -95,70 +93,65 @@ def recorded(text: str) -> Parameters:
     return _validated(document.parse(text, "the recorded parameters"))
 
 
-def with_parameters(
-    rig_yaml: str, config: RigConfig, file: str, parameters: Parameters, variant: Variant | None = None
-) -> str:
-    """Return a rig's YAML with identified parameters applied; `config` is its parsed form, `file` its source.
+def lay_over(draft: Draft, parameters: Parameters, variant: Variant | None = None) -> list[Problem]:
+    """Put identified parameters on a rig file; return every reason why they belong to another arm or model variant.
 
     `variant` is the requested model variant; by default the rig's own. The simulator's true values do not change.
-
-    Raises:
-        BadInputError: the parameters belong to another arm or model variant.
     """
-    found = parameters.found
-    _check(config, Path(file).name, parameters, variant)
-    data = yaml.safe_load(rig_yaml)
-    _merge(data, found.model_dump(mode="json", include={"arm"}))
-    _merge(data, {"model": {"variant": found.identified.variant}})
-    _scale(data, config, found.sensing)
-    _mount(data, config, found.mounting)
-    if config.simulator is not None and config.simulator.geometry is None:
-        data["simulator"]["geometry"] = config.arm.geometry.model_dump(mode="json")
-    head = f"# {Path(file).name} with the parameters of {Path(parameters.source.file).name}\n"
-    return head + yaml.safe_dump(data, sort_keys=False, width=120, default_flow_style=None)
+    if problems := _misfits(draft, parameters, variant):
+        return problems
+    found, source = parameters.found, parameters.source
+    draft.keep_what_is_simulated()
+    if draft.part(GeometryConfig, "arm", "geometry") is not None:  # else it could not be compared
+        draft.put((), found.model_dump(mode="json", include={"arm"}), source, ())
+    draft.put(("model", "variant"), found.identified.variant, source, ("identified", "variant"))
+    _scale(draft, found.sensing, source)
+    _mount(draft, found.mounting, source)
+    return []
 
 
 def _validated(source: document.Document) -> Parameters:
     return Parameters(document.validate(ParametersFile, source), source)
 
 
-def _check(config: RigConfig, rig: str, parameters: Parameters, variant: Variant | None) -> None:
-    """Refuse parameters of another arm or model variant; report every problem at once."""
-    found, source = parameters.found, parameters.source
-    problems = []
+def _misfits(draft: Draft, parameters: Parameters, variant: Variant | None) -> list[Problem]:
+    """Return a problem for each part of another arm or model variant; an invalid part of the rig file is not judged."""
+    found, source, rig = parameters.found, parameters.source, draft.file
+    problems: list[Problem] = []
 
     def refuse(where: tuple[str, ...], value: str, expected: str) -> None:
         problems.append(source.problem(where, expected, value))
 
-    required = variant or config.model.variant
+    model: ModelConfig | None = draft.part(ModelConfig, "model", default=ModelConfig())
+    required = variant or (model.variant if model is not None else found.identified.variant)
     if found.identified.variant != required:
         by = "that --model names" if variant else f"of {rig}"
         refuse(("identified", "variant"), found.identified.variant, f"{required}, the model {by}; another with --model")
-    law, own = found.arm.actuation.law, config.arm.actuation.law
-    if law != own:
-        refuse(("arm", "actuation", "law"), law, f"{own}, the actuation law of {rig}")
-    for section, name, what in (("material", "branches", "branches"), ("actuation", "stops", "stop elements")):
-        count, wanted = (len(getattr(getattr(arm, section), name)) for arm in (found.arm, config.arm))
-        if count != wanted:
-            refuse(("arm", section, name), f"{count} {what}", f"{wanted}, as {rig} has")
-    now, then = config.arm.geometry, found.identified.geometry
-    if len(then.actuator_angles_deg) != config.actuators:
-        refuse(
-            ("identified", "geometry", "actuator_angles_deg"),
-            f"{len(then.actuator_angles_deg)} actuators",
-            f"{config.actuators}, as {rig} has",
-        )
-    else:
+    stated: ActuationConfig | None = draft.part(ActuationConfig, "arm", "actuation", default=ActuationConfig())
+    if stated is not None:
+        if found.arm.actuation.law != stated.law:
+            expected = f"{stated.law}, the actuation law of {rig}"
+            refuse(("arm", "actuation", "law"), found.arm.actuation.law, expected)
+        if (count := len(found.arm.actuation.stops)) != len(stated.stops):
+            refuse(("arm", "actuation", "stops"), f"{count} stop elements", f"{len(stated.stops)}, as {rig} has")
+    material: MaterialConfig | None = draft.part(MaterialConfig, "arm", "material")
+    if material is not None and (count := len(found.arm.material.branches)) != len(material.branches):
+        refuse(("arm", "material", "branches"), f"{count} branches", f"{len(material.branches)}, as {rig} has")
+    now: GeometryConfig | None = draft.part(GeometryConfig, "arm", "geometry")
+    then, actuators = found.identified.geometry, len(found.identified.geometry.actuator_angles_deg)
+    if now is not None and actuators != (wanted := len(now.actuator_angles_deg)):
+        place = ("identified", "geometry", "actuator_angles_deg")
+        refuse(place, f"{actuators} actuators", f"{wanted}, as {rig} has")
+    elif now is not None:
         for name in differing_fields(now, then):
             mine, theirs = (", ".join(f"{x:.6g}" for x in np.ravel(getattr(g, name))) for g in (now, then))
             refuse(("identified", "geometry", name), theirs, f"{mine}, as {rig} has: it is another arm")
-    if len(found.sensing.gain) != config.actuators and not problems:
-        refuse(("sensing", "gain"), f"{len(found.sensing.gain)} numbers", f"one for each of {config.actuators} sensors")
+    if len(found.sensing.gain) != actuators and not problems:
+        refuse(("sensing", "gain"), f"{len(found.sensing.gain)} numbers", f"one for each of {actuators} sensors")
     n = len(found.estimates)
     if [len(row) for row in found.covariance] != [n] * n:
         refuse(("covariance",), f"{len(found.covariance)} rows", f"{n} rows of {n} numbers, as there are estimates")
-    if problems:
-        raise BadInputError(problems)
+    return problems
 
 
 def differing_fields(one: GeometryConfig, other: GeometryConfig) -> list[str]:
@@ -175,37 +168,31 @@ def differing_fields(one: GeometryConfig, other: GeometryConfig) -> list[str]:
     return found
 
 
-def _merge(target: dict[str, Any], values: Mapping[str, Any]) -> None:
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            _merge(target.setdefault(key, {}), value)
-        else:
-            target[key] = value
-
-
-def _scale(data: dict[str, Any], config: RigConfig, sensing: Sensing) -> None:
+def _scale(draft: Draft, sensing: Sensing, source: document.Document) -> None:
     """Divide the sensors' pressure spans by their gains."""
-    if all(gain == 1 for gain in sensing.gain):
-        return
-    if config.simulator is not None and config.simulator.built is None:
-        data["simulator"]["built"] = as_stated(config)
-    for sensor, known in zip(data["sensors"], config.sensors, strict=True):
-        sensor["span_bar"] = [bar / sensing.gain[known.actuator - 1] for bar in known.span_bar]
+    for place, sensor in enumerate(draft.sensors):
+        if (
+            sensor is not None
+            and sensor.actuator <= len(sensing.gain)
+            and (gain := sensing.gain[sensor.actuator - 1]) != 1
+        ):
+            span_bar = [bar / gain for bar in sensor.span_bar]
+            draft.put(("sensors", place, "span_bar"), span_bar, source, ("sensing", "gain", sensor.actuator - 1))
 
 
-def _mount(data: dict[str, Any], config: RigConfig, mounting: MountingSection) -> None:
+def _mount(draft: Draft, mounting: MountingSection, source: document.Document) -> None:
     """Move cameras and board so that the measured tips are those of the arm's own base and tip."""
     if any((*mounting.base_translation_mm, *mounting.base_rotation_deg)):
         back = _base(mounting).inverse()
-        for name, camera in config.cameras.items():
-            _place(data["cameras"][name], "placement", camera.placement, back)
-        if config.simulator is not None:
-            _place(data["simulator"], "base", config.simulator.base, back)
-    if any((*mounting.tool_offset_mm, *mounting.tool_rotation_deg)) and config.board is not None:
+        at = ("mounting", "base_translation_mm")
+        for name in draft.cameras:
+            _move(draft, ("cameras", name, "placement"), back, source, at)
+        if draft.simulator is not None:
+            _move(draft, ("simulator", "base"), back, source, at)
+    if any((*mounting.tool_offset_mm, *mounting.tool_rotation_deg)):
         tool = Placement(translation_mm=mounting.tool_offset_mm, rotation_deg=mounting.tool_rotation_deg)
-        _place(data["board"], "placement", config.board.placement, rigid(tool))
-        if config.simulator is not None and config.simulator.board is None:
-            data["simulator"]["board"] = config.board.placement.model_dump(mode="json")
+        if draft.board is not None:
+            _move(draft, ("board", "placement"), rigid(tool), source, ("mounting", "tool_offset_mm"))
 
 
 def _base(mounting: MountingSection) -> RigidTransform:
@@ -213,7 +200,9 @@ def _base(mounting: MountingSection) -> RigidTransform:
     return rigid(Placement(translation_mm=mounting.base_translation_mm, rotation_deg=mounting.base_rotation_deg))
 
 
-def _place(data: dict[str, Any], key: str, known: Placement, by: RigidTransform) -> None:
+def _move(draft: Draft, path: YamlPath, by: RigidTransform, source: document.Document, at: YamlPath) -> None:
     """Transform a placement to another parent frame; its uncertainty stays."""
-    moved = placement_of(by @ rigid(known)).model_dump(mode="json", include={"translation_mm", "rotation_deg"})
-    data[key] = {**known.model_dump(mode="json"), **moved}
+    known: Placement | None = draft.part(Placement, *path, default=Placement())
+    if known is not None:
+        moved = placement_of(by @ rigid(known)).model_dump(mode="json", include={"translation_mm", "rotation_deg"})
+        draft.put(path, moved, source, at)

@@ -105,10 +105,9 @@ def replay_rig(
     """
     found = loader.recorded(run.header, run.path) if rig is None else loader.read(rig)
     chosen = variant or (_variant(run) if rig is None else found.config.model.variant)
-    if calibrations:
-        found = found.calibrated(calibrations)
-    if parameters is not None:
-        found = found.identified(read_parameters(parameters), chosen)
+    if calibrations or parameters is not None:
+        laid = None if parameters is None else read_parameters(parameters)
+        found = found.overlaid(loader.read_calibrations(calibrations), laid, None if laid is None else chosen)
     if found.config.actuators != run.header.actuators:
         expected = f"a rig with {run.header.actuators} actuators, as the run had"
         value = f"{found.config.name}, which has {found.config.actuators}"

@@ -46,6 +46,7 @@ from runs.records import (
 )
 
 if TYPE_CHECKING:
+    from rig.config.parameters_overlay import Parameters
     from runs.journal.journal import JournalWriter
     from runs.summary import Summary
 
@@ -138,18 +139,15 @@ def request(
     rig = rig.name if isinstance(rig, RigChoice) else rig
     problems = [*text_problems({"--operator": operator, "--note": notes}), *whole_number_problems("--seed", seed, 0)]
     loaded_protocol = _collecting(problems, partial(_loaded, settings=settings), protocol)
-    rig_read = _collecting(problems, read, rig)
     chosen = _collecting(problems, variant_named, variant)
+    identified = None if parameters is None else _collecting(problems, _read_parameters, parameters)
+    rig_read = _collecting(problems, partial(read, parameters=identified, variant=chosen), rig)
     stated: dict[str, str] = {}
     if rig_read is not None:
         stated, missing = rig_read.run_metadata({} if metadata is None else metadata)
         problems += missing if metadata is not None else ()
     if problems or loaded_protocol is None or rig_read is None:
         raise BadInputError(problems)
-    if parameters is not None:
-        from rig.config.parameters_overlay import read as read_parameters
-
-        rig_read = rig_read.identified(read_parameters(parameters), chosen)
     config = rig_read.config
     variant_used = chosen or config.model.variant
     return RunRequest(
@@ -168,6 +166,12 @@ def request(
         controller=controller,
         learn_from=tuple(learn_from),
     )
+
+
+def _read_parameters(file: Path) -> Parameters:
+    from rig.config import parameters_overlay
+
+    return parameters_overlay.read(file)
 
 
 def _loaded(protocol: str | Protocol, settings: Mapping[str, float] | None) -> Protocol:

@@ -207,7 +207,7 @@ def _digest(plan: StudyPlan, requests: list[RunRequest]) -> str:
     parts: list[object] = [plan.model_dump(mode="json")]
     for request in requests:
         protocol = document.parse(request.protocol.text, request.protocol.name).data
-        parts += [protocol, sorted(request.protocol.files.items()), request.rig.yaml, request.variant]
+        parts += [protocol, sorted(request.protocol.files.items()), dict(request.rig.data), request.variant]
         parts += [request.fast, sorted(specimen_facts(request.metadata).items())]
     return hashlib.sha256(json.dumps(parts, default=str).encode()).hexdigest()
 
