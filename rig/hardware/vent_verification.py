@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,13 @@ class VentOutcome:
     answered: bool = True
 
 
+class PressureSource(Protocol):
+    """What is read to confirm the safe state: a bench."""
+
+    def read(self) -> BenchScans:
+        """Return the scans since the last call."""
+
+
 class VentVerification:
     """Watches the chambers whose safe state is vented empty; with `vent`, all chambers.
 
@@ -59,7 +67,7 @@ class VentVerification:
     def __init__(
         self,
         config: BenchConfig,
-        bench: Bench | _OpenedBench,
+        bench: PressureSource,
         *,
         vent: bool = False,
         patience_s: float = VENTING_S,

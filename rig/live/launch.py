@@ -23,9 +23,6 @@ from rig.live.client_session import running_runs
 from rig.realtime.control_socket import socket_of
 from rig.realtime.operator_commands import user_name
 
-LINGER_S = 3.0
-"""Time after the end of a run in which browsers can fetch the last packet."""
-
 
 @dataclass(frozen=True)
 class PageConfiguration:
@@ -43,17 +40,14 @@ class PageProcess:
     process: subprocess.Popen[bytes]
     lines: tuple[str, ...]
 
-    def close(self, patience_s: float = 0.0) -> None:
-        """Wait `patience_s` for the process to exit, then terminate it."""
+    def close(self) -> None:
+        """Terminate the process."""
+        self.process.terminate()
         try:
-            self.process.wait(patience_s)
+            self.process.wait(3.0)
         except subprocess.TimeoutExpired:
-            self.process.terminate()
-            try:
-                self.process.wait(3.0)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-                self.process.wait()
+            self.process.kill()
+            self.process.wait()
 
 
 def open_page(host: str, port: int, run: Path) -> PageProcess:
@@ -94,7 +88,7 @@ def open_page(host: str, port: int, run: Path) -> PageProcess:
 
 @contextmanager
 def live_page_of_this_run(host: str, port: int, say: Callable[[str], None]) -> Iterator[None]:
-    """Serve a page for the run that this process is about to start.
+    """Serve a page for the run that this process is about to start; it outlasts the run while somebody watches.
 
     Raises:
         StartError: the page cannot start.
@@ -104,8 +98,9 @@ def live_page_of_this_run(host: str, port: int, say: Callable[[str], None]) -> I
         say(line)
     try:
         yield
-    finally:
-        page.close(LINGER_S)
+    except BaseException:
+        page.close()
+        raise
 
 
 def show(pid: int | None, host: str, port: int, say: Callable[[str], None]) -> int:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from model.arrays import Array
 from model.units import MM_PER_M, PA_PER_BAR
 from rig.execution.plan import StartError
 from rig.live.client_session import ClientSession, connect
@@ -35,7 +36,7 @@ from rig.live.packets import (
 from rig.realtime.operator_commands import CommandKind
 from rig.realtime.shared_state import Stage
 from runs.columns.tip_control import reference_error_mm
-from runs.records import DetectionStatus, Event
+from runs.records import DetectionStatus, Event, Status
 
 CHART_DECIMATION = 10
 """Control cycles per row of the pressure chart."""
@@ -68,6 +69,11 @@ class LiveRun:
         self.ended = ""
         self.start_ns = 0
         self.sample: NDArray[np.void] | None = None
+        self.pressures: tuple[float, PressureView] | None = None
+        """The newest pressures, with the time since the start."""
+        self.aborted = False
+        self.results: dict[str, Path] = {}
+        """The files that the run has left so far, by what they are."""
         self.observations: dict[int, tuple[NDArray[np.void], float]] = {}
         self.adaptation: NDArray[np.void] | None = None
         self.missed = self.dropped = self.cycles = 0
@@ -75,6 +81,7 @@ class LiveRun:
         self._mean = RunningMean()
         self._picture: tuple[int, bytes] = (-1, b"")
         self._watched = 0.0
+        self._journal: Path | None = None
 
     @property
     def finished(self) -> bool:
@@ -108,7 +115,10 @@ class LiveRun:
 
     def update(self) -> None:
         """Read the data that the run has written since the last call; connect to a run that has begun."""
-        if self.finished or not (self._connected or self._connect()):
+        if self.finished:
+            self._look_for_results()
+            return
+        if not (self._connected or self._connect()):
             return
         memory = self.session.memory
         self.session.check_ended()
@@ -118,6 +128,8 @@ class LiveRun:
             self.session.watch()
         self.start_ns = memory.start_ns
         self._take_samples(memory.samples.read())
+        for row in memory.venting.read():
+            self._take_pressures(int(row["t_ns"]), np.full(len(row["measured_pa"]), np.nan), row["measured_pa"])
         for row in memory.observations.read():
             self._take_observation(row)
         for row in memory.adaptations.read()[-1:]:
@@ -131,7 +143,19 @@ class LiveRun:
         self.view = memory.views.newest(after) or self.view
         if self.session.ended:
             message = memory.message("supervisor") if memory.stage("supervisor") is Stage.DONE else ""
+            self.aborted = not message or message.startswith(Status.ABORTED)
             self.ended = message or "the supervisor died; the watchdog makes the valves safe"
+            self._journal = memory.journal if message else None
+
+    @property
+    def awaits_results(self) -> bool:
+        """Whether the page has a reason to outlast the run: it leaves an archive, and somebody watches."""
+        return self.finished and self._journal is not None and self.viewers > 0
+
+    def _look_for_results(self) -> None:
+        if self._journal is not None:
+            found = {"report": self._journal.with_suffix(".html"), "archive": self._journal.with_suffix(".h5")}
+            self.results = {name: path for name, path in found.items() if path.exists()}
 
     def _connect(self) -> bool:
         now = time.monotonic()
@@ -170,14 +194,19 @@ class LiveRun:
         for row in rows:
             self._lateness[self.cycles % len(self._lateness)] = row["lateness_ns"]
             if self.cycles % CHART_DECIMATION == 0:
-                t_s = self.seconds(int(row["t_ns"]))
-                self.pressure.add(
-                    np.concatenate([[t_s], row["setpoint_pa"] / PA_PER_BAR, row["measured_pa"] / PA_PER_BAR])
-                )
+                self._take_pressures(int(row["t_ns"]), row["setpoint_pa"], row["measured_pa"])
             self.cycles += 1
         if len(rows):
             self.sample = rows[-1]
+            self.pressures = self._pressures(int(rows["t_ns"][-1]), rows["setpoint_pa"][-1], rows["measured_pa"][-1])
             self.missed += int(rows["missed"].sum())
+
+    def _pressures(self, t_ns: int, setpoint_pa: Array, measured_pa: Array) -> tuple[float, PressureView]:
+        return self.seconds(t_ns), PressureView(setpoint_pa / PA_PER_BAR, measured_pa / PA_PER_BAR)
+
+    def _take_pressures(self, t_ns: int, setpoint_pa: Array, measured_pa: Array) -> None:
+        t_s, view = self.pressures = self._pressures(t_ns, setpoint_pa, measured_pa)
+        self.pressure.add(np.concatenate([[t_s], view.setpoint_bar, view.measured_bar]))
 
     def _take_observation(self, row: NDArray[np.void]) -> None:
         error = MM_PER_M * float(np.linalg.norm(row["measured_m"] - row["model_m"]))
@@ -201,7 +230,7 @@ class LiveRunViewer:
         self._shown = -1
         self._frame = -1
         self._sent = 0.0
-        self._end_sent = False
+        self._results: tuple[str, ...] | None = None
 
     def packet(self) -> bytes | None:
         source = self._source
@@ -209,9 +238,10 @@ class LiveRunViewer:
         number = -1 if source.view is None else int(source.view[0]["number"])
         fresh = number > self._shown or (frame > self._frame and number < 0)
         due = time.monotonic() - self._sent > IDLE_PACKET_S and not source.finished
-        if not (fresh or due or (source.finished and not self._end_sent)):
+        ended = source.finished and self._results != tuple(source.results)
+        if not (fresh or due or ended):
             return None
-        self._end_sent = source.finished
+        self._results = tuple(source.results) if source.finished else None
         update = ViewUpdate(self._now())
         update.pressure, update.track = source.pressure.after(self._pressure_s), source.track.after(self._track_s)
         if len(update.pressure):
@@ -244,7 +274,7 @@ class LiveRunViewer:
         segment = plan.trajectory.segment_at(protocol_s)
         return ViewState(
             state=self._state(waiting),
-            time_s=0.0 if sample is None else source.seconds(int(sample["t_ns"])),
+            time_s=source.pressures[0] if source.pressures else 0.0,
             protocol=ProtocolView(
                 time_s=protocol_s,
                 left_s=plan.trajectory.duration_s - protocol_s,
@@ -257,15 +287,15 @@ class LiveRunViewer:
                 lateness_us=None if sample is None else float(sample["lateness_ns"]) * 1e-3,
                 lateness_max_us=source.lateness_max_us,
             ),
-            pressure=None
-            if sample is None
-            else PressureView(sample["setpoint_pa"] / PA_PER_BAR, sample["measured_pa"] / PA_PER_BAR),
+            pressure=source.pressures[1] if source.pressures else None,
             tip=self._tip() if source.observations else None,
             sections=self._sections() if source.observations and plan.config.sections else (),
             inputs=inputs(plan.auxiliary, sample["aux"]) if sample is not None and plan.auxiliary else (),
             estimates=self._estimates(),
             prompt=plan.trajectory.prompts[waiting].message if waiting >= 0 else None,
             ended=source.ended,
+            aborted=source.aborted,
+            results=tuple(source.results),
         )
 
     def _estimates(self) -> tuple[EstimateView, ...]:

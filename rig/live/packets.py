@@ -56,7 +56,7 @@ class TimingView:
 
 @dataclass(frozen=True)
 class PressureView:
-    """Gauge pressures (N,) [bar] of the newest control cycle."""
+    """Gauge pressures (N,) [bar] of the newest control cycle, then of the safe state, which has no set-points."""
 
     setpoint_bar: Array
     measured_bar: Array
@@ -126,6 +126,10 @@ class ViewState:
     estimates: tuple[EstimateView, ...] = ()
     prompt: str | None = None
     ended: str = ""
+    aborted: bool = False
+    """True where the run has ended otherwise than by its protocol or an operator."""
+    results: tuple[str, ...] = ()
+    """What the page can give after the run: `report`, `archive`."""
 
 
 def estimates(adapted: Sequence[Quantity], value: Array, std: Array) -> tuple[EstimateView, ...]:

@@ -21,8 +21,9 @@ def define() -> None:
         with ui.element("main").props("id=softrig"):
             _header()
             _prompt(visitor)
-            _numbers()
-            _panels()
+            with ui.element("div").props("id=board"):
+                _numbers()
+                _panels()
             _actions(visitor)
 
 
@@ -47,7 +48,12 @@ def _header() -> None:
         _part("span", "clock")
         _part("span", "who")
         ui.button("light / dark").props("id=theme flat no-caps dense")
-    _part("div", "banner").props("role=alert hidden")
+    with _part("div", "banner").props("role=alert hidden"):
+        _part("span", "banner-text")
+        for name in ("report", "archive"):
+            ui.html(name, sanitize=False, tag="a").props(
+                f"id=link-{name} href=/live/results/{name} target=_blank hidden"
+            )
 
 
 def _prompt(visitor: Visitor) -> None:
@@ -62,9 +68,8 @@ def _numbers() -> None:
         for name, title, unit in (
             ("error", "model error", "mm"),
             ("pressure", "pressure", "bar"),
-            ("left", "left", ""),
         ):
-            with ui.element("div").classes("tile"):
+            with ui.element("div").classes("tile").props(f"id=tile-{name}"):
                 ui.html(title, sanitize=False, tag="h2").props(f"id={name}-title")
                 with ui.element("p").classes("big"):
                     _part("span", name, "–")

@@ -11,21 +11,28 @@ import os
 import pickle
 import socket
 import sys
+import time
 from pathlib import Path
 
 import uvicorn
-from fastapi import FastAPI, WebSocket
+from fastapi import FastAPI, HTTPException, WebSocket
+from fastapi.responses import FileResponse
 from starlette.staticfiles import StaticFiles
 
 from rig.execution.plan import StartError
 from rig.live.authentication import AccessTokens, AuthenticationMiddleware
-from rig.live.launch import LINGER_S, PageConfiguration
+from rig.live.launch import PageConfiguration
 from rig.live.live_run import LiveRun
 from rig.live.stream import RunSource, stream
 
 NICE = 5
 """Lower priority than observer and supervisor, but high enough for a busy machine."""
 UPDATE_S = 0.008
+LINGER_S = 3.0
+"""Time after the end of a run in which browsers can fetch the last packet."""
+STAY_S = 600.0
+"""Time after the end of a run in which whoever watched it can open its report."""
+AFTER_S = 0.2
 STATIC = Path(__file__).parent / "static"
 
 
@@ -90,11 +97,23 @@ async def _feed(source: RunSource, server: uvicorn.Server) -> None:
             source.update()
             await asyncio.sleep(UPDATE_S)
         if source.finished:
-            await asyncio.sleep(LINGER_S)
+            _leave_the_terminal()
+        ended_s = time.monotonic()
+        while (since_s := time.monotonic() - ended_s) < LINGER_S or (source.awaits_results and since_s < STAY_S):
+            source.update()
+            await asyncio.sleep(AFTER_S)
     except StartError as error:
         print(f"the live page ends: {error}", file=sys.stderr)
     finally:
         server.should_exit = True
+
+
+def _leave_the_terminal() -> None:
+    """Let go of standard output and error, so that a pipe or shell that reads those of the run sees their end."""
+    null = os.open(os.devnull, os.O_WRONLY)
+    for terminal in (sys.stdout, sys.stderr):
+        os.dup2(null, terminal.fileno())
+    os.close(null)
 
 
 def application(source: RunSource, tokens: AccessTokens, port: int) -> AuthenticationMiddleware:
@@ -108,6 +127,15 @@ def application(source: RunSource, tokens: AccessTokens, port: int) -> Authentic
     @app.websocket("/live/stream")
     async def live_stream(websocket: WebSocket) -> None:
         await stream(websocket, source)
+
+    @app.get("/live/results/{name}")
+    async def result(name: str) -> FileResponse:
+        path = source.results.get(name)
+        if path is None:
+            raise HTTPException(404, "the run has not left this")
+        return FileResponse(
+            path, content_disposition_type="inline" if name == "report" else "attachment", filename=path.name
+        )
 
     app.mount("/live", StaticFiles(directory=STATIC), name="live")
     page.define()

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
@@ -79,6 +81,14 @@ class RunSource(Protocol):
     @property
     def finished(self) -> bool:
         """True once no more data will come."""
+
+    @property
+    def awaits_results(self) -> bool:
+        """True after the end while somebody waits for what the run leaves."""
+
+    @property
+    def results(self) -> Mapping[str, Path]:
+        """The files that the run has left so far, by what they are: `report`, `archive`."""
 
     def about(self) -> RunDescription | None:
         """Return the constant properties; None before the run starts."""

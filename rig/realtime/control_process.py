@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rig.control.control_loop import ControlLoop
 from rig.control.plan_follower import StampedPlan
 from rig.control.trigger import TriggerPulses
-from rig.hardware.bench import Bench, open_bench
+from rig.hardware.bench import Bench, BenchScans, open_bench
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import followed_by
 from rig.hardware.vent_verification import VentOutcome, VentVerification, real_time
@@ -100,7 +100,11 @@ def _verify_venting(job: ChildJob, memory: SharedState, bench: Bench) -> VentOut
     """Watch the chambers vent and publish what confirms the safe state."""
     patience_s = timing_limits(job.plan.config, memory.granted).vented_s
     venting = VentVerification(
-        job.plan.config, bench, vent=memory.vents, patience_s=patience_s, since_ns=memory.safe_ns
+        job.plan.config,
+        ViewedReadings(bench, memory),
+        vent=memory.vents,
+        patience_s=patience_s,
+        since_ns=memory.safe_ns,
     )
     clock = real_time(lambda: memory.heartbeat("control", time.monotonic_ns()))
     # The watchdog ends this process at once after its trip; the supervisor then verifies.
@@ -108,6 +112,20 @@ def _verify_venting(job: ChildJob, memory: SharedState, bench: Bench) -> VentOut
     if outcome.confirmed:
         memory.confirmation = outcome.sentence
     return outcome
+
+
+class ViewedReadings:
+    """Readings of a bench in its safe state, published to viewers."""
+
+    def __init__(self, bench: Bench, memory: SharedState) -> None:
+        self._bench, self._ring = bench, memory.venting
+
+    def read(self) -> BenchScans:
+        """Read the scans since the last call."""
+        scans = self._bench.read()
+        if len(scans.t_ns):
+            self._ring.push(np.array((scans.t_ns[-1], scans.pressure_pa[-1]), self._ring.dtype))
+        return scans
 
 
 class NullOutputs:

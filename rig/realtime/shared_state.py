@@ -10,6 +10,7 @@ import mmap
 import os
 from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -32,6 +33,8 @@ EVENTS = 256
 PLANS = 256
 SETPOINTS = 1024
 PULSES = 1024
+VENTING = 1024
+PATH_BYTES = 4096
 TIP_CONTROLLER = "tip_controller"
 CLOCKS = 8
 """Number of cards whose sampling clocks are published."""
@@ -90,7 +93,7 @@ class SharedState:
     CLOCK_MONOTONIC [ns], 0 before the event; a process id is 0 before the process exists.
     `samples`, `observations`, `adaptations`, `plans`, `streamed` and `pulses` are rings of the records of
     `runs.records`; `new_setpoints` are those of another program that control has not taken yet. `pictures` are for the
-    recorder and `views` for viewers.
+    recorder; `views`, and the pressures `venting` that control reads in the safe state, are for viewers.
 
     The process of the tip controller may run code of the user: it can write to pages of its own only, which hold its
     stage, its heartbeat and `new_plans` (rows of `plan_dtype`).
@@ -149,6 +152,7 @@ class SharedState:
             (streamed, SETPOINTS),
             (pulse_dtype(), PULSES),
             (_EVENT, EVENTS),
+            (np.dtype([("t_ns", "<i8"), ("measured_pa", "<f8", (config.actuators,))]), VENTING),
         )
         # A slot holds the largest picture of a camera, with its marks. One process alone passes none on.
         cameras = config.cameras.values() if fd >= 0 else ()
@@ -183,6 +187,7 @@ class SharedState:
             self.streamed,
             self.pulses,
             self._events,
+            self.venting,
         ) = (RingBuffer(part, *ring) for part, ring in zip(parts, rings, strict=True))
         self.new_plans = RingBuffer(own[_ROW_BYTES:], plan_dtype(valves), PLANS)
         self._tip_controller: NDArray[np.void] = np.frombuffer(own, _PROCESS, 1)
@@ -202,6 +207,16 @@ class SharedState:
     @confirmation.setter
     def confirmation(self, sentence: str) -> None:
         self.flags["confirmation"][0] = sentence.encode()[:MESSAGE_BYTES]
+
+    @property
+    def journal(self) -> Path | None:
+        """The journal of the run; None before it is open."""
+        name = bytes(self.flags["journal"][0])
+        return Path(os.fsdecode(name)) if name else None
+
+    @journal.setter
+    def journal(self, path: Path) -> None:
+        self.flags["journal"][0] = os.fsencode(path.absolute())
 
     def request_stop(self, reason: Stop) -> None:
         """Request that every process ends with the valves safe. The first stop reason is kept; VENT overrides it."""
@@ -290,6 +305,7 @@ _FLAGS = np.dtype(
         *((process, _PROCESS) for process in ("control", "observer", "watchdog", "supervisor")),
         *((name, flag.format) for name, flag in vars(SharedState).items() if isinstance(flag, _Flag)),
         ("confirmation", f"S{MESSAGE_BYTES}"),
+        ("journal", f"S{PATH_BYTES}"),
         ("scan_period_ns", "<f8", (CLOCKS,)),
         ("scan_drift_ppm", "<f8", (CLOCKS,)),
     ],

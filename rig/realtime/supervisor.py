@@ -220,7 +220,9 @@ class Supervisor:
             self.await_ready(name)
         self.timing = timing_limits(config, memory.granted)
         start_ns = time.monotonic_ns() + START_DELAY_NS
-        self.record = DataRecorder(self._plan, memory, open_record(start_ns), self._operator, start_ns)
+        journal = open_record(start_ns)
+        memory.journal = journal.path
+        self.record = DataRecorder(self._plan, memory, journal, self._operator, start_ns)
         self._event(Level.INFO, "control", armed_sentence(memory.unverified_cards))
         self._report_timing()
         self._raise_controller_priority()

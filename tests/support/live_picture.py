@@ -38,7 +38,7 @@ def main() -> None:
                 stderr=subprocess.STDOUT,
             )
         tab = open_tab(browser, printed_link(log.read_text, "live page"))
-        tab.size(1440, 1000)
+        tab.size(1440, 900)
         tab.dark(wanted.dark)
         tab.until(f"window.softrig.now.time_s > {wanted.seconds}", 120.0)
         tab.screenshot(wanted.picture)

@@ -11,7 +11,8 @@ import socket
 import sys
 import time
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import uvicorn
@@ -67,7 +68,8 @@ STEP_S = 0.2
 class Shown:
     """A run source that always shows the same numbers."""
 
-    finished = False
+    finished = awaits_results = False
+    results: ClassVar[dict[str, Path]] = {}
 
     def __init__(self, actuators: int, adapt: bool, prompt: str, stalled: bool) -> None:
         self.actuators = actuators

@@ -14,7 +14,7 @@ const clock = (s) => `${Math.floor(Math.max(0, s) / 60)}:${String(Math.floor(Mat
 // For tests and for the curious: how many packets were drawn and how old each picture was on the screen [ms].
 const seen = (window.softrig = { packets: 0, latency: [], now: null, about: null });
 
-let socket, about, charts, arm, picture, now = null;
+let socket, about, charts, arm, picture, now = null, led = 0;
 let sampled = 0, stalled = false;
 
 function ask(message) {
@@ -103,13 +103,12 @@ function numbers() {
   at("error-more").textContent = `mean ${fixed(tip.mean_error_mm, 2)} mm${tip.path_error_mm === undefined ? "" : `; path error ${fixed(tip.path_error_mm, 2)} mm`}${tip.seen && tip.seen !== "measured" ? `; tip: ${tip.seen}` : ""}${tip.model_ok === false ? "; model not solved" : ""}`;
   if (!about.measured) at("error-more").textContent = "the rig has no camera: the tip is not measured";
   if (pressure) {
-    const led = pressure.setpoint_bar.reduce((best, p, i) => (p > pressure.setpoint_bar[best] ? i : best), 0);
+    const setpoints = pressure.setpoint_bar, known = setpoints[0] !== null; // the safe state has none
+    if (known) led = setpoints.reduce((best, p, i) => (p > setpoints[best] ? i : best), 0);
     at("pressure").textContent = fixed(pressure.measured_bar[led], 3);
     at("pressure-title").textContent = about.actuators > 1 ? `pressure, actuator ${led + 1}` : "pressure";
-    at("pressure-more").textContent = `set-points ${pressure.setpoint_bar.map((p) => fixed(p, 3)).join("  ")}`;
+    at("pressure-more").textContent = known ? `set-points ${setpoints.map((p) => fixed(p, 3)).join("  ")}` : "safe state";
   }
-  at("left").textContent = clock(protocol.left_s);
-  at("left-more").textContent = { paused: "paused: the protocol stands still", waiting: "waits for the operator" }[now.state] ?? "minutes and seconds of protocol";
   const rows = [
     ["control late by", `${fixed(timing.lateness_us, 0)} us`, false],
     ["worst of 1 s", `${fixed(timing.lateness_max_us, 0)} us`, timing.lateness_max_us > 2500],
@@ -141,7 +140,8 @@ function numbers() {
   }
   if (now.state === "ended") {
     state("ended");
-    banner(`The run has ended: ${now.ended}. The page shows its last values, of ${fixed(now.time_s, 1)} s.`);
+    banner(`Ended at ${fixed(now.time_s, 1)} s: ${now.ended}. The page shows its last values.`, now.aborted);
+    for (const name of ["report", "archive"]) at(`link-${name}`).hidden = !now.results.includes(name);
     window.socket?.disconnect(); // NiceGUI's own connection would go on knocking at a page that is gone
   }
 }
@@ -164,9 +164,10 @@ function state(name) {
   at("softrig").classList.toggle("old", ["lost", "stalled", "ended"].includes(name));
 }
 
-function banner(text) {
-  at("banner").textContent = text;
+function banner(text, bad = true) {
+  at("banner-text").textContent = text;
   at("banner").hidden = !text;
+  at("banner").classList.toggle("bad", bad);
 }
 
 function events(rows) {

@@ -20,7 +20,7 @@ from tests.support.live_page import open_files, open_tab
 pytestmark = pytest.mark.realtime
 
 SHOWN = Path(__file__).parents[2] / "support" / "live_shown.py"
-SIZES = ((390, 844), (768, 1024), (1280, 800), (1440, 1000))
+SIZES = ((390, 844), (768, 1024), (1280, 800), (1440, 900))
 PROMPT = "Hang the weight of 200 g on the hook at the tip and wait until it no longer swings"
 FIGURES = (
     ("#error", "123.46"),
@@ -28,7 +28,6 @@ FIGURES = (
     ("#pressure", "0.712"),
     ("#pressure-title", "pressure, actuator "),
     ("#pressure-more", "0.700"),
-    ("#left", "99:59"),
     ("#clock", "62:03 of 162:03"),
     ("#segment", "20:34 left"),
     ("#state", ""),
@@ -65,7 +64,7 @@ HIDDEN = """
 
 # State, whether the numbers are dimmed, whether there is no banner.
 OLD = """[document.getElementById("state").textContent,
-  getComputedStyle(document.getElementById("numbers")).opacity < 1, document.getElementById("banner").hidden]"""
+  getComputedStyle(document.getElementById("tile-error")).opacity < 1, document.getElementById("banner").hidden]"""
 # The texts of each chart, by the rectangles that they cover on its canvas: a digit is 3/4 as high as its font.
 OVERLAPPING = """
 (async () => {
@@ -84,6 +83,26 @@ OVERLAPPING = """
       const high = Math.min(a.y + a.height, b.y + b.height) - Math.max(a.y, b.y);
       if (wide > 0.5 && high > 0.5) found.push(`${element.className}: ${text} | ${other}`);
     }));
+  }
+  return found;
+})()
+"""
+
+
+# The labels of each axis that its chart shows.
+LABELS = """
+(async () => {
+  const { echarts } = await import("nicegui-echart"), found = {};
+  for (const element of document.querySelectorAll(".chart")) {
+    const chart = echarts.getInstanceByDom(element);
+    const texts = chart.getZr().storage.getDisplayList()
+      .filter((shape) => shape.type === "tspan" && !shape.ignore && !shape.invisible).map((shape) => shape.style.text);
+    for (const kind of ["xAxis", "yAxis"])
+      chart.getModel().eachComponent(kind, (model, number) => {
+        if (!model.get(["axisLabel", "show"])) return;
+        const labels = model.axis.getViewLabels().map((label) => label.formattedLabel);
+        found[`${element.className} ${kind} ${number}`] = labels.filter((label) => texts.includes(label));
+      });
   }
   return found;
 })()
@@ -154,6 +173,32 @@ def test_no_text_of_a_chart_covers_another(browser: Browser, tmp_path: Path) -> 
             tab.size(width, height)
             tab.until(f"innerWidth === {width} && {FITS}", 30.0)
             assert tab.value(OVERLAPPING) == [], width
+
+
+def test_every_axis_has_three_labels_on_a_desk(browser: Browser, tmp_path: Path) -> None:
+    with shown(browser, tmp_path, "3") as tab:
+        for width, height in ((1280, 800), (1440, 900)):
+            tab.size(width, height)
+            tab.until(f"innerWidth === {width} && {FITS}", 30.0)
+            labels = tab.value(LABELS)
+            assert len(labels) == 9
+            assert {axis: shown for axis, shown in labels.items() if len(set(shown)) < 3} == {}, width
+
+
+def test_the_chart_of_the_plane_says_how_its_scales_differ(browser: Browser, tmp_path: Path) -> None:
+    with shown(browser, tmp_path, "3") as tab:
+        tab.size(1280, 800)
+        tab.until(f"innerWidth === 1280 && {FITS}", 30.0)
+        stated, per_r, per_z = tab.value("""(async () => {
+            const { echarts } = await import("nicegui-echart");
+            const chart = echarts.getInstanceByDom(document.querySelector(".chart-plane"));
+            const [x, y] = chart.convertToPixel({ gridIndex: 0 }, [0, 0]);
+            const [u, v] = chart.convertToPixel({ gridIndex: 0 }, [1, 1]);
+            return [chart.getOption().title[0].text, u - x, v - y];
+        })()""")
+        factor = 1.0 if stated == "equal scale" else float(stated.split()[2])
+        ratio = per_z / per_r if stated.startswith("z") else per_r / per_z
+        assert abs(ratio / factor - 1) < 0.02, (stated, per_r, per_z)
 
 
 def test_values_are_shown_as_old_while_the_page_gets_no_packet(browser: Browser, tmp_path: Path) -> None:

@@ -70,7 +70,7 @@ def test_a_run_is_watched_to_its_end_and_the_numbers_are_the_archives(browser: B
         banner = tab.value("document.getElementById('banner').textContent")
         assert run.end() == 0, run.output
         assert "last values" in banner
-        assert float(tab.value("getComputedStyle(document.getElementById('numbers')).opacity")) < 1.0
+        assert float(tab.value("getComputedStyle(document.getElementById('tile-error')).opacity")) < 1.0
     assert tab.value("location.search + document.cookie") == ""
     assert tab.troubles == []
     assert [u for u in tab.requested if not u.startswith(("http://127.0.0.1:", "data:", "blob:"))] == []
@@ -104,6 +104,15 @@ def test_pause_resume_skip_and_stop_from_the_page(browser: Browser, tmp_path: Pa
         run.wait_until_safe(10.0)
         tab.until("document.getElementById('state').textContent === 'ended'")
         assert run.end() == 130, run.output
+        last = tab.value("window.softrig.now.pressure")
+        assert last["measured_bar"][0] < 0.15, "the pressures are not those of the safe state"
+        assert last["setpoint_bar"][0] is None
+        assert not tab.value("document.getElementById('banner').classList.contains('bad')")
+        tab.until("!document.getElementById('link-archive').hidden")
+        size = tab.value(
+            "fetch(document.getElementById('link-archive').href).then((r) => r.arrayBuffer()).then((b) => b.byteLength)"
+        )
+        assert size == run.archive().stat().st_size
     assert tab.troubles == []
     archive = runs.open(run.archive())
     assert archive.status is Status.INTERRUPTED
