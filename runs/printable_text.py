@@ -15,7 +15,8 @@ def printable(text: str) -> str:
     """Return a text with every control character and mark of direction as its escape: ESC as `\\x1b`."""
     if text.isprintable():
         return text
-    return "".join(map(_shown, text))
+    # By the signs that occur: a report has millions of characters.
+    return text.translate({ord(sign): _shown(sign) for sign in set(text)})
 
 
 def _shown(sign: str) -> str:

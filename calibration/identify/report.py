@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from html import escape
-from importlib import resources
 from pathlib import Path
 
 from calibration.identify import figures
@@ -18,6 +17,7 @@ from calibration.identify.residual_dependence import Dependence
 from calibration.identify.results import Estimate, Fit
 from runs.overwriting import write_text
 from runs.report.drawing import svg
+from runs.report.page import html_document
 
 
 def write(
@@ -31,7 +31,6 @@ def write(
 ) -> Path:
     """Write the page. `truth`: the simulator's own values by parameter, where the runs were simulated."""
     known, shown = truth or {}, findings(fit, dependences)
-    style = resources.files("runs.report").joinpath("report.css").read_text(encoding="utf-8")
     simulated = '<span class="badge simulated">simulated</span>' if known else ""
     parts = [
         f'<section class="run">\n<header class="run"><h1>Identification of an arm{simulated}</h1>\n'
@@ -58,13 +57,7 @@ def write(
     parts += [f"<h2>{title}</h2>\n<figure>{drawing}</figure>" for title, drawing in drawn]
     parts += [_runs(fit, left_out), "</section>"]
     body = "\n".join(part for part in parts if part)
-    page = (
-        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>Identification</title>\n'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<style>\n{style}</style>\n</head>\n'
-        f"<body>\n{body}\n<footer>Made by softrig from archives; nothing in this page is loaded from elsewhere."
-        "</footer>\n</body>\n</html>\n"
-    )
-    write_text(path, page)
+    write_text(path, html_document("Identification", "", body))
     return path
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from runs import annotation_file, arguments
 from runs.archive import layout
 from runs.overwriting import refuse_existing, write_text
+from runs.printable_text import printable
 from runs.report import comparison, pictures
 from runs.report.drawing import svg
 from runs.report.figure_specifications import figure_specifications
@@ -90,9 +91,12 @@ def page(runs: Sequence[Run]) -> str:
 
 
 def html_document(title: str, head: str, body: str) -> str:
-    """Return an HTML page in the style of the reports; `head` is put into its head, all arguments are HTML."""
+    """Return an HTML page in the style of the reports; `head` is put into its head, all arguments are HTML.
+
+    Control characters and marks of direction, as a title may hold, are shown as their escapes.
+    """
     style = resources.files("runs.report").joinpath("report.css").read_text(encoding="utf-8")
-    return (
+    return printable(
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{head}\n<title>{title}</title>\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<style>\n{style}</style>\n</head>\n'
         f"<body>\n{body}\n<footer>Made by softrig; nothing in this page is loaded from elsewhere."

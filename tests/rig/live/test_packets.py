@@ -99,6 +99,8 @@ def test_a_packet_holds_its_numbers_and_then_its_picture() -> None:
         "sections": [["middle", [1.5, 0.0, 85.0], 0.25], ["lower", None, None]],
         "estimates": [],
         "ended": "",
+        "aborted": False,
+        "results": [],
     }
     assert packet[4 + length :] == picture
     assert picture.startswith(b"\xff\xd8")

@@ -189,6 +189,15 @@ def test_text_of_the_operator_is_shown_and_not_executed(tmp_path: Path) -> None:
     assert bad in "".join(Page(text).text)
 
 
+def test_a_title_sends_no_control_character_and_turns_no_text_round(tmp_path: Path) -> None:
+    header = dataclasses.replace(made_up.header("odd"), title="a\x1b[2J \u202etxt.exe\u200d")
+    writer = JournalWriter(tmp_path / "odd.mcap", header)
+    writer.close(RunFooter(made_up.START_NS, Status.FINISHED, ""))
+    text = report.write(finalise(writer.path)).read_text(encoding="utf-8")
+    assert "a\\x1b[2J \\u202etxt.exe\u200d" in text
+    assert not {"\x1b", "\u202e"} & set(text)
+
+
 @pytest.mark.parametrize("seconds", [0.0, 0.05])
 def test_a_run_of_any_length_has_a_report(tmp_path: Path, seconds: float) -> None:
     made_up.write_journal(tmp_path / "a.mcap", duration_s=seconds)
