@@ -20,7 +20,8 @@ import cv2
 import numpy as np
 
 import runs
-from runs.archive.writer import finalise, verify
+from runs.archive.digest import checked
+from runs.archive.writer import finalise
 from runs.catalogue import catalogue
 from runs.journal.journal import JournalWriter
 from runs.records import (
@@ -130,7 +131,7 @@ def main() -> None:
         print(f"{'.mcap':24} {path.stat().st_size / 1e6:8.1f} MB")
         for name, step in (
             ("finalise", lambda: finalise(path)),
-            ("verify", lambda: verify(path.with_suffix(".h5"))),
+            ("digest", lambda: checked(path.with_suffix(".h5"))),
             ("open, read, summarise", lambda: summarise(runs.open(path.with_suffix(".h5")))),
             ("report", lambda: report.write(path.with_suffix(".h5"))),
         ):

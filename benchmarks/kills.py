@@ -23,7 +23,7 @@ import runs
 from rig.config import loader
 from rig.execution.plan import NullOperator
 from rig.experiment import run as experiment
-from runs.archive.writer import verify
+from runs.archive.digest import checked
 from runs.records import Status
 from runs.recovery import RecoveryStatus, recover
 from runs.run import Run
@@ -59,7 +59,7 @@ def recovered(folder: Path) -> Run:
     (outcome,) = outcomes
     assert outcome.archive is not None, outcome.message
     assert "not readable" not in outcome.message or outcome.status is RecoveryStatus.RECOVERED, outcome.message
-    assert verify(outcome.archive)
+    checked(outcome.archive)
     return runs.open(outcome.archive)
 
 

@@ -14,15 +14,19 @@ if TYPE_CHECKING:
 __all__ = ["DATA", "LAST", "open"]
 
 
-def open(name: Path | str) -> Run:
+def open(name: Path | str, *, force: bool = False) -> Run:
     """Open an archive by path, by a run id or a unique part of one in `data/`, or by `last`, the newest run.
 
-    Imports HDF5 on the first call.
+    With `force` this process reads the archive also if it is damaged. Imports HDF5 on the first call.
 
     Raises:
-        ArchiveError: no archive matches, several do, or the file is not an archive.
+        ArchiveError: no archive matches, several do, or the file is not an archive, or not as softrig wrote it.
     """
+    from runs.archive import digest
     from runs.run import Run
     from runs.run_names import resolve
 
-    return Run(resolve(name))
+    path = resolve(name)
+    if force:
+        digest.accept(path)
+    return Run(path)

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from runs import annotation_file, arguments
-from runs.archive.checked import ArchiveError, opened_in_part
+from runs.archive.checked import ArchiveError, opened
 from runs.archive.writer import SUFFIX
 from runs.data_folder import DATA
 from runs.overwriting import write_text
@@ -29,16 +29,6 @@ _FORM = 5
 """Increased when `Entry` changes."""
 _TEXTS = ("run_id", "title", "start_time", "status", "executor", "operator", "notes")
 _ENTRIES = "a list of entries, as catalogue() returns it"
-_READ = (
-    *(f"entry/{name}" for name in (*_TEXTS, "duration", "simulated", "protocol/name", "rig/name", "model/variant")),
-    "entry/tip/time",
-    "entry/tip/error_mm",
-    "entry/parent",
-    "entry/sample/name",
-    *(f"entry/study/{name}" for name in ("name", "role", "number", "block", "sha256")),
-    "entry/pressure/time",
-    "entry/pressure/measured_bar",
-)
 
 
 @dataclass(frozen=True)
@@ -178,7 +168,7 @@ def _archives(folder: Path) -> list[tuple[str, tuple[int, int]]]:
 def _read(path: Path) -> Entry:
     """Return the catalogue entry of an archive; reads only the datasets that it needs."""
     try:
-        with opened_in_part(path, _READ) as archive:
+        with opened(path) as archive:
             error = archive.value("entry/tip/error_mm")
             known = error[np.isfinite(error)]
             specimen = archive.value("entry/sample/name") if archive.fields("entry/sample") else ""

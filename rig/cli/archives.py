@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +11,24 @@ import typer
 
 from rig.cli import options
 from rig.cli.completion import DATA
+
+
+@contextmanager
+def _read_as_it_is(archives: Sequence[Path], force: bool) -> Iterator[None]:
+    """Let a command read damaged archives, as far as it comes; without `force` without effect."""
+    from rig.cli.expected_errors import is_expected
+    from runs.archive import digest
+
+    for path in archives if force else ():
+        digest.accept(path)
+    try:
+        yield
+    except Exception as error:
+        if not force or is_expected(error):
+            raise
+        raise digest.DamagedArchiveError(
+            f"the archive cannot be read so far: {type(error).__name__}: {error}"
+        ) from error
 
 
 def runs(
@@ -35,11 +55,14 @@ def runs(
         archive_output.cycles(specimen, *specimen_cycles(entries, specimen))
 
 
-def show(archive: options.Archive, json: options.AsJson = False) -> None:
+def show(archive: options.Archive, force: options.Force = False, json: options.AsJson = False) -> None:
     """Show the contents and the provenance of an archive."""
     from rig.cli import archive_output
+    from rig.cli.run_names import resolve
 
-    archive_output.show(archive, json)
+    path = resolve(archive)
+    with _read_as_it_is([path], force):
+        archive_output.show(path, json)
 
 
 def report(
@@ -50,6 +73,7 @@ def report(
     to: options.ReportFile = None,
     out: options.OptionalFolder = None,
     replace: options.Replace = False,
+    force: options.Force = False,
 ) -> None:
     """Write the report of one run, or what differs between several.
 
@@ -75,12 +99,13 @@ def report(
     if to is not None and to.suffix.lower() != ".html":
         raise bad_input("--to", str(to), "a file whose name ends with .html")
     found = [resolve(archive) for archive in archives]
-    if not figures:
-        typer.echo(write(found, to, replace=replace))
-        return
-    folder = out or default_path(found, "-figures")
-    for path in figure_export.write(found, folder, format_, width_mm=width_mm, replace=replace):
-        typer.echo(path)
+    with _read_as_it_is(found, force):
+        if not figures:
+            typer.echo(write(found, to, replace=replace))
+            return
+        folder = out or default_path(found, "-figures")
+        for path in figure_export.write(found, folder, format_, width_mm=width_mm, replace=replace):
+            typer.echo(path)
 
 
 def replay(
@@ -107,13 +132,16 @@ def export(
     format_: options.Format = "csv",
     out: options.OptionalFolder = None,
     replace: options.Replace = False,
+    force: options.Force = False,
 ) -> None:
     """Write an archive in another format: csv, mat, mcap, or yaml for the inputs of the run."""
     from rig.cli.run_names import resolve
     from runs.export.exporters import export as write
 
-    for path in write(resolve(archive), format_, out, replace=replace):
-        typer.echo(path)
+    source = resolve(archive)
+    with _read_as_it_is([source], force):
+        for path in write(source, format_, out, replace=replace):
+            typer.echo(path)
 
 
 def import_(

@@ -65,7 +65,8 @@ def _reader_is_gone() -> bool:
 EXPECTED_ERRORS = {
     "protocols.problems.BadInputError": BAD_INPUT,
     "runs.overwriting.WouldOverwriteError": BAD_INPUT,
-    "runs.archive.checked.ArchiveError": BAD_INPUT,
+    "runs.archive.digest.ArchiveError": BAD_INPUT,
+    "runs.archive.digest.DamagedArchiveError": FAULT,
     "runs.annotations.AnnotationError": BAD_INPUT,
     "runs.arguments.ArgumentError": BAD_INPUT,
     "runs.export.exporters.ExportError": BAD_INPUT,
@@ -125,6 +126,11 @@ def _message(error: Exception) -> str:
     if isinstance(error, MemoryError) or _is_unloadable(error):
         return f"not enough memory: {error}" if str(error) else "not enough memory"
     return str(error)
+
+
+def is_expected(error: Exception) -> bool:
+    """Return whether an error ends a command with a message."""
+    return isinstance(error, typer.Exit | typer.Abort) or _status(error) is not None
 
 
 def _status(error: Exception) -> int | None:

@@ -40,6 +40,7 @@ Metadata = Annotated[
     list[str] | None,
     typer.Option("--meta", metavar="NAME=VALUE", help="Metadata of the run, as specimen=A7; may be repeated."),
 ]
+Force = Annotated[bool, typer.Option("--force", help="Read a damaged archive as it is.")]
 Replace = Annotated[bool, typer.Option("--replace", help="Replace existing files.")]
 
 _RUN = "Archive, run id or a unique part of one, or last: the newest run in data/."

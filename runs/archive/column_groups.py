@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from runs import columns
 from runs.archive.fields import ComputedColumn, Field, Group, RowTable, Value, row_chunks
-from runs.columns import COUNT
 from runs.columns.declaration import Column, Table
 from runs.journal.journal import Journal
 
@@ -91,11 +90,11 @@ def _losses(journal: Journal) -> tuple[Field, ...]:
     overflows = sum(count for name, count in counters.items() if name.endswith("ring_overflows"))
     dropped = sum(int(chunk["dropped"].sum()) for chunk in row_chunks(journal.observations))
     about = "camera frames or messages of the tracker lost, over the run"
-    frames = (Field("dropped_frames", np.int64(dropped), about=about, limits=COUNT),) if header.measures_tip else ()
+    frames = (Field("dropped_frames", np.int64(dropped), about=about),) if header.measures_tip else ()
     about = "nominal; that of the tracker or, without both, of the model"
     return (
         *frames,
-        Field("ring_overflows", np.int64(overflows), about="rows lost in shared memory, over the run", limits=COUNT),
+        Field("ring_overflows", np.int64(overflows), about="rows lost in shared memory, over the run"),
         Field("control_rate", header.control_hz, "Hz", "nominal"),
         Field("camera_rate", header.camera_hz, "Hz", about),
     )
@@ -148,8 +147,6 @@ def _field(journal: Journal, column: Column, rows: RowTable) -> Field:
         column.unit,
         column.about,
         () if clock else ("time", *column.axes),
-        finite=column.finite,
-        limits=column.limits,
         among=column.among,
         since=column.since,
     )

@@ -48,9 +48,9 @@ class ComputedColumn:
 class Field:
     """One dataset. `scales` names the dataset of the same group that labels each dimension.
 
-    `since` is the layout that it came with. The others are what a reader may rely on. `any_length`: a scale whose
-    length is the run's own, as that of the cameras' names. `finite`: no value is NaN. `limits`: smallest and largest
-    value. `among`: all values that there are. `pictures`: the values are encoded pictures, each of its own length.
+    `since` is the layout that it came with. `any_length`: a scale whose length is the run's own, as that of the
+    cameras' names. `among`: the values of an enumeration. `pictures`: the values are encoded pictures, each of its own
+    length.
     """
 
     name: str
@@ -61,8 +61,6 @@ class Field:
     source: str = ""
     uncertainty: float | None = None
     any_length: bool = False
-    finite: bool = False
-    limits: tuple[float, float] | None = None
     among: tuple[str | int, ...] = ()
     since: int = OLDEST_LAYOUT
     pictures: bool = False

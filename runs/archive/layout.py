@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from runs import columns
 from runs.archive import column_groups, provenance
 from runs.archive.fields import ComputedColumn, Field, Group, named
-from runs.columns import SECONDS
-from runs.columns.conversions import LARGEST_NS
 from runs.journal.journal import Journal
 from runs.journal.stored_rows import StoredPictures
 from runs.records import Event, Level, Picture, Status
@@ -28,9 +26,6 @@ MOST_CHANNELS = 4096
 """Most actuators, or valves, of an archive."""
 UNITS = ("mm_deg", "bar", "V", "mm", "mm2", "px", "s", "ms", "us", "g", "N", "Nm", "deg", "deg2", "ppm")
 """Unit suffixes of column names; one that ends with another comes first."""
-CLOCK = (0, LARGEST_NS)
-OWN_CLOCK = (-LARGEST_NS, LARGEST_NS)
-"""Imported data may count from any zero."""
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -100,8 +95,6 @@ def _entry(journal: Journal) -> Group:
             (end_ns - header.started_t_ns) / 1e9,
             "s",
             "from start to end, with waits",
-            finite=True,
-            limits=SECONDS,
         ),
         Field("run_id", header.run_id, about="name of the run and of its files"),
         Field("status", str(ended), about="finished, interrupted, aborted or recovered", among=tuple(Status)),
@@ -110,7 +103,6 @@ def _entry(journal: Journal) -> Group:
             "simulated",
             np.int8(header.simulated),
             about="1 where the card, the camera or the arm was simulated",
-            among=(0, 1),
         ),
         Field("executor", header.executor, about="real time, virtual time, model alone or imported"),
         Field("parent", header.parent, about="run that this replay was made from; empty for a run"),
@@ -118,10 +110,10 @@ def _entry(journal: Journal) -> Group:
         Field("notes", header.notes, about="what the operator noted at the start"),
         Field("command", header.command, about="the command line"),
         Field("host", header.host, about="name of the computer"),
-        Field("start_utc", np.int64(header.started_utc_ns), "ns", "start_time since 1970, exactly", limits=CLOCK),
-        Field("start_clock", np.int64(header.started_t_ns), "ns", "start_time on the own clock", limits=OWN_CLOCK),
-        Field("actuators", np.int32(header.actuators), about="number of actuators", limits=(0, MOST_CHANNELS)),
-        Field("valves", np.int32(header.valves), about="number of valves", limits=(0, MOST_CHANNELS)),
+        Field("start_utc", np.int64(header.started_utc_ns), "ns", "start_time since 1970, exactly"),
+        Field("start_clock", np.int64(header.started_t_ns), "ns", "start_time on the own clock"),
+        Field("actuators", np.int32(header.actuators), about="number of actuators"),
+        Field("valves", np.int32(header.valves), about="number of valves"),
     ]
     if header.seed is not None:
         fields.append(Field("seed", np.int64(header.seed), about="of everything random in the simulator"))
@@ -159,7 +151,7 @@ def _picture_fields(journal: Journal) -> tuple[Field, ...]:
     index = column(lambda some: np.array([p.frame for p in some], np.int64))
     image = column(lambda some: [p.data for p in some])
     return (
-        Field("time", seconds, "s", "middle of the exposure, since start_time", finite=True, limits=SECONDS),
+        Field("time", seconds, "s", "middle of the exposure, since start_time"),
         Field("index", index, about="as tip/frame", scales=by),
         Field("camera", column(lambda some: [p.camera for p in some]), about="name of the camera", scales=by),
         Field("encoding", column(lambda some: [p.encoding for p in some]), about="jpeg or png", scales=by),
@@ -218,8 +210,6 @@ def _events(journal: Journal) -> Group:
                 "s",
                 "when it happened, since start_time",
                 any_length=True,
-                finite=True,
-                limits=SECONDS,
             ),
             Field(
                 "level",

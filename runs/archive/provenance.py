@@ -93,7 +93,6 @@ def _files(
     return Group(f"entry/{group}", "NXcollection", fields, about=about)
 
 
-STUDY_NUMBERS = (1, 1_000_000)
 USER = ("affiliation", "email", "orcid")
 """The metadata about the user; all other is about the specimen."""
 
@@ -124,9 +123,9 @@ def study(journal: Journal) -> Group | None:
     fields = (
         Field("name", place.study, about="of the study"),
         Field("role", str(place.role), about="run or conditioning", among=tuple(StudyRole)),
-        Field("number", np.int32(place.number), about="from 1, in the order of the study", limits=STUDY_NUMBERS),
-        Field("combination", np.int32(place.combination), about="from 1; equal settings", limits=STUDY_NUMBERS),
-        Field("block", np.int32(place.block), about="from 1", limits=STUDY_NUMBERS),
+        Field("number", np.int32(place.number), about="from 1, in the order of the study"),
+        Field("combination", np.int32(place.combination), about="from 1; equal settings"),
+        Field("block", np.int32(place.block), about="from 1"),
         Field("plan", place.plan_yaml, about="the plan of the study, verbatim"),
         Field(
             "sha256",

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from runs.archive.checked import content_sha256, opened
+from runs.archive.checked import opened
 from runs.archive.column_groups import TABLE_GROUPS, clock_ns
 from runs.archive.fields import QUANTITY_GROUPS
 from runs.archive.provenance import metadata, study_run
@@ -93,7 +93,9 @@ class ArchiveReader:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        self.sha256 = content_sha256(self.path)
+        with opened(self.path) as archive:
+            self.sha256 = archive.sha256
+            """Digest of the file."""
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({str(self.path)!r})"

@@ -14,9 +14,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from runs.archive import checksum, layout
+from runs.archive import layout
 from runs.archive.fields import QUANTITY_GROUPS, ComputedColumn, Field, Group
-from runs.columns.declaration import LARGEST, OLDEST_LAYOUT
+from runs.columns.declaration import OLDEST_LAYOUT
 from runs.journal.journal import Journal
 from runs.journal.row_kinds import ROW_KINDS
 from runs.journal.stored_rows import Index, StoredPictures, StoredRows
@@ -42,7 +42,7 @@ Dimension = int | str
 
 @dataclass(frozen=True)
 class ExpectedDataset:
-    """One dataset: `kind` is that of its numbers as `checksum.kind_of` returns it, `TEXT` or `BYTES`."""
+    """One dataset: `kind` is that of its numbers as `kind_of` returns it, `TEXT` or `BYTES`."""
 
     path: str
     kind: str
@@ -50,8 +50,6 @@ class ExpectedDataset:
     required: bool
     units: str = ""
     scales: tuple[str, ...] = ()
-    finite: bool = False
-    limits: tuple[float, float] | None = None
     among: tuple[str | int, ...] = ()
     since: int = OLDEST_LAYOUT
 
@@ -77,7 +75,7 @@ def kind_of(dtype: Any) -> str:
         return TEXT if text.length is None else ""
     if (base := h5py.check_vlen_dtype(dtype)) is not None:
         return BYTES if base == np.uint8 else ""
-    return checksum.kind_of(dtype) if dtype.kind in "iuf" and dtype.subdtype is None else ""
+    return str(dtype.str[1:]) if dtype.kind in "iuf" and dtype.subdtype is None else ""
 
 
 def name_of(kind: str) -> str:
@@ -124,9 +122,6 @@ def _datasets(group: Group, required: set[str], first_of: dict[int, str]) -> Ite
         names = item.scales or ((item.name,) if item.name in own else ())
         dimensions = tuple(own[name] if not group.open else own[item.name] for name in names)
         kind = _kind(item)
-        limits = item.limits or ((-LARGEST, LARGEST) if kind[0] == "f" and not group.open else None)
-        # A scale has the same labels in every archive; the values that it labels are those of the run.
-        fixed = dimensions and not item.scales and isinstance(dimensions[0], int) and kind[0] != "f"
         yield ExpectedDataset(
             path=path,
             kind=kind,
@@ -134,9 +129,7 @@ def _datasets(group: Group, required: set[str], first_of: dict[int, str]) -> Ite
             required=item.name in required,
             units=item.units,
             scales=item.scales,
-            finite=item.finite,
-            limits=limits,
-            among=tuple(item.value) if fixed and isinstance(item.value, list | np.ndarray) else item.among,
+            among=item.among,
             since=item.since,
         )
 
@@ -144,7 +137,7 @@ def _datasets(group: Group, required: set[str], first_of: dict[int, str]) -> Ite
 def _kind(item: Field) -> str:
     if item.pictures:
         return BYTES
-    return TEXT if isinstance(item.sample, str | list) else checksum.kind_of(np.asarray(item.sample).dtype)
+    return TEXT if isinstance(item.sample, str | list) else kind_of(np.asarray(item.sample).dtype)
 
 
 def _journal(actuators: int, valves: int, *, everything: bool) -> Journal:

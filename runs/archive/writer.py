@@ -1,6 +1,6 @@
-"""The archive of a run: a journal turned into NeXus HDF5, whole or not at all.
+"""The archive of a run: a journal turned into NeXus HDF5 with its digest, whole or not at all.
 
-Written under a temporary name, read back and compared with what was meant, then renamed. Rows and pictures go from the
+Written under a temporary name, read back from the disk by its digest, then renamed. Rows and pictures go from the
 journal into the archive some thousand at a time: a long run needs no more memory than a short one.
 """
 
@@ -11,7 +11,6 @@ import math
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,9 @@ import h5py
 import numpy as np
 from h5py import h5s, h5t
 
-from runs.archive import checksum, layout
-from runs.archive.checked import ArchiveError as ArchiveError
-from runs.archive.checked import content_sha256, digest_of
+from runs.archive import digest, layout
+from runs.archive.digest import ArchiveError as ArchiveError
+from runs.archive.digest import DamagedArchiveError
 from runs.archive.fields import CHUNK_ROWS, ComputedColumn, Field, Group, RowTable, row_chunks
 from runs.journal import journal
 from runs.journal.append_only_file import ARCHIVE_TO_JOURNAL, NO_ROOM, JournalError, lock
@@ -31,6 +30,8 @@ PART = ".h5.part"
 """End of the name while the archive is being written."""
 _MARGIN_BYTES = 4 << 20
 _SMALLEST_COMPRESSED = 512
+_PICTURE_ROWS = 64
+"""Pictures written at once."""
 
 
 class ArchiveInUseError(ArchiveError):
@@ -56,15 +57,16 @@ def write(content: journal.Journal, target: Path, most_bytes: int) -> None:
     part = target.with_name(target.name.removesuffix(SUFFIX) + PART)
     try:
         _take_room(part, most_bytes)
-        meant = _write(part, target.name, layout.groups(content))
-        with h5py.File(part, "r+") as file:
-            found = checksum.of_file(file)
-            if found.parts != meant:
-                raise ArchiveError(f"{target}: what was read back is not what was written; is the disk sound?")
-            file.attrs.modify("content_sha256", found.sha256)
+        ended_utc_ns = content.header.started_utc_ns + layout.end_t_ns(content) - content.header.started_t_ns
+        _write(part, target.name, layout.utc(ended_utc_ns), layout.groups(content))
+        digest.seal(part)
         _sync(part)
+        digest.checked(part)
         part.replace(target)
         _sync(target.parent)
+    except DamagedArchiveError:
+        part.unlink(missing_ok=True)
+        raise ArchiveError(f"{target}: what was read back is not what was written; is the disk sound?") from None
     except (OSError, RuntimeError, ValueError) as fault:
         # HDF5 reports errors as any of these, some only on close.
         with suppress(OSError):
@@ -93,11 +95,6 @@ def locked(source: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def verify(path: Path | str) -> bool:
-    """Return whether the content of an archive has its stored SHA-256; `ArchiveError` if it is not readable."""
-    return digest_of(path) == content_sha256(path)
-
-
 def _take_room(part: Path, size: int) -> None:
     """Make an empty HDF5 file that holds room for this size; unused space is released on close.
 
@@ -114,8 +111,8 @@ def _take_room(part: Path, size: int) -> None:
         os.close(handle)
 
 
-def _write(part: Path, name: str, groups: tuple[Group, ...]) -> dict[str, int]:
-    """Write every group and return, for each dataset, the CRC-32 of the intended content."""
+def _write(part: Path, name: str, time: str, groups: tuple[Group, ...]) -> None:
+    """Write every group. A file of one journal is the same, byte for byte, whenever it is written."""
     # No chunk cache per open dataset: only whole chunks are written.
     with h5py.File(part, "r+", rdcc_nbytes=0) as file:
         written: list[_Dataset] = []
@@ -138,16 +135,14 @@ def _write(part: Path, name: str, groups: tuple[Group, ...]) -> dict[str, int]:
             creator="softrig",
             layout_version=layout.VERSION,
             file_name=name,
-            file_time=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+            file_time=time,
             HDF5_Version=h5py.version.hdf5_version,
             h5py_version=h5py.version.version,
-            content_sha256="0" * 64,
         )
-        return {dataset.path: dataset.crc for dataset in written}
 
 
 class _Dataset:
-    """One dataset of an archive, and the checksum of its intended content."""
+    """One dataset of an archive."""
 
     def __init__(self, node: h5py.Group, item: Field) -> None:
         self.column = item.value if isinstance(item.value, ComputedColumn) else None
@@ -161,11 +156,10 @@ class _Dataset:
             self._kind, kind = "str", h5py.string_dtype()
         else:
             numbers = np.asarray(now)
-            self._kind, kind = checksum.kind_of(numbers.dtype), numbers.dtype
+            self._kind, kind = "numbers", numbers.dtype
             shape = (*shape[:1], *numbers.shape[1:])
             storage = _storage(shape, kind.itemsize)
         self._node = node.create_dataset(item.name, shape, kind, **storage)
-        self.path = self._node.name.lstrip("/")
         attributes = (
             ("units", item.units),
             ("description", item.about),
@@ -175,34 +169,25 @@ class _Dataset:
         for name, attribute in attributes:
             if attribute not in ("", None):
                 self._node.attrs[name] = attribute
-        self._part = checksum.ChecksumPart(self._kind, shape)
         if self.column is None:
             self.put(0, now)
-
-    @property
-    def crc(self) -> int:
-        """CRC-32 of the written values."""
-        return self._part.crc
 
     def put(self, low: int, values: Any) -> None:
         """Write the rows from `low` on, or the one value that there is."""
         single = self._node.shape == ()
         rows = () if single else slice(low, low + len(values))
         if self._kind == "bytes":
-            for first in range(0, len(values), checksum.PICTURE_ROWS):
-                self._put_pictures(low + first, values[first : first + checksum.PICTURE_ROWS])
-            self._part.add(values)
+            for first in range(0, len(values), _PICTURE_ROWS):
+                self._put_pictures(low + first, values[first : first + _PICTURE_ROWS])
         elif self._kind == "str":
             # HDF5 ends a text at its first NUL.
             words = [word.replace("\0", "\N{SYMBOL FOR NULL}") for word in ([values] if single else values)]
             if words:
                 self._node[rows] = words[0] if single else np.array(words, dtype=object)
-            self._part.add(word.encode() for word in words)
         else:
             numbers = np.asarray(values)
             if numbers.size:
                 self._node[rows] = numbers
-            self._part.add(checksum.little(numbers))
 
     def _put_pictures(self, low: int, pictures: Sequence[memoryview]) -> None:
         """Write some pictures in one call; h5py's own assignment would take those of one length for a matrix."""
@@ -245,8 +230,10 @@ def _storage(shape: tuple[int, ...], item_bytes: int) -> dict[str, Any]:
 
 
 def _sync(path: Path) -> None:
+    """Write a file or folder to the disk, and let the next reader take it from there."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
+        os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
     finally:
         os.close(handle)

@@ -8,7 +8,6 @@ row in `docs/reference/archive.md` (`python -m runs.archive.reference docs/refer
 from __future__ import annotations
 
 from runs.columns.control_cycles import Auxiliary, Pressure, Timing, TriggerPulse, ValveOutput
-from runs.columns.conversions import COUNT, SECONDS
 from runs.columns.declaration import Column, Table
 from runs.columns.observations import (
     BACKBONE_POINTS,
@@ -28,11 +27,9 @@ from runs.columns.tip_control import FOLLOWED_S, PLAN_AHEAD_S, Learning, Referen
 __all__ = [
     "AXES",
     "BACKBONE_POINTS",
-    "COUNT",
     "DATAGRAM_COUNTS",
     "FOLLOWED_S",
     "PLAN_AHEAD_S",
-    "SECONDS",
     "TABLES",
     "Adaptation",
     "Auxiliary",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from runs.columns.conversions import COUNT, from_bar, from_us, protocol_time_column, time_column, to_bar, to_us
+from runs.columns.conversions import from_bar, from_us, protocol_time_column, time_column, to_bar, to_us
 from runs.columns.declaration import Column, Table
 
 
@@ -87,9 +87,7 @@ class TriggerPulse(Table):
 
     time_s = time_column("rising edge")
     pulse = Column("pulse", "<i8", about="number of the pulse")
-    skipped = Column(
-        "skipped", "<i4", about="frame periods without a pulse before this one, because control was late", limits=COUNT
-    )
+    skipped = Column("skipped", "<i4", about="frame periods without a pulse before this one, because control was late")
     uncertainty_us = Column(
         "write_s",
         unit="us",

@@ -4,29 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from runs.columns.declaration import LARGEST, Column, Values
+from runs.columns.declaration import Column, Values
 
 PA_PER_BAR = 1e5
 MM_PER_M = 1e3
-LARGEST_S = 1e9
-"""The same of times in seconds: 30 years."""
-LARGEST_NS = 1 << 62
-"""The same of clocks in nanoseconds, so that a time can be added."""
-SECONDS = (-LARGEST_S, LARGEST_S)
-COUNT = (0.0, LARGEST)
 
 
 def time_column(about: str) -> Column:
     """Time of a row [s]."""
-    return Column(
-        "t_ns", "<i8", unit="s", about=f"{about}, since start_time", dataset="time", finite=True, limits=SECONDS
-    )
+    return Column("t_ns", "<i8", unit="s", about=f"{about}, since start_time", dataset="time")
 
 
 def protocol_time_column() -> Column:
     """Position in the protocol [s]."""
     about = "position in the protocol; constant while the run waits for the operator"
-    return Column("protocol_s", unit="s", about=about, dataset="protocol_time", limits=SECONDS)
+    return Column("protocol_s", unit="s", about=about, dataset="protocol_time")
 
 
 def to_mm(metres: Values) -> Values:

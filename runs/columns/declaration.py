@@ -16,7 +16,7 @@ OLDEST_LAYOUT = 2
 
 
 LARGEST = 1e12
-"""Numbers are at most as large as this in their units, unless their field says otherwise; none is infinite."""
+"""Numbers of an archive are at most as large as this in their units; none is infinite."""
 
 
 def _same(values: Values) -> Values:
@@ -33,7 +33,7 @@ class Column:
     stored values, `inverse` the field of the attribute: a replay copies the columns that it does not compute again.
     `missing` is the value of a field that is not set; an integer is 0.
 
-    `dataset` is by default the name of the attribute. `among`, `limits` and `finite` are what a reader may rely on.
+    `dataset` is by default the name of the attribute. `among` has the values of an enumeration.
     `since` is the layout that the column came with: in an archive of an earlier one its values are `missing`.
     """
 
@@ -50,8 +50,6 @@ class Column:
     missing: float = float("nan")
     dataset: str = ""
     among: tuple[int, ...] = ()
-    limits: tuple[float, float] | None = None
-    finite: bool = False
     since: int = OLDEST_LAYOUT
     name: str = field(default="", init=False)
     """The attribute."""
@@ -79,7 +77,7 @@ class Column:
         """
         with np.errstate(over="ignore", invalid="ignore"):
             values = self.convert(rows[self.record]) if self.of is None else self.of(rows)
-        if self.finite or values.dtype.kind != "f":
+        if values.dtype.kind != "f":
             return values
         beyond = np.abs(values) > LARGEST
         return np.where(beyond, np.nan, values) if beyond.any() else values

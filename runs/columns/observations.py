@@ -7,7 +7,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from runs.columns.conversions import COUNT, MM_PER_M, deviation, protocol_time_column, time_column, to_bar, to_mm, to_us
+from runs.columns.conversions import MM_PER_M, deviation, protocol_time_column, time_column, to_bar, to_mm, to_us
 from runs.columns.declaration import Column, Table, Values
 
 BACKBONE_POINTS = 11
@@ -149,7 +149,7 @@ class Tip(Table):
     error_mm = Column(of=_error_mm, unit="mm", about="distance between measured and model tip")
     reprojection_px = Column("reprojection_px", unit="px", about="rms over the board's corners")
     age_us = Column("age_ns", "<i8", unit="us", about="from exposure to result", convert=to_us)
-    dropped = Column("dropped", "<i4", about="frames lost before this frame", limits=COUNT)
+    dropped = Column("dropped", "<i4", about="frames lost before this frame")
     camera_seen = Column(
         "camera_seen",
         "<i4",
@@ -306,7 +306,6 @@ class TriggeredFrame(Table):
         "<i4",
         axes=("camera",),
         about="pictures of the camera that no pulse began, since it was opened; they are not used",
-        limits=COUNT,
     )
 
 

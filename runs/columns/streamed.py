@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from runs.columns.conversions import COUNT, from_bar, protocol_time_column, time_column, to_bar
+from runs.columns.conversions import from_bar, protocol_time_column, time_column, to_bar
 from runs.columns.declaration import Column, Table
 
 
@@ -30,7 +30,7 @@ class StreamedSetPoints(Table):
 
     time_s = time_column("arrival of the set-point")
     protocol_s = protocol_time_column()
-    connection = Column("connection", "<i4", about="number of the connection, from 1", limits=COUNT)
+    connection = Column("connection", "<i4", about="number of the connection, from 1")
     sequence = Column("sequence", "<i8", about="sequence number, as it was sent; what is missing was lost before")
     setpoint_bar = Column(
         "setpoint_pa",

@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runs.columns.conversions import (
-    COUNT,
     MM_PER_M,
-    SECONDS,
     from_bar,
     from_mm,
     from_us,
@@ -134,7 +132,7 @@ class TipControl(Table):
 
     time_s = time_column("middle of the exposure of the frame that led to the plan")
     frame = Column("frame", "<i8", about="as in /entry/tip")
-    start_s = Column("start_s", unit="s", about="protocol time from which the plan is followed", limits=SECONDS)
+    start_s = Column("start_s", unit="s", about="protocol time from which the plan is followed")
     late_ms = Column(
         "late_s",
         unit="ms",
@@ -148,8 +146,8 @@ class TipControl(Table):
         about=f"{', '.join(f'{s.value} {s.name.lower()}' for s in SolveStatus)}; from 2 on the plan is refused",
         among=tuple(SolveStatus),
     )
-    iterations = Column("iterations", "<i4", about="iterations of the solver", limits=COUNT)
-    active = Column("active", "<i4", about="active constraints of the solver", limits=COUNT)
+    iterations = Column("iterations", "<i4", about="iterations of the solver")
+    active = Column("active", "<i4", about="active constraints of the solver")
     solve_us = Column(
         "solve_ns",
         "<i8",

@@ -15,6 +15,7 @@ import yaml
 from runs import arguments
 from runs.archive.checked import ArchiveError, opened
 from runs.archive.schema import BYTES
+from runs.export import matlab
 from runs.overwriting import WouldOverwriteError, staged
 from runs.printable_text import spreadsheet_text
 from runs.records import RecordedFile, RunHeader
@@ -97,13 +98,10 @@ def _cells(column: np.ndarray[Any, Any]) -> list[Any]:
 
 def _mat(source: Path, stem: Path) -> tuple[Path, ...]:
     """One MATLAB 5 file with a struct for each group."""
-    from scipy.io import savemat
-
     path = stem.with_name(f"{stem.name}.mat")
     content = _struct(source)
     try:
-        with path.open("wb") as target:
-            savemat(target, {"run": content}, long_field_names=True, do_compression=True, oned_as="column")
+        matlab.write(path, "run", content)
     except ValueError as fault:
         path.unlink(missing_ok=True)
         raise ExportError(f"MATLAB's format cannot hold this run ({fault}); MATLAB's h5read opens {source}") from fault
@@ -122,9 +120,7 @@ def _struct(source: Path) -> dict[str, Any]:
                 if field.kind == BYTES:
                     continue
                 value = archive.value(field.path)
-                content[_identifier(name, content)] = (
-                    np.array(value, dtype=object) if isinstance(value, list) else value
-                )
+                content[_identifier(name, content)] = value
     return entry
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import base64
+import io
 import textwrap
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from html import escape
 
-import cv2
 import numpy as np
 from matplotlib import patheffects
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL import Image
 
 from runs.records import DetectionStatus
 from runs.report.colours import BOARD, MEASURED, MODEL
@@ -142,13 +143,11 @@ def grid_size(run: Run, summary: Summary) -> tuple[float, float]:
 
 def decoded(run: Run, k: int) -> NDArray[np.uint8]:
     """Return the k-th kept picture (height, width) grey or (height, width, 3) RGB."""
-    data = np.frombuffer(run.picture(k), np.uint8)
-    # OpenCV raises where there are no bytes, and returns nothing where they are no picture.
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
-    if image is None:
+    try:
+        with Image.open(io.BytesIO(run.picture(k))) as image:
+            return np.asarray(image if image.mode == "L" else image.convert("RGB"), np.uint8)
+    except (OSError, SyntaxError, ValueError):  # by which Pillow reports what is no picture, or no whole one
         return np.zeros((1, 1), np.uint8)
-    plain_image = np.asarray(image, np.uint8)
-    return plain_image[:, :, ::-1] if plain_image.ndim == 3 else plain_image
 
 
 def size(run: Run, k: int) -> tuple[int, int]:

@@ -56,12 +56,12 @@ COUNTERPARTS = {
     "tag": Counterpart("runs.annotations:add_tags", {"archive": "run"}, {"remove": "runs.annotations:remove_tags"}),
     "runs": Counterpart("runs.catalogue:search", elsewhere={"folder": "runs.catalogue:catalogue"}),
     "show": Counterpart("runs:open", {"archive": "name"}),
-    "export": Counterpart("runs.export.exporters:export", {"format_": "to", "out": "folder"}),
+    "export": Counterpart("runs.export.exporters:export", {"format_": "to", "out": "folder"}, {"force": "runs:open"}),
     "recover": Counterpart("runs.recovery:recover"),
     "report": Counterpart(
         "runs.report.figure_export:write",
         {"format_": "kind", "out": "folder"},
-        {"figures": "runs.report.page:write", "to": "runs.report.page:write"},
+        {"figures": "runs.report.page:write", "to": "runs.report.page:write", "force": "runs:open"},
     ),
     "publish": Counterpart(
         "rig.publish.description:describe",

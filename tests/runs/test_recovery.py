@@ -12,7 +12,7 @@ import pytest
 
 import runs
 import tests.support.synthetic_runs as made_up
-from runs.archive.writer import locked, verify
+from runs.archive.writer import locked
 from runs.records import RunFooter, Status
 from runs.recovery import RecoveryStatus, orphans, recover
 
@@ -29,7 +29,7 @@ os.kill(os.getpid(), 9)
 FINALISE = """
 import os, sys
 from runs.archive import writer
-writer.checksum.of_file = lambda file: os.kill(os.getpid(), 9)
+writer.digest.seal = lambda file: os.kill(os.getpid(), 9)
 writer.finalise(sys.argv[1])
 """
 
@@ -132,7 +132,7 @@ def test_a_finalisation_that_was_killed_is_repeated(tmp_path: Path) -> None:
     assert subprocess.run([sys.executable, "-c", FINALISE, str(path)], check=False).returncode == -9
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run.h5.part", "run.mcap"]
     assert fates(tmp_path) == {"run.h5.part": RecoveryStatus.REMOVED, "run.mcap": RecoveryStatus.FINALISED}
-    assert verify(tmp_path / "run.h5")
+    assert runs.open(tmp_path / "run.h5").status is Status.FINISHED
 
 
 def test_an_archive_that_is_being_written_is_left_alone(tmp_path: Path) -> None:

@@ -26,9 +26,9 @@ FURTHEST = 10_000
 """A sequence number that is farther ahead is not that of the next messages."""
 RESTART_MESSAGES = 10
 """Messages in a row that continue each other, but not those before: the sender was restarted."""
-RESTART_S = 0.2
-"""A sender that is silent for so long may come again from another port: a program that is started anew gets one. Ten
-messages of a slow tracker, and less than a program needs to start."""
+RESTART_S = 0.5
+"""A sender that is silent for so long may come again from another port: a program that is started anew gets one. Longer
+than a busy computer keeps a sender from running, and less than a run bears without a pose."""
 _LENGTHS = 3.0
 _SPEED_SPAN_S = 0.5
 """The tip's speed comes from poses at most this far apart."""

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
-import h5py
 import numpy as np
 import pytest
 
@@ -22,6 +21,7 @@ from runs.archive.writer import ArchiveError
 from runs.columns import Pressure
 from runs.columns.declaration import Column
 from runs.run import Run
+from tests.support.changed_archive import changed
 from tests.support.virtual_runs import protocol_file, virtual_run
 
 pytestmark = pytest.mark.slow
@@ -72,8 +72,9 @@ def test_a_column_of_the_control_cycles_that_the_replay_does_not_name_is_in_it(
 ) -> None:
     copy = Path(shutil.copy(lossless.path, tmp_path / "copy.h5"))
     percent = np.linspace(40, 50, len(lossless.pressure.time_s))
-    with h5py.File(copy, "r+") as file:
+    with changed(copy) as file:
         file["entry/pressure/humidity_percent"] = percent
+        file["entry/pressure/humidity_percent"].attrs["units"] = "%"
     again = runs.open(replay(Run(copy), tmp_path))
     np.testing.assert_allclose(again.pressure.values["humidity_percent"], percent, rtol=1e-12)
 
@@ -151,7 +152,7 @@ def test_a_run_that_cannot_be_replayed_is_refused_with_the_reason(
     lossless: Run, tmp_path: Path, path: str, value: str | bytes, said: str
 ) -> None:
     copy = Path(shutil.copy(lossless.path, tmp_path / "copy.h5"))
-    with h5py.File(copy, "r+") as file:
+    with changed(copy) as file:
         if isinstance(value, bytes):
             file[path][0] = np.frombuffer(value, np.uint8)
         else:

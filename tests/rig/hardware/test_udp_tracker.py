@@ -109,7 +109,7 @@ def test_a_sender_that_is_started_anew_at_another_port_is_welcome() -> None:
     with closing(open_tracker(rig(port=port), "pose")) as tracker:
         with sender() as first:
             assert receive(tracker, port, [first], range(1000, 1000 + MESSAGES))
-        time.sleep(0.25)
+        time.sleep(0.55)
         with sender() as second:
             readings = receive(tracker, port, [second], range(2 * MESSAGES))
     assert readings

@@ -22,6 +22,7 @@ from rig.publish.crate import field_list, write
 from rig.publish.description import describe
 from runs.annotations import add_note
 from runs.run import Run
+from tests.support.changed_archive import changed
 from tests.support.command_line import status_of
 
 PROTOCOL = "title: One step\nsteps:\n  - hold: {duration_s: 0.3}\n"
@@ -148,9 +149,9 @@ def test_the_readme_explains_every_field(crate: Path, run: Run) -> None:
 
 def test_objects_that_softrig_does_not_know_have_no_row_in_the_readme(run: Run, tmp_path: Path) -> None:
     copy = Path(shutil.copy(run.path, tmp_path / "copy.h5"))
-    with h5py.File(copy, "r+") as file:
+    with changed(copy) as file:
         file["entry/tip/own_type"] = np.dtype("f8")
-        file["entry/tip/time"].attrs["units"] = "s | ms\n"
+        file["entry/tip/time"].attrs["description"] = "s | ms\n"
     text = field_list([copy])
     assert "own_type" not in text
     assert r"| s \| ms |" in text

@@ -100,7 +100,7 @@ def test_a_second_sender_is_a_warning_with_its_address(tmp_path: Path) -> None:
         example(port),
         rig_run(tmp_path, SHORT, like=udp_rig(tmp_path, port), supervised=False) as run,
     ):
-        run.wait_until_pressurised()
+        run.wait_until_started()
         with example(port):
             assert run.end() == 0, run.output
         archive = runs.open(run.archive())

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
@@ -21,6 +20,7 @@ from rig.experiment.replay import replay
 from rig.hardware.cameras.base import FrameSet
 from rig.observation.observer import Observer
 from runs.run import Run
+from tests.support.changed_archive import changed
 from tests.support.command_line import status_of
 from tests.support.control_cycles import control_cycles
 from tests.support.plant_bench import mock_rig
@@ -86,7 +86,7 @@ def test_identification_uses_the_force(run: Run) -> None:
 def test_a_gap_in_the_force_is_refused_by_identification(run: Run, tmp_path: Path) -> None:
     copy = tmp_path / run.path.name
     shutil.copy(run.path, copy)
-    with h5py.File(copy, "r+") as file:
+    with changed(copy) as file:
         file["entry/tip/force_N"][30] = np.nan
     with pytest.raises(NoDataError, match="tip force is missing"):
         in_motion(runs.open(copy))
