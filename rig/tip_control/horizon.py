@@ -19,7 +19,6 @@ from rig.tip_control.estimation.estimator import TipEstimator, tip_map_of
 from rig.tip_control.estimation.state import EstimatorState
 from rig.tip_control.interface import (
     ControllerMeasurement,
-    PayloadEstimate,
     ReferenceTrajectory,
     SetPointPlan,
     SolveStatus,
@@ -89,8 +88,7 @@ class HorizonControl:
         )
         state, nis = self._observed(state, reference.period_s, measurement, samples)
         program = self.program(state, wanted, samples, measurement.start_s)
-        estimate = self._estimator.estimate(state.estimator, nis)
-        return self._solved(state, program, wanted, measurement.start_s, estimate)
+        return self._solved(state, program, wanted, measurement.start_s, nis)
 
     def _observed(
         self, state: HorizonState, period_s: float | None, measurement: ControllerMeasurement, samples: TimedSetPoints
@@ -142,7 +140,7 @@ class HorizonControl:
         program: QuadraticProgram,
         reference: ReferenceSamples,
         start_s: float,
-        estimate: PayloadEstimate,
+        nis: float,
     ) -> SetPointPlan:
         """The plan of the program's solution; without one it continues the last plan."""
         found, _, flag, info = daqp.solve(
@@ -161,5 +159,5 @@ class HorizonControl:
         return SetPointPlan(
             times_s, setpoint, predicted, state._replace(times_s=times_s, setpoint_pa=setpoint),
             SolveStatus.SOLVED if solved else SolveStatus.NOT_SOLVED,
-            int(info["iterations"]), int(np.count_nonzero(info["lam"])), estimate,
+            int(info["iterations"]), int(np.count_nonzero(info["lam"])), nis,
         )  # fmt: skip

@@ -80,24 +80,12 @@ class ControllerMeasurement(NamedTuple):
     start_s: float
 
 
-class PayloadEstimate(NamedTuple):
-    """What an estimator knows: payload [kg], its standard deviation, and the normalised innovation squared (NIS).
-
-    `change_kg`: the last change of the payload during the run, with its standard deviation; NaN before the first.
-    """
-
-    payload_kg: float = float("nan")
-    payload_std_kg: float = float("nan")
-    nis: float = float("nan")
-    change_kg: float = float("nan")
-    change_std_kg: float = float("nan")
-
-
 class SetPointPlan(NamedTuple):
     """Set-points (K, V) `setpoint_pa` at ascending times (K,) `times_s`, linear in between.
 
     `state` is for the next step. `predicted_m` (K, 3): the tip that the controller expects at these times, NaN if it
-    does not predict. `active`: active constraints of the solver, `iterations` its iterations.
+    does not predict. `active`: active constraints of the solver, `iterations` its iterations. `nis`: normalised
+    innovation squared of the frame, NaN without an estimator.
     """
 
     times_s: Array
@@ -107,7 +95,7 @@ class SetPointPlan(NamedTuple):
     status: SolveStatus = SolveStatus.SOLVED
     iterations: int = 0
     active: int = 0
-    estimate: PayloadEstimate = PayloadEstimate()
+    nis: float = float("nan")
 
 
 class TipController(Protocol):

@@ -88,7 +88,7 @@ class TipControlSession:
             row["plan_pa"][within] = interpolated(ahead[within], *stamped)
         if plan.predicted_m is not None and np.shape(plan.predicted_m)[1:] == (3,) and len(plan.predicted_m):
             row["predicted_m"] = plan.predicted_m[0] + learned[1]
-        row["payload_kg"], row["payload_std_kg"], row["nis"] = plan.estimate[:3]
+        row["nis"] = plan.nis
         return stamped, row
 
     def warm_up(self) -> None:

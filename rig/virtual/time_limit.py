@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from types import FrameType
 
 LONGEST_CALL_S = 60.0
+"""Longest time of a call by the clock: far more than a step takes on a busy machine, so that it decides no result."""
 WARM_UP_S = 600.0
 """Long, because a cold compiler cache on a busy machine is not a fault."""
-"""Longest time of a call by the clock: far more than a step takes on a busy machine, so that it decides no result."""
 
 
 @contextmanager

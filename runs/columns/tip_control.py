@@ -172,18 +172,4 @@ class TipControl(Table):
         convert=to_mm,
         inverse=from_mm,
     )
-    payload_g = Column(
-        "payload_kg",
-        unit="g",
-        about="estimated payload beyond the cap of the rig file",
-        convert=lambda kg: kg * 1e3,
-        inverse=lambda g: g / 1e3,
-    )
-    payload_std_g = Column(
-        "payload_std_kg",
-        unit="g",
-        about="one standard deviation of payload_g",
-        convert=lambda kg: kg * 1e3,
-        inverse=lambda g: g / 1e3,
-    )
     nis = Column("nis", about="normalised innovation squared of the frame; 3 on average if the estimator is consistent")

@@ -25,12 +25,10 @@ from rig.tip_control.estimation.change_detection import (
 )
 from rig.tip_control.estimation.state import (
     HARMONICS,
-    ClonedPayload,
     DetectorState,
     EstimateLayout,
     EstimatorState,
 )
-from rig.tip_control.interface import PayloadEstimate
 from rig.tip_control.kernels.arguments import TipMap
 from rig.tip_control.kernels.kalman import innovation, joseph_update
 from rig.tip_control.kernels.measurement import predicted_measurement
@@ -59,24 +57,10 @@ class TipEstimator:
         self._periodic_walk_variance = own.vector(*walks, moving) ** 2
         self._all_move = np.ones(own.size)
         self._payload_moves = own.vector(0.0, 0.0, 0.0, 0.0, 1.0, 1.0, still)
-        self._no_clone = np.zeros(own.size)
 
     def start(self) -> EstimatorState:
         """The prior."""
         return EstimatorState(np.zeros(self.layout.size), np.diag(self._first_std**2))
-
-    def estimate(self, state: EstimatorState, nis: float) -> PayloadEstimate:
-        """What is recorded."""
-        own = self.layout.payload
-        payload, variance = float(state.z[own]), float(state.covariance[own, own])
-        change, change_std = np.nan, np.nan
-        if (before := state.cloned) is not None:
-            change = payload - before.payload_kg
-            unlike = (tuning.RESPONSE_STD * change) ** 2
-            shared = before.covariance[own]
-            change_std = float(np.sqrt(max(0.0, variance + before.variance - 2 * shared) + unlike))
-            variance = variance + unlike
-        return PayloadEstimate(payload, float(np.sqrt(variance)), nis, change, change_std)
 
     def predict(
         self, state: EstimatorState, motion: Array, pressure_pa: Array, time_s: float, period_s: float | None
@@ -116,15 +100,13 @@ class TipEstimator:
             since_s = (tuning.SETTLING_FRAMES - state.settling) * passed_s
             noise = noise + (tuning.SWING_STD_M * np.exp(-since_s / tuning.SWING_DECAY_S)) ** 2 * np.eye(3)
         moves = self._payload_moves if state.settling else self._all_move
-        clone = state.cloned.covariance if state.cloned is not None else self._no_clone
-        z, covariance, clone = joseph_update(state.z, state.covariance, jacobian, noise, gap, moves, clone)
+        z, covariance = joseph_update(state.z, state.covariance, jacobian, noise, gap, moves)
         rising = cusum > tuning.RISING
         detector = DetectorState(cusum, last.detector.rising_frames + 1 if rising else 0, last.detector.kept)
         return state._replace(
             z=z,
             covariance=covariance,
             detector=detector if rising else detector._replace(kept=(z, covariance)),
-            cloned=state.cloned._replace(covariance=clone) if state.cloned is not None else None,
         ), nis
 
     def _adapted(self, state: EstimatorState, gap: Array, expected: Array) -> EstimatorState:
@@ -137,13 +119,12 @@ class TipEstimator:
         """The state before the change, so that no other estimate keeps a part of it, with an unknown payload."""
         own = self.layout.payload
         z, covariance = before_change(state)
-        column = covariance[:, own].copy()
         covariance = covariance.copy()
         covariance[own, own] += tuning.CHANGE_STD_KG**2
         return state._replace(
             z=z,
             covariance=covariance,
-            cloned=ClonedPayload(float(z[own]), float(column[own]), column),
+            payload_before_kg=float(z[own]),
             settling=tuning.SETTLING_FRAMES,
             confirming=tuning.CONFIRMING_FRAMES,
         )
@@ -156,13 +137,13 @@ class TipEstimator:
             unmodelled_m2 += float(gap @ gap) / 3
         else:
             covariance.flat[:: self.layout.size + 1] += (tuning.WIDENING * self._prior_std) ** 2
-        if state.cloned is not None:
-            covariance[own, own] += (z[own] - state.cloned.payload_kg) ** 2
-            z[own] = state.cloned.payload_kg
+        if state.payload_before_kg is not None:
+            covariance[own, own] += (z[own] - state.payload_before_kg) ** 2
+            z[own] = state.payload_before_kg
         return state._replace(
             z=z,
             covariance=covariance,
-            cloned=None,
+            payload_before_kg=None,
             unmodelled_m2=unmodelled_m2,
             frames=tuning.FIRST_FRAMES - tuning.REPEATED_FRAMES,
             confirming=0,

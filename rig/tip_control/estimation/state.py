@@ -61,14 +61,6 @@ class EstimateLayout:
         return np.concatenate([np.full(self.valves, strength), single, np.full(3, offset), np.repeat(harmonics, 6)])
 
 
-class ClonedPayload(NamedTuple):
-    """The payload [kg] before a change, its variance, and its covariance (n,) with the estimates (a cloned state)."""
-
-    payload_kg: float
-    variance: float
-    covariance: Array
-
-
 class DetectorState(NamedTuple):
     """The CUSUM, the frames since it began to rise, and the estimates and their covariance before that."""
 
@@ -81,7 +73,7 @@ class EstimatorState(NamedTuple):
     """Estimates `z` (n,) with covariance (n, n), and what the detection of changes keeps.
 
     `frames`: since the start, or since the priors were widened. `settling`: frames until the arm has settled after a
-    change. `confirming`: frames in which a second change is none of the payload. `cloned`: the payload before the last
+    change. `confirming`: frames in which a second change is none of the payload. `payload_before_kg`: before the last
     change, None without any. `unmodelled_m2`: variance of each coordinate by what the estimates cannot follow, as of a
     motion too fast for the model; `adapting`: frames in which it may grow.
     """
@@ -92,6 +84,6 @@ class EstimatorState(NamedTuple):
     detector: DetectorState = DetectorState()
     settling: int = 0
     confirming: int = 0
-    cloned: ClonedPayload | None = None
+    payload_before_kg: float | None = None
     unmodelled_m2: float = 0.0
     adapting: int = 0

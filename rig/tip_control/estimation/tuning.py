@@ -48,9 +48,6 @@ SWING_STD_M, SWING_DECAY_S = 2e-3, 0.1
 """Measurement noise by the swinging arm at the change, and the time in which it decays."""
 CONFIRMING_FRAMES = 90
 """A second change within so many frames shows that the first was none of the payload."""
-RESPONSE_STD = 0.08
-"""Share of a change that hysteresis and creep of the arm may hide."""
-
 # After a change that is none of the payload: the arm is beyond the priors, or its motion is beyond the model.
 WIDENING = 3.0
 """Factor on the prior standard deviations, which are added."""

@@ -62,9 +62,9 @@ def innovation(covariance: Array, jacobian: Array, noise: Array, gap: Array) -> 
 
 @compiled
 def joseph_update(
-    z: Array, covariance: Array, jacobian: Array, noise: Array, gap: Array, moves: Array, cloned: Array
-) -> tuple[Array, Array, Array]:
-    """Estimates (n,), their covariance (n, n), and that with a cloned state (n,) after one measurement.
+    z: Array, covariance: Array, jacobian: Array, noise: Array, gap: Array, moves: Array
+) -> tuple[Array, Array]:
+    """Estimates (n,) and their covariance (n, n) after one measurement.
 
     `gap` (3,) is the innovation. `moves` (n,) multiplies the rows of the gain: 0 for estimates that stay. The
     covariance is updated in Joseph form, which holds for every gain.
@@ -79,13 +79,6 @@ def joseph_update(
             for row in range(3):
                 gain[k, column] += moves[k] * against[row, k] * weight[row, column]
             after[k] += gain[k, column] * gap[column]
-    clone = cloned.copy()
-    for column in range(3):
-        shown = 0.0
-        for k in range(size):
-            shown += jacobian[column, k] * cloned[k]
-        for k in range(size):
-            clone[k] -= gain[k, column] * shown
     # (I - K H) P, then times (I - K H)^T, plus K R K^T.
     for k in range(size):
         for row in range(3):
@@ -103,4 +96,4 @@ def joseph_update(
         for column in range(3):
             for j in range(size):
                 reduced[k, j] += against[column, k] * gain[j, column]
-    return after, reduced, clone
+    return after, reduced

@@ -51,7 +51,7 @@ def test_an_arm_unlike_the_model_follows_far_better_than_by_feedforward() -> Non
     assert feedback.setpoint_pa.max() <= LIMIT_PA
     assert np.abs(np.diff(feedback.setpoint_pa, axis=0)).max() <= RATE_PA_S * 0.005 * (1 + 1e-9)
     # The innovations are not larger than the filter says: the NIS of three degrees of freedom has mean 3.
-    nis = np.array([plan.estimate.nis for plan in feedback.plans[60:]])
+    nis = np.array([plan.nis for plan in feedback.plans[60:]])
     assert 0.5 < nis.mean() < 4.5
 
 
@@ -62,24 +62,14 @@ def test_an_arm_damped_more_than_stated_is_followed_near_its_first_mode() -> Non
     assert simulate(SETTINGS, HorizonControl(SETTINGS), truth, task, seed=1).rms_m(1.0) < 0.5e-3
 
 
-# The slow circle shows the payload least: there its camera noise costs 2 g, the soft arm of the test about 1 g.
-# benchmarks.tip_payload gives the share of runs within 3 g.
 @pytest.mark.parametrize(
-    ("frequency_hz", "radius_m", "seed", "within_kg"),
-    [(0.25, 0.02, 2, 0.0035), (0.4, 0.02, 3, 0.0015), (0.5, 0.025, 4, 0.0015), (0.3, 0.03, 5, 0.0015)],
+    ("frequency_hz", "radius_m", "seed"), [(0.25, 0.02, 2), (0.4, 0.02, 3), (0.5, 0.025, 4), (0.3, 0.03, 5)]
 )
-def test_an_unknown_payload_is_weighed_and_compensated(
-    frequency_hz: float, radius_m: float, seed: int, within_kg: float
-) -> None:
+def test_an_unknown_load_on_the_tip_is_compensated(frequency_hz: float, radius_m: float, seed: int) -> None:
     task = circle(frequency_hz, 8.0, radius_m)
     rng = np.random.default_rng(seed)
     truth = Truth(OTHER, 1 + 0.03 * rng.standard_normal(3), payload_kg=0.05, payload_at_s=5.0)
     run = simulate(SETTINGS, HorizonControl(SETTINGS), truth, task, seed)
-    before = next(p for p in reversed(run.plans) if p.times_s[0] < 5.0).estimate
-    after = next(p for p in run.plans if p.times_s[0] > 7.0).estimate
-    assert after.payload_kg - before.payload_kg == pytest.approx(0.05, abs=within_kg)
-    assert after.change_kg == pytest.approx(after.payload_kg - before.payload_kg, abs=5e-4)
-    assert abs(after.change_kg - 0.05) < 2 * after.change_std_kg < 0.02
     off = np.linalg.norm(run.tip_m - run.reference_m, axis=1)
     assert off[run.times_s > 6.0].max() < 0.3e-3
 
