@@ -88,7 +88,7 @@ class RealTimeClock:
 def virtual(config: RigConfig, seed: int, *, moving_arm: bool = True) -> Iterator[tuple[Bench, BenchClock, Plant]]:
     """The simulated bench in this process, armed; every card of the rig is a mock."""
     plant = Plant(config, seed, t0_ns=0, moving_arm=moving_arm)
-    bench = Bench(config, {name: plant.card(name) for name in config.cards})
+    bench = Bench(config, {name: plant.card(name) for name in config.cards}, lambda: plant.t_ns)
     with made_safe(bench):
         plant.advance(POWER_UP_NS)
         yield bench, VirtualClock(plant, _period_ns(config)), plant

@@ -21,7 +21,7 @@ class CheckTiming:
     freed_s: float = 2.0
     gone_s: float = 1.0
     start_s: float = 30.0
-    check_s: float = 60.0
+    check_s: float = 30.0
 
 
 DEFAULT_TIMING = CheckTiming()

@@ -69,6 +69,8 @@ class ControlLoop:
         """Scans that the cards have dropped."""
         self.damaged = 0
         """Lines between computer and cards that were damaged."""
+        self.repeated = 0
+        """Scans that the cards have delivered twice."""
         self._has_voltage = np.array([valve.output_unit == "V" for valve in config.valves])
         self._scan_t_ns = 0
         self._excuse = control.StallAllowance()
@@ -130,6 +132,7 @@ class ControlLoop:
         scans = self._bench.read()
         self.lost += scans.lost
         self.damaged += scans.damaged
+        self.repeated += scans.repeated
         self._simulator_late_ns = scans.late_ns
         self._stops_closed = scans.stops_closed
         if self._auxiliary is not None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +19,29 @@ from rig.hardware.driver_calls import as_error
 from rig.hardware.safe_state import SafeOutputs
 
 LONGEST_MEAN_PERIODS = 2
+TIME_TOLERANCE_NS = 5_000_000
+"""How far the time of a scan may be ahead of now, or behind the scan before it: a control period at 200 Hz.
+
+At least two periods of the scans, within which the start of a card's own clock is known.
+"""
+DRIVER_CALLS = ("read", "write", "readback")
+"""The calls into the driver of a card in a control cycle."""
+
+
+class DriverCall(NamedTuple):
+    """The number in DRIVER_CALLS of a call, the cards whose drivers were called, and how long it took."""
+
+    number: int
+    cards: tuple[str, ...]
+    took_ns: int
 
 
 @dataclass(frozen=True)
 class BenchScans:
     """Scans of all sensors, oldest first: `t_ns` (n,), `signals` and gauge `pressure_pa` (n, N) in actuator order.
 
-    `lost` counts the scans that the cards dropped since the last read, `damaged` the damaged lines between computer and
-    cards; `late_ns` is the delay of a simulator.
+    `lost` counts the scans that the cards dropped since the last read, `repeated` those that came twice and were left
+    out, `damaged` the damaged lines between computer and cards; `late_ns` is the delay of a simulator.
     `auxiliary` (n, I) are the auxiliary inputs, each in its unit; `stops_closed` (E,) says whether the contact of each
     emergency stop is closed now.
     """
@@ -36,6 +54,7 @@ class BenchScans:
     auxiliary: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
     stops_closed: tuple[bool, ...] = ()
     damaged: int = 0
+    repeated: int = 0
 
     def newest_pressure_pa(self, period_ns: int) -> NDArray[np.float64]:
         """Mean pressure (N,) over the scans of a control period.
@@ -54,8 +73,10 @@ class BenchScans:
 class Bench(SafeOutputs):
     """The open cards of a rig: outputs that can be made safe, and inputs. Methods may raise `CardError`."""
 
-    def __init__(self, config: BenchConfig, cards: Mapping[str, Card]) -> None:
-        """`cards` are open, by their names in the rig, set up by `card_setup`.
+    def __init__(
+        self, config: BenchConfig, cards: Mapping[str, Card], clock: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        """`cards` are open, by their names in the rig, set up by `card_setup`; `clock` is that of their scans.
 
         A part of them suffices: signals of the others are NaN.
         """
@@ -73,6 +94,13 @@ class Bench(SafeOutputs):
         columns = {name: [i for i, s in enumerate(signals) if s.card == name] for name in self._cards}
         self._inputs = {name: column for name, column in columns.items() if column}
         self._one_has_all = len(next(iter(self._inputs.values()), ())) == len(signals)
+        self._clock = clock
+        self._tolerance_ns = {
+            name: max(TIME_TOLERANCE_NS, round(2e9 / config.cards[name].sampling_hz)) for name in self._inputs
+        }
+        self._newest_ns = dict.fromkeys(self._inputs, -1)
+        self._repeated = 0
+        self._longest: DriverCall | None = None
         self._pending = {name: Scans.none(len(column)) for name, column in self._inputs.items()}
 
     @property
@@ -114,7 +142,7 @@ class Bench(SafeOutputs):
 
     def _card_scans(self, name: str) -> Scans:
         """New scans of one card. Raises CardError, also for an error in the driver's code or wrong scans."""
-        with as_error(CardError, f"card {name}: read of its driver failed"):
+        with as_error(CardError, f"card {name}: read of its driver failed"), self._timed(0, name):
             scans = self._cards[name].read()
         if not isinstance(scans, Scans):
             raise CardError(f"card {name}: read of its driver returned {type(scans).__name__} instead of Scans")
@@ -125,7 +153,51 @@ class Bench(SafeOutputs):
         shape, expected = scans.signals.shape, (len(scans.t_ns), len(self._inputs[name]))
         if shape != expected:
             raise CardError(f"card {name}: read of its driver returned signals of shape {shape} instead of {expected}")
-        return scans
+        return self._in_order(name, scans) if len(scans.t_ns) else scans
+
+    def _in_order(self, name: str, scans: Scans) -> Scans:
+        """Scans without those that the driver has delivered before.
+
+        Raises:
+            CardError: a time is later than now, or earlier than the one before, by more than `TIME_TOLERANCE_NS`.
+        """
+        t_ns, before_ns = scans.t_ns, self._newest_ns[name]
+        newest_ns = int(t_ns.max())
+        if (ahead_ns := newest_ns - self._clock()) > self._tolerance_ns[name]:
+            raise CardError(
+                f"card {name}: its newest scan is {_duration(ahead_ns)} ahead of now: the times of its driver are not "
+                "of CLOCK_MONOTONIC (time.monotonic_ns)"
+            )
+        self._newest_ns[name] = max(newest_ns, before_ns)
+        if t_ns[0] > before_ns and (t_ns[1:] > t_ns[:-1]).all():
+            return scans
+        latest_ns = np.maximum.accumulate(np.concatenate([[before_ns], t_ns]))[:-1]
+        if (behind_ns := int((latest_ns - t_ns).max())) > self._tolerance_ns[name]:
+            raise CardError(f"card {name}: the times of its scans go back by {_duration(behind_ns)}")
+        new = t_ns > latest_ns
+        self._repeated += int((~new).sum())
+        return replace(scans, t_ns=t_ns[new], signals=scans.signals[new])
+
+    @contextmanager
+    def _timed(self, number: int, *cards: str) -> Iterator[None]:
+        """Time a call of DRIVER_CALLS."""
+        began_ns = time.monotonic_ns()
+        try:
+            yield
+        finally:
+            took_ns = time.monotonic_ns() - began_ns
+            if self._longest is None or took_ns > self._longest.took_ns:
+                self._longest = DriverCall(number, cards, took_ns)
+
+    def longest_call(self) -> DriverCall | None:
+        """The longest call of read, write and readback of a driver since the last time, in real time."""
+        longest, self._longest = self._longest, None
+        return longest
+
+    def readback(self) -> NDArray[np.float64]:
+        """As `SafeOutputs.readback`, timed."""
+        with self._timed(2, *self.columns):
+            return super().readback()
 
     def _scans(self, cards: Scans) -> BenchScans:
         """Scans of the signals (n, N + I): sensors, then auxiliary inputs."""
@@ -137,13 +209,15 @@ class Bench(SafeOutputs):
             auxiliary[:, i] = one.value(inputs[:, i])
         high = {name: iter(card.read_digital().tolist()) for name, card in self._digital.items()}
         closed = tuple(next(high[name]) for name in self._stop_cards)
-        return BenchScans(cards.t_ns, signals, pressure_pa, cards.lost, cards.late_ns, auxiliary, closed, cards.damaged)
+        repeated, self._repeated = self._repeated, 0
+        counts = cards.damaged, repeated
+        return BenchScans(cards.t_ns, signals, pressure_pa, cards.lost, cards.late_ns, auxiliary, closed, *counts)
 
     def write(self, outputs: NDArray[np.float64]) -> None:
         """Set every valve (V,), each in its unit."""
         self._commanded = None
         for name, column in self.columns.items():
-            with as_error(CardError, f"card {name}: write of its driver failed"):
+            with as_error(CardError, f"card {name}: write of its driver failed"), self._timed(1, name):
                 self._cards[name].write(outputs[column])
         self._commanded = outputs.copy()
 
@@ -204,6 +278,11 @@ def _digital_cards(config: BenchConfig, cards: Mapping[str, Card]) -> dict[str, 
 
 
 _NEVER = np.iinfo(np.int64).max
+
+
+def _duration(ns: int) -> str:
+    """A duration in ms, or in s where it is long."""
+    return f"{ns * 1e-6:.1f} ms" if ns < 10**9 else f"{ns * 1e-9:.1f} s"
 
 
 def _joined(old: Scans, new: Scans) -> Scans:

@@ -185,7 +185,7 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
     valves = GuardedOutputs(bench, memory)
     timing = timing_limits(job.plan.config, memory.granted)
     loop = ControlLoop(job.plan, valves, time_may_stop=timing.simulator_ns is not None)
-    period = loop.period_ns
+    period, cards = loop.period_ns, list(job.plan.config.cards)
     clocks_cycles = max(1, round(CLOCKS_PUBLISHED_S * 1e9 / period))
     trigger = TriggerPulses(job.plan.config, bench, time.monotonic_ns) if job.plan.config.triggered else None
     ended = _await_start(memory, loop, trigger, supervisor)
@@ -223,6 +223,12 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
         memory.samples.push(row)
         memory.lost_scans = loop.lost
         memory.damaged_lines = loop.damaged
+        memory.repeated_scans = loop.repeated
+        call = bench.longest_call()
+        if call is not None and call.took_ns > period:
+            memory.slow_call, memory.slow_call_ns = call.number, call.took_ns
+            memory.slow_card = cards.index(call.cards[0]) if len(call.cards) == 1 else -1
+            memory.slow_calls += 1
         memory.setpoint_source = loop.setpoint_source
         if cycle % clocks_cycles == 0:
             memory.publish_clocks(bench.clocks)

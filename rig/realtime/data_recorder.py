@@ -44,7 +44,9 @@ class DataRecorder:
         self._plan, self._config, self._memory = plan, plan.config, memory
         self._journal, self._operator, self._clock = journal, operator, clock
         self._health = HealthMonitor(plan.config, start_ns)
-        self._lost_scans = self._damaged_lines = self._missed = self._dropped = self._lost_pulses = 0
+        self._lost_scans = self._damaged_lines = self._repeated_scans = self._slow_calls = self._missed = (
+            self._dropped
+        ) = self._lost_pulses = 0
         self.failure = ""
         """Why the record could not be written; empty if it could."""
         self.plan_counts = PlanCounts()
@@ -67,6 +69,9 @@ class DataRecorder:
     def drain(self) -> None:
         """Record everything that the processes have written since the last call."""
         memory, journal = self._memory, self._journal
+        slow, self._slow_calls = memory.slow_calls - self._slow_calls, memory.slow_calls
+        if slow:
+            self._health.slow_calls(slow, memory.slow_call, memory.slow_card, memory.slow_call_ns)
         if len(samples := self._read(memory.samples, journal.samples)):
             self._missed += int(samples["missed"].sum())
             self.sample = samples[-1]
@@ -75,6 +80,8 @@ class DataRecorder:
         self.report(*self._health.lost(self._clock(), lost))
         damaged, self._damaged_lines = memory.damaged_lines - self._damaged_lines, memory.damaged_lines
         self.report(*self._health.damaged(self._clock(), damaged))
+        repeated, self._repeated_scans = memory.repeated_scans - self._repeated_scans, memory.repeated_scans
+        self.report(*self._health.repeated(self._clock(), repeated))
         if len(observations := self._read(memory.observations, journal.observations)):
             self._dropped += int(observations["dropped"].sum())
             self.observation = observations[-1]
@@ -130,6 +137,8 @@ class DataRecorder:
             **({} if self.dropped is None else {"dropped_frames": self.dropped}),
             "lost_scans": self._lost_scans,
             "damaged_lines": self._damaged_lines,
+            "repeated_scans": self._repeated_scans,
+            "slow_driver_calls": self._slow_calls,
             **({"lost_pulses": self._lost_pulses} if self._config.triggered else {}),
             "sample_ring_overflows": memory.samples.lost,
             "observation_ring_overflows": memory.observations.lost,

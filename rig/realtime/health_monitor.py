@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
+from rig.hardware.bench import DRIVER_CALLS
 from rig.hardware.trackers.base import other_sender
 from rig.realtime.repeated_warnings import SHARE_TIME_CONSTANT_S, Condition, LossWarning, RepeatedWarning, warning_event
 from runs.records import DATAGRAM_COUNTS, DetectionStatus, Event, SolveStatus
@@ -24,6 +25,10 @@ STALL_S = 0.5
 SUSPENSION_S = 0.1
 CONTROL_STALL_S = 0.1
 DISK_S = 2.0
+FORGOTTEN = 0.9
+"""What a late cycle leaves of the weight of the ones before."""
+LEAST_SLOW = 0.5
+"""Slow calls for each late cycle from which they, not the machine, are the cause."""
 
 _CAUSES = {
     DetectionStatus.NO_BOARD: "no board in the picture: light, lens cap, something before the camera?",
@@ -62,6 +67,8 @@ class HealthMonitor:
         self._disk = self._condition(DISK_S, "supervisor")
         self._lost_scans = self._losses("scans were lost: the card's buffer overran, or what it sent was damaged")
         self._damaged_lines = self._losses("damaged lines between computer and card were dropped")
+        self._repeated_scans = self._losses("scans came twice from the driver of a card, and were left out")
+        self._drivers = _DriverTimes(config)
         self._lost_pulses = self._losses("pulses of the camera trigger were left out: control was late", "control")
         self._refused, self._not_solved = (self._condition(0.3, "tip controller") for _ in range(2))
         self._control_stalls, self._stalls = self._warning("control"), self._warning("supervisor")
@@ -85,8 +92,10 @@ class HealthMonitor:
         """Events of control cycles (n,) of `runs.records.sample_dtype`, in order of time."""
         for row in rows:
             missed, t_ns, late_s = int(row["missed"]), int(row["t_ns"]), row["lateness_ns"] * 1e-9
+            if missed or late_s > CONTROL_STALL_S:
+                self._drivers.missed()
             stall = (
-                f"control stalled for {late_s:.2f} s, the valves at their last outputs; "
+                f"control stalled for {late_s:.2f} s{self._drivers.cause}, the valves at their last outputs; "
                 "the pressures return to their set-points within the rate limit"
             )
             yield from self._control_stalls.events(t_ns, stall if late_s > CONTROL_STALL_S else "")
@@ -94,13 +103,20 @@ class HealthMonitor:
                 t_ns,
                 self._cycle_s * (missed + 1),
                 missed / (missed + 1),
-                "{share} of the deadlines are missed: the machine is too busy",
+                f"{{share}} of the deadlines are missed{self._drivers.cause or self._drivers.otherwise}",
                 "deadlines are met again",
             )
             for (name, condition), value in zip(self._inputs, row["aux"] if self._inputs else (), strict=True):
                 warning = f"input {name} is outside its span_V and recorded as NaN: is the sensor or its wire broken?"
                 recovery = f"input {name} is inside its span_V again"
                 yield from condition.row(t_ns, self._cycle_s, float(np.isnan(value)), warning, recovery)
+
+    def slow_calls(self, number: int, call: int, card: int, took_ns: int) -> None:
+        """Take the number of control cycles with a slow call into a driver since the last one, and the last such call.
+
+        Called before the rows of these cycles are passed to `samples`; `card` is -1 for several.
+        """
+        self._drivers.slow(number, call, card, took_ns)
 
     def observations(self, rows: NDArray[np.void]) -> Iterator[Event]:
         """Events of camera frames (n,) of `runs.records.observation_dtype`, in order of time."""
@@ -229,6 +245,10 @@ class HealthMonitor:
         """Event of damaged lines between computer and cards since the last call; called also without any."""
         return self._damaged_lines.add(t_ns, lines)
 
+    def repeated(self, t_ns: int, scans: int) -> Iterator[Event]:
+        """Event of scans that came twice since the last call; called also without any."""
+        return self._repeated_scans.add(t_ns, scans)
+
     def rest(self, t_ns: int) -> Iterator[Event]:
         """Events of what has repeated and is not reported yet, at the end of a run."""
         for repeated in self._repeated:
@@ -272,3 +292,32 @@ class HealthMonitor:
 def _cause(seen: DetectionStatus) -> str:
     """Why nothing was measured, and what to look at."""
     return _CAUSES.get(seen, seen.words)
+
+
+class _DriverTimes:
+    """Whether the drivers of the cards explain the deadlines that are missed: each slow call may cost one or more."""
+
+    def __init__(self, config: RigConfig) -> None:
+        self._cards, self._period_ms = list(config.cards), 1e3 / config.control.rate_hz
+        self._slow = self._missed = 0.0
+        self._words = ""
+        own = any(card.driver not in card.registry.built_in for card in config.cards.values())
+        self.otherwise = ": the machine is too busy" + (", or a thread of a driver holds the interpreter" * own)
+        """What explains them where slow calls do not."""
+
+    def slow(self, number: int, call: int, card: int, took_ns: int) -> None:
+        """Take slow calls, and the last of them."""
+        self._slow += number
+        of = f"card {self._cards[card]}" if card >= 0 else f"the cards {', '.join(self._cards)}"
+        period = f"the control period is {self._period_ms:g} ms"
+        self._words = f": `{DRIVER_CALLS[call]}` of the driver of {of} takes {took_ns * 1e-6:.1f} ms, {period}"
+
+    def missed(self) -> None:
+        """Take a cycle that began late or after missed deadlines."""
+        self._missed = FORGOTTEN * self._missed + 1
+        self._slow = FORGOTTEN * self._slow
+
+    @property
+    def cause(self) -> str:
+        """The call that takes too long; empty where slow calls are too few to explain the late cycles."""
+        return self._words if self._slow > LEAST_SLOW * self._missed else ""

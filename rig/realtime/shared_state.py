@@ -130,6 +130,16 @@ class SharedState:
     lost_scans = _Flag(int)
     damaged_lines = _Flag(int)
     """Lines between computer and cards that were damaged."""
+    repeated_scans = _Flag(int)
+    """Scans that the cards have delivered twice."""
+    slow_calls = _Flag(int)
+    """Control cycles with a call into a card's driver that took longer than the control period; of the last one:"""
+    slow_call = _Flag(int)
+    """Its number in `rig.hardware.bench.DRIVER_CALLS`."""
+    slow_card = _Flag(int)
+    """Number of the card in the rig file, -1 for several."""
+    slow_call_ns = _Flag(int)
+    """How long it took."""
     setpoint_source = _Flag(SetPointSource)
     unverified_cards = _Flag(int)
     """Cards without read-back, found when the bench was armed."""

@@ -72,7 +72,8 @@ class _VirtualRun:
         self._plan = plan
         self._operator = operator
         self._plant = Plant(config, plan.seed, t0_ns=0)
-        self._bench = Bench(config, {name: self._plant.card(name) for name in config.cards})
+        cards = {name: self._plant.card(name) for name in config.cards}
+        self._bench = Bench(config, cards, lambda: self._plant.t_ns)
         self._cameras = {name: self._camera(name) for name in config.cameras}
         self._memory = SharedState.create(config, len(plan.adapted), shared=False)
         self._memory.start_ns = START_NS

@@ -20,6 +20,7 @@ from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans
 BEHIND_S = 0.03
 LATE_NS = 150_000_000
 FLOOD = 2_000_000
+DRIVEN_S = 1.0
 
 
 def stuck(fault: str) -> None:
@@ -64,7 +65,7 @@ class Breakable(Pneubox):  # type: ignore[misc]
         self._stuck("any opening")
         if setup.inputs:
             self._stuck("opening")
-        self._reads, self._echo = 0, None
+        self._reads, self._echo, self._began_s = 0, None, None
         self._closed, self._late = False, []
         owner = Path(f"{file_of(setup.device)}.owner")
         watched = not setup.inputs
@@ -86,6 +87,11 @@ class Breakable(Pneubox):  # type: ignore[misc]
             super().write(np.full(len(setup.outputs), 3.3))
         if self._fault == "opening writes zero":
             super().write(np.zeros(len(setup.outputs)))
+
+    @property
+    def _wrote_s(self) -> float:
+        """Time since the first output that moved."""
+        return 0.0 if self._began_s is None else time.monotonic() - self._began_s
 
     def _stuck(self, where: str) -> None:
         if self._fault.endswith(f" in {where}"):
@@ -128,7 +134,7 @@ class Breakable(Pneubox):  # type: ignore[misc]
             scans.signals[:, 1] = 0.0 if self._fault.endswith("zero") else 0.6
         if self._fault == "delivers twice":
             return Scans(np.repeat(scans.t_ns, 2), np.repeat(scans.signals, 2, axis=0))
-        if self._fault == "wall clock":
+        if self._fault == "wall clock" or (self._fault == "wall clock later" and self._wrote_s > DRIVEN_S):
             return replace(scans, t_ns=np.array([time.time_ns()]))
         if self._fault == "repeated time":
             return replace(scans, t_ns=scans.t_ns // 10**9 * 10**9)
@@ -170,6 +176,8 @@ class Breakable(Pneubox):  # type: ignore[misc]
             return
         super().write(outputs)
         self._echo = np.array(outputs)
+        if self._began_s is None and np.any(outputs):
+            self._began_s = time.monotonic()
 
     def readback(self) -> Any:
         """The outputs, or what the driver takes for them."""

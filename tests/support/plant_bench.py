@@ -80,7 +80,7 @@ def play(
 ) -> Played:
     """Run the regulator against the plant. `disturb(t, plant, volts (n, N))` may change the plant or the readings."""
     plant = Plant(config, seed, 0, moving_arm=moving_arm)
-    bench = Bench(config, {name: plant.card(name) for name in config.cards})
+    bench = Bench(config, {name: plant.card(name) for name in config.cards}, lambda: plant.t_ns)
     bench.arm()
     bench.start()
     plant.advance(BEGIN_NS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 import rig.hardware.cards.base
 from rig.config.card_sections import CardConfig
 from rig.config.schema import RigConfig
-from rig.hardware.bench import Bench
+from rig.hardware.bench import DRIVER_CALLS, Bench
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans, card_setup
 from rig.hardware.safe_state import armed_sentence, make_safe
 from rig.hardware.vent import vent
@@ -106,6 +107,55 @@ def test_cards_with_clocks_of_their_own_are_paired_without_losing_a_scan(
 def test_a_silent_card_stops_the_samples(bench: Bench, cards: dict[str, FakeCard]) -> None:
     cards["daq"].feed([10, 20], [[1, 1], [2, 2]])
     assert len(bench.read().t_ns) == 0
+
+
+def test_a_scan_later_than_now_is_a_fault_of_its_card(cards: dict[str, FakeCard]) -> None:
+    bench = Bench(two_card_rig(), cards, lambda: 1_000_000_000)
+    cards["daq"].feed([1_000_000_000], [[1, 1]])
+    cards["other"].feed([1_004_000_000], [[1]])
+    bench.read()  # less than a control period
+    cards["other"].feed([1_767_323_045_123_456_789], [[1]])
+    with pytest.raises(CardError, match=r"card other: its newest scan is .* s ahead of now.*CLOCK_MONOTONIC"):
+        bench.read()
+
+
+def test_scans_whose_times_go_back_are_a_fault_of_their_card(bench: Bench, cards: dict[str, FakeCard]) -> None:
+    cards["daq"].feed([50_000_000], [[1, 1]])
+    bench.read()
+    cards["daq"].feed([30_000_000], [[1, 1]])
+    with pytest.raises(CardError, match=r"card daq: the times of its scans go back by 20.0 ms"):
+        bench.read()
+
+
+def test_scans_that_come_twice_are_left_out_and_counted(bench: Bench, cards: dict[str, FakeCard]) -> None:
+    cards["other"].feed([5], [[0]])
+    cards["daq"].feed([10, 20, 20], [[1, 1], [2, 2], [2, 2]])
+    first = bench.read()
+    cards["other"].feed([40], [[0]])
+    cards["daq"].feed([20, 30], [[2, 2], [3, 3]])
+    second = bench.read()
+    assert (first.repeated, second.repeated) == (1, 1)
+    assert [*first.t_ns, *second.t_ns] == [10, 20, 30]
+
+
+def test_the_longest_call_into_a_driver_is_known_with_its_card(
+    bench: Bench, cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.write(np.array([1.0, 1.0]))
+    bench.longest_call()
+    reads = cards["other"].read
+
+    def slow_read() -> Scans:
+        time.sleep(0.02)
+        return reads()
+
+    monkeypatch.setattr(cards["other"], "read", slow_read)
+    bench.read()
+    call = bench.longest_call()
+    assert call is not None
+    assert (DRIVER_CALLS[call.number], call.cards) == ("read", ("other",))
+    assert call.took_ns > 15_000_000
+    assert bench.longest_call() is None
 
 
 def test_every_card_is_made_safe_even_if_another_fails(bench: Bench, cards: dict[str, FakeCard]) -> None:

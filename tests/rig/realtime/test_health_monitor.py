@@ -86,6 +86,7 @@ def test_missed_deadlines_and_lost_scans_are_reported(monitor: HealthMonitor) ->
     assert levels(list(monitor.lost(0, 5))) == [Level.WARNING]
     assert list(monitor.damaged(0, 0)) == []
     assert levels(list(monitor.damaged(0, 5))) == [Level.WARNING]
+    assert levels(list(monitor.repeated(0, 5))) == [Level.WARNING]
 
 
 def test_a_tenth_of_the_deadlines_missed_in_a_second_is_reported_during_the_run(monitor: HealthMonitor) -> None:
@@ -96,6 +97,28 @@ def test_a_tenth_of_the_deadlines_missed_in_a_second_is_reported_during_the_run(
     (told,) = monitor.samples(rows)
     assert "of the deadlines are missed" in told.message
     assert told.t_ns < 10**9 + 1_000_000_000
+
+
+def late(rows: int = 200) -> np.ndarray:  # type: ignore[type-arg]
+    """Control cycles of which every other follows a missed deadline."""
+    found = np.zeros(rows, sample_dtype(3, 2))
+    found["missed"][::2] = 1
+    found["t_ns"] = 10**9 + np.cumsum(1 + found["missed"]) * CYCLE_NS
+    return found
+
+
+def test_deadlines_that_a_slow_driver_costs_name_the_driver_and_its_call(monitor: HealthMonitor) -> None:
+    monitor.slow_calls(100, 1, 0, 30_000_000)
+    (told,) = monitor.samples(late(60))
+    assert "`write` of the driver of card daq takes 30.0 ms, the control period is 5 ms" in told.message
+    assert "too busy" not in told.message
+
+
+def test_few_slow_calls_do_not_hide_that_the_machine_is_too_busy(monitor: HealthMonitor) -> None:
+    monitor.slow_calls(1, 1, 0, 30_000_000)
+    (told,) = monitor.samples(late())
+    assert "the machine is too busy" in told.message
+    assert "driver" not in told.message
 
 
 def test_a_single_missed_deadline_is_not_reported(monitor: HealthMonitor) -> None:
