@@ -9,16 +9,19 @@ from pathlib import Path
 import typer
 from rich.text import Text
 
+from calibration.baselines.comparison import Comparison
+from calibration.baselines.comparison import facts as comparison_facts
 from calibration.identify import Poses, Prior
 from calibration.identify.bootstrap import Bootstrap, bootstrap
 from calibration.identify.findings import Findings, findings
 from calibration.identify.held_out_prediction import Prediction
 from calibration.identify.model_comparison import ComparisonRow
 from calibration.identify.notation import Scale, interval, quantity, rounded, units_note
-from calibration.identify.parameters_document import Baseline, content, section_facts
+from calibration.identify.parameters_document import content, section_facts
 from calibration.identify.profile_likelihood import LikelihoodProfile, profiles
 from calibration.identify.residual_dependence import Dependence
 from calibration.identify.results import Estimate, Fit, RunFit, SectionFit
+from rig.cli.baseline_output import methods_table
 from rig.cli.output import ColumnTable, console, print_json
 from rig.cli.progress import progress_bar
 from rig.cli.run_names import resolve
@@ -74,26 +77,36 @@ def read(archives: Sequence[Run], quasi_static: bool) -> list[Poses]:
 
 
 def identification(
-    done: Identification, predicted: Sequence[Prediction], dependences: Sequence[Dependence], as_json: bool
+    done: Identification, dependences: Sequence[Dependence], compared: Sequence[Comparison], as_json: bool
 ) -> None:
-    """Print the estimates and the errors of the runs that were held out."""
+    """Print the conclusion, the estimates, the errors beside the baselines, and those of runs that were held out."""
     if as_json:
-        _print_json(done.fit, done.baseline, predicted, dependences)
+        _print_json(done, dependences, compared)
     else:
+        for line in done.conclusion:
+            console().print(line, soft_wrap=True)
+        if done.pressure_lag_s:
+            lag = f"The tip follows the pressures behind a lag of {done.pressure_lag_s:g} s"
+            console().print(f"{lag}, which blocks left out of the fit's data chose.", soft_wrap=True)
+        console().print()
         _estimates(done.fit, dependences)
-    _prediction_errors(predicted, as_json)
+        methods_table(compared, done.repeatability)
+    _prediction_errors(done.predictions, as_json)
 
 
-def _print_json(
-    fit: Fit, under: Baseline | None, predicted: Sequence[Prediction], dependences: Sequence[Dependence]
-) -> None:
-    """Print the content of a parameter file, the model error and the predictions of held-out runs, as JSON."""
-    facts = content(fit, baseline=under) | {
+def _print_json(done: Identification, dependences: Sequence[Dependence], compared: Sequence[Comparison]) -> None:
+    """Print the content of a parameter file, the model error, the comparison and the predictions, as JSON."""
+    fit = done.fit
+    facts = content(fit, baseline=done.baseline) | {
+        "conclusion": list(done.conclusion),
+        "warnings": warnings_of(fit),
+        "pressure_lag_s": done.pressure_lag_s,
+        "comparison": comparison_facts(compared, done.baselines, done.repeatability),
         "model_error": _model_error_facts(fit, findings(fit, dependences)),
         "residual_dependence": [
             {"on": one.quantity, "about": one.about, "share": one.share, "p_value": one.p_value} for one in dependences
         ],
-        "predictions": [_prediction_facts(one) for one in predicted],
+        "predictions": [_prediction_facts(one) for one in done.predictions],
     }
     print_json(facts)
 
@@ -200,7 +213,11 @@ def _held(fit: Fit) -> None:
     if not held:
         return
     screen = console()
-    screen.print("Not free; estimated with the stated standard uncertainty, which is in the error bars above:")
+    screen.print(
+        "Not free, yet moved by the fit within the stated standard uncertainty, which is in the error bars above; a "
+        "parameter file gets these values, too:",
+        soft_wrap=True,
+    )
     table = ColumnTable("parameter", "stated", "after the fit", "run")
     for one, std in held:
         table.add_row(one.name, _expected(one), quantity(one.name, one.unit, one.used, std), one.run)
@@ -213,8 +230,16 @@ def _held(fit: Fit) -> None:
 
 
 def _warnings(fit: Fit) -> None:
-    """Print what limits the error bars, and what does not fit together."""
+    """Print them; a contradiction of the rig file first."""
     screen = console()
+    if any(not e.nuisance and not e.prior for e in fit.in_tension):
+        screen.print(Text(_CONTRADICTION, "bold yellow"), soft_wrap=True)
+    for words in warnings_of(fit):
+        screen.print(Text(words, "yellow"), soft_wrap=True)
+
+
+def warnings_of(fit: Fit) -> list[str]:
+    """What limits the error bars, and what does not fit together."""
     by_source: dict[str, list[str]] = defaultdict(list)
     for found in fit.estimates:
         if found.identified and not found.nuisance and not found.run:
@@ -223,15 +248,14 @@ def _warnings(fit: Fit) -> None:
             for one, share in fit.contributions(found):
                 if share > _MOST and one.name != found.name:
                     by_source[f"{one.name} ({_expected(one)})"].append(found.name)
-    for source, names in by_source.items():
-        screen.print(f"most of the error bar of {', '.join(names)} comes from {source}", soft_wrap=True)
     warnings = [
+        f"most of the error bar of {', '.join(names)} comes from {source}" for source, names in by_source.items()
+    ]
+    warnings += [
         f"{f'{e.name} {e.run}'.strip()} is {abs(e.tension):.1f} standard uncertainties from the {_expected(e)} that is "
         f"{'its prior' if e.prior else 'stated in the rig file'}"
         for e in fit.in_tension
     ]
-    if any(not e.nuisance and not e.prior for e in fit.in_tension):
-        screen.print(Text(_CONTRADICTION, "bold yellow"), soft_wrap=True)
     warnings += [fit.drifts] if fit.drifts else []
     warnings += [f"left open by the data: {words}" for words in fit.open_directions]
     if fit.starts > 1:
@@ -239,8 +263,7 @@ def _warnings(fit: Fit) -> None:
         warnings.append(f"{agreeing}{'' if fit.agreeing_starts > 1 else ': it may not be the best one; add --starts'}")
     if not fit.solved:
         warnings.append("the Gauss-Newton search did not converge")
-    for words in warnings:
-        screen.print(Text(words, "yellow"), soft_wrap=True)
+    return warnings
 
 
 def _residuals(run: RunFit) -> None:

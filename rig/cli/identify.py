@@ -141,13 +141,13 @@ def fit(
     if done.fit.worse_than_start:
         output.failure(done.fit)
         raise typer.Exit(FAULT)
-    predictions, dependences = done.predictions(), residual_dependence(done.fit)
-    output.identification(done, predictions, dependences, json)
+    dependences, compared = residual_dependence(done.fit), done.comparisons
+    output.identification(done, dependences, compared, json)
     intervals = output.profiled(done.fit, json) if profile else ()
     refits = output.bootstrapped(done.fit, bootstrap, scheduler, store, json) if bootstrap else None
     if report is not None:
         truth = truth_of(opened.seen[0])
-        typer.echo(write_report(done.fit, report, dependences, intervals, refits, predictions, truth), err=json)
+        typer.echo(write_report(done.fit, report, dependences, intervals, refits, done.predictions, truth), err=json)
     if to is not None:
         written = write(done.fit, to, intervals, done.baseline)
         typer.echo(written, err=json)

@@ -74,7 +74,8 @@ def from_poses(
     By default the parameters of `rig run --adapt` are free, the branches and stop elements of the rig's arm, and for
     dynamic runs the damping: otherwise base and law would absorb the lag of a motion. Every other number that the tip
     depends on is a nuisance parameter: it is estimated, too, with the rig's value and its standard uncertainty as
-    prior. Parameters of `per_run`, free or not, have a value of their own in each run.
+    prior. A free parameter feels the uncertainty that the rig file states of it; without a statement it has no prior.
+    Parameters of `per_run`, free or not, have a value of their own in each run.
 
     Raises:
         UnknownParameter: a name is unknown, or a prior or `per_run` names a parameter without effect on the data.
@@ -91,7 +92,7 @@ def from_poses(
         data,
         start,
         chosen,
-        sensor_priors(stated) | _by_parameter(priors, config.actuators),
+        sensor_priors(stated) | stated_priors(config, stated) | _by_parameter(priors, config.actuators),
         starts,
         stated=stated,
         per_run=per_run,
@@ -116,6 +117,12 @@ def rig_uncertainties(config: RigConfig, start: Setup) -> dict[str, Prior]:
 def sensor_priors(stated: Mapping[str, Prior]) -> dict[str, Prior]:
     """Return the priors of free parameters: only sensors have one, because their data sheets hold in any case."""
     return {name: prior for name, prior in stated.items() if name.startswith("sensor_") and "gain" not in name}
+
+
+def stated_priors(config: RigConfig, stated: Mapping[str, Prior]) -> dict[str, Prior]:
+    """Return the priors of the parameters whose uncertainty the rig file states: free or not, they feel it."""
+    explicit = named(config.uncertainties.stated(), config.actuators)
+    return {one.name: stated[one.name] for one in explicit if one.name in stated}
 
 
 def _by_parameter(priors: Mapping[str, Prior], actuators: int) -> dict[str, Prior]:

@@ -5,21 +5,30 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from calibration.baselines.comparison import Comparison, on_blocks, on_left_out
+from calibration.baselines.methods import ConstantCurvature
+from calibration.baselines.repeatability import Repeatability, repeatability
+from calibration.baselines.selection import BLOCKS, BaselineFit, fit_baselines
 from calibration.identify import split_at
+from calibration.identify.blocks_left_out import blocks_left_out
 from calibration.identify.held_out_prediction import Prediction, predict
 from calibration.identify.parameter import Prior
 from calibration.identify.parameters_document import Baseline
 from calibration.identify.poses import Poses
+from calibration.identify.pressure_lag import behind
 from calibration.identify.results import Fit
 from calibration.identify.search import Progress as SearchProgress
 from protocols import Problem, arguments
 from protocols.problems import bad_input, raise_all
+from rig.config.arm_model import model_arm
 from rig.config.loader import RigFile
 from rig.identify import estimation, initial_setup
+from rig.identify.conclusion import conclusion
 from runs.run import Run
 
 Reader = Callable[[Sequence[Run], bool], list[Poses]]
@@ -38,7 +47,9 @@ class OpenedRuns:
 class Identification:
     """The fit, the rig that it began with, and the data that were held out.
 
-    `baseline` is the geometry that the estimates are relative to.
+    `baseline` is the geometry that the estimates are relative to. `baselines` are fitted to the same data. Frames of
+    slow motions are taken under pressures behind a lag `pressure_lag_s`, which constant curvature chose on blocks of
+    the fit's data that were left out.
     """
 
     rig: RigFile
@@ -46,10 +57,34 @@ class Identification:
     baseline: Baseline | None
     held_out: tuple[Poses, ...]
     notes: tuple[str, ...]
+    baselines: tuple[BaselineFit, ...]
+    pressure_lag_s: float
 
-    def predictions(self) -> list[Prediction]:
-        """Predict the data that were held out."""
-        return [predict(self.fit, poses) for poses in self.held_out]
+    @cached_property
+    def predictions(self) -> tuple[Prediction, ...]:
+        """Predictions of the data that were held out."""
+        return tuple(predict(self.fit, behind(poses, self.pressure_lag_s)) for poses in self.held_out)
+
+    @cached_property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """The rod beside the baselines: on blocks of the fit's data, and on each run that was held out."""
+        length_m = self.fit.start.arm.geometry.length_m
+        blocks = on_blocks(self.baselines, np.concatenate(blocks_left_out(self.fit, BLOCKS)), length_m)
+        unseen = [
+            on_left_out(self.baselines, poses, one.measured_m - one.predicted_m, one.covariance_m2, length_m)
+            for poses, one in zip(self.held_out, self.predictions, strict=True)
+        ]
+        return (blocks, *unseen)
+
+    @property
+    def conclusion(self) -> tuple[str, ...]:
+        """The conclusion in five lines."""
+        return conclusion(self.fit, self.comparisons, self.repeatability, self.held_out)
+
+    @cached_property
+    def repeatability(self) -> Repeatability | None:
+        """How well the tip repeats in all of the data; None where no state returns."""
+        return repeatability((*self.fit.problem.data, *self.held_out))
 
 
 def open_runs(archives: Sequence[Path], leave_out: Sequence[Path] = (), *, one_arm: bool = False) -> OpenedRuns:
@@ -124,12 +159,19 @@ def from_data(
         BadInputError: a prior or the number of starts is invalid.
     """
     _check_starts(starts)
-    fit = estimation.from_poses(data.rig.config, data.seen, free, priors, starts, progress, per_run)
+    progress("baselines")
+    arm = model_arm(data.rig.config)
+    baselines = fit_baselines(data.seen, arm.gravity_m_s2)
+    lag_s = 0.0 if arm.remembers else next(one.lag_s for one in baselines if one.name == ConstantCurvature.name)
+    seen = [behind(one, lag_s) for one in data.seen]
+    fit = estimation.from_poses(data.rig.config, seen, free, priors, starts, progress, per_run)
     baseline = None
     if not fit.worse_than_start:
         first = data.opened.seen[0]
         baseline = initial_setup.baseline_geometry(first, fit.start, data.from_recorded_rig)
-    return Identification(data.rig, fit, baseline, tuple(data.held_out), data.opened.notes)
+    if all(one.moving or one.course is None for one in seen):
+        lag_s = 0.0
+    return Identification(data.rig, fit, baseline, tuple(data.held_out), data.opened.notes, baselines, lag_s)
 
 
 def check_arguments(

@@ -1,0 +1,42 @@
+"""Errors of a fit on blocks of its own data: the linearised fit without a block is the fit without it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import model
+from calibration.identify import Setup, identify
+from calibration.identify.blocks_left_out import blocks_left_out
+from calibration.identify.held_out_prediction import predict
+from calibration.identify.parameter import Prior
+from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
+
+
+def test_each_block_is_predicted_as_by_a_fit_to_the_others() -> None:
+    rng = np.random.default_rng(1)
+    pressure = np.random.default_rng(2).uniform(0, 0.5e5, (20, 3))
+    start = Setup(model.Arm.paper())
+    errors = MeasurementErrors((5e-4, 5e-4, 5e-4), 0, 0)
+    data = perform(plan("run", pressure, np.zeros(20)), start, rng, errors)
+    found = blocks_left_out(identify([data], start, ["a1_per_n", "base"]), 4)[0]
+    for block in range(4):
+        out = np.arange(20) * 4 // 20 == block
+        other = identify([data.only(~out)], start, ["a1_per_n", "base"])
+        there = predict(other, replace(data.only(out), source="another"))
+        assert found[out] == pytest.approx(there.measured_m - there.predicted_m, abs=1e-4)
+
+
+def test_the_prior_of_a_free_parameter_counts_in_its_estimate() -> None:
+    start = Setup(model.Arm.paper())
+    softer = replace(start.arm.material, a1_per_n=1.2 * start.arm.material.a1_per_n)
+    pressure = np.random.default_rng(3).uniform(0, 0.5e5, (12, 3))
+    truth = replace(start, arm=replace(start.arm, material=softer))
+    errors = MeasurementErrors((1e-3, 1e-3, 1e-3), 0, 0)
+    data = perform(plan("run", pressure, np.zeros(12)), truth, np.random.default_rng(4), errors)
+    a1 = start.arm.material.a1_per_n
+    held = identify([data], start, ["a1_per_n"], {"a1_per_n": Prior(a1, 1e-6 * a1)})
+    assert held["a1_per_n"].used == pytest.approx(a1, rel=1e-4)
+    assert identify([data], start, ["a1_per_n"])["a1_per_n"].used > 1.1 * a1
