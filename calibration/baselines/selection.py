@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration.baselines.methods import BASELINES, BaselineMethod, PredictTips
 from calibration.baselines.tip_inputs import TipInputs, inputs_of, joined
+from calibration.identify.blocks_left_out import BLOCKS
 from calibration.identify.poses import Poses
 from model.arrays import Array
 
@@ -16,8 +17,6 @@ Triple = tuple[float, float, float]
 
 # First-order lags [s] that are tried: from none to the creep of a plateau.
 LAGS_S = (0.0, 0.1, 0.2, 0.5, 2.0, 10.0)
-# Blocks in time that each run is cut into; each is left out once.
-BLOCKS = 5
 # Entries that a baseline is fitted to: more cost time and say nothing new.
 MOST_ENTRIES = 600
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.identify.poses import Poses
+from model.arrays import Array
 from model.units import GRAVITY_M_S2, PA_PER_BAR
 
 # A run leaves the range if it exceeds it by more than this share, and by this amount.
@@ -22,8 +24,7 @@ def loaded(data: Sequence[Poses]) -> bool:
 
 def load_n(poses: Poses) -> float:
     """The largest load [N] of a run: hung weight and measured force."""
-    weights = poses.weight_kg * GRAVITY_M_S2 + np.linalg.norm(poses.wrench[:, :3], axis=1)
-    return float(weights.max(initial=0.0))
+    return float(_loads_n(poses).max(initial=0.0))
 
 
 def outside(data: Sequence[Poses], predicted: Poses) -> tuple[str, ...]:
@@ -45,6 +46,25 @@ def outside(data: Sequence[Poses], predicted: Poses) -> tuple[str, ...]:
         reason = "" if loaded(data) else ", so the stiffness under load is undetermined"
         found.append(f"the load reaches {most:.2f} N, {fitted_n:.2f} N in the fit{reason}")
     return tuple(found)
+
+
+def outside_entries(data: Sequence[Poses], predicted: Poses) -> NDArray[np.bool_]:
+    """Which entries (K,) of a predicted run leave the range of the runs of the fit."""
+    fitted = np.max([poses.pressure_pa.max(axis=0) for poses in data], axis=0)
+    least = _PRESSED * float(fitted.max())
+    known = set[tuple[int, ...]]().union(*(_combinations(poses, least) for poses in data))
+    high = (predicted.pressure_pa > (1 + _SHARE) * fitted + _PRESSURE_PA).any(axis=1)
+    pressed = [tuple(np.flatnonzero(row).tolist()) for row in predicted.pressure_pa > least]
+    together = np.array([len(one) > 1 and one not in known for one in pressed], np.bool_)
+    heavy = _loads_n(predicted) > (1 + _SHARE) * max(load_n(poses) for poses in data) + _LOAD_N
+    out: NDArray[np.bool_] = high | together | heavy
+    return out
+
+
+def _loads_n(poses: Poses) -> Array:
+    """Loads (K,) [N]: hung weight and measured force."""
+    out: Array = poses.weight_kg * GRAVITY_M_S2 + np.linalg.norm(poses.wrench[:, :3], axis=1)
+    return out
 
 
 def _combinations(poses: Poses, least_pa: float) -> set[tuple[int, ...]]:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from calibration.identify.fit_range import outside
+from calibration.identify.blocks_left_out import left_out_variance
+from calibration.identify.fit_range import outside, outside_entries
 from calibration.identify.least_squares import LeastSquaresProblem
 from calibration.identify.model_error import error_inputs
 from calibration.identify.poses import Poses
@@ -104,7 +105,8 @@ class Prediction:
 def predict(fit: Fit, poses: Poses) -> Prediction:
     """Predict a run; what is per run, as sensor offsets, is that of its fitted part, else the mean of all runs.
 
-    The intervals are those of the linearised model (delta method).
+    The intervals are those of the linearised model (delta method). The error of the rod is at least that of blocks that
+    are left out of the fit's own data, and where the run leaves the range of the fit that of its highest pressures.
     """
     seen = next((run for run, other in enumerate(fit.problem.data) if other.source == poses.source), None)
     setup = fit.setup if seen is None else fit.runs[seen].setup
@@ -131,7 +133,10 @@ def predict(fit: Fit, poses: Poses) -> Prediction:
         by_fit = np.concatenate([by_fit, of_effects], axis=2)
         second, noise_m = found.second, found.noise_m
     by_pressure = problem.pressure_errors(z)[0].covariance[:, :3, :3]
-    covariance = np.nan_to_num(poses.covariance_m2) + by_pressure + noise_m**2 * np.eye(3)
+    left_out = left_out_variance(fit)
+    unknown_m2 = np.where(outside_entries(fit.problem.data, poses), left_out.out_of_range_m2, left_out.in_range_m2)
+    noise_m2 = np.maximum(noise_m**2, unknown_m2)
+    covariance = np.nan_to_num(poses.covariance_m2) + by_pressure + noise_m2[:, None, None] * np.eye(3)
     covariance = covariance + np.einsum("kin,nm,kjm->kij", by_fit, second, by_fit, optimize=True)
     for k, unknown in enumerate(problem.unknowns):
         if at[k] is None:

@@ -13,7 +13,7 @@ import numpy as np
 from calibration.baselines.comparison import Comparison, on_blocks, on_left_out
 from calibration.baselines.methods import ConstantCurvature
 from calibration.baselines.repeatability import Repeatability, repeatability
-from calibration.baselines.selection import BLOCKS, BaselineFit, fit_baselines
+from calibration.baselines.selection import BaselineFit, fit_baselines
 from calibration.identify import split_at
 from calibration.identify.blocks_left_out import blocks_left_out
 from calibration.identify.held_out_prediction import Prediction, predict
@@ -69,7 +69,7 @@ class Identification:
     def comparisons(self) -> tuple[Comparison, ...]:
         """The rod beside the baselines: on blocks of the fit's data, and on each run that was held out."""
         length_m = self.fit.start.arm.geometry.length_m
-        blocks = on_blocks(self.baselines, np.concatenate(blocks_left_out(self.fit, BLOCKS)), length_m)
+        blocks = on_blocks(self.baselines, np.concatenate(blocks_left_out(self.fit)), length_m)
         unseen = [
             on_left_out(self.baselines, poses, one.measured_m - one.predicted_m, one.covariance_m2, length_m)
             for poses, one in zip(self.held_out, self.predictions, strict=True)

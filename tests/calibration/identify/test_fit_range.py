@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.identify.fit_range import loaded, outside
+from calibration.identify.fit_range import loaded, outside, outside_entries
 from calibration.identify.simulated_experiments import plan
 
 RAMP = np.linspace(0.1e5, 0.6e5, 6)[:, None]
@@ -31,3 +31,13 @@ def test_a_load_without_one_in_the_fit_leaves_the_stiffness_undetermined() -> No
     (found,) = outside(FITTED, heavy)
     assert found == "the load reaches 1.96 N, 0.00 N in the fit, so the stiffness under load is undetermined"
     assert outside([*FITTED, heavy], heavy) == ()
+
+
+def test_the_entries_that_leave_the_range_are_told_apart() -> None:
+    higher = plan("high", RAMP * [1.5, 0, 0])
+    assert outside_entries(FITTED, higher).tolist() == [False, False, False, False, True, True]
+    assert not outside_entries(FITTED, plan("again", RAMP * [0, 0.9, 0.8])).any()
+    new = plan("new", RAMP * [0.9, 0.9, 0])
+    assert outside_entries(FITTED, new).all()
+    heavy = plan("heavy", RAMP * [1, 0, 0], np.array([0, 0, 0, 0.2, 0.2, 0.2]))
+    assert outside_entries(FITTED, heavy).tolist() == [False] * 3 + [True] * 3
