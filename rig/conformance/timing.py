@@ -20,7 +20,7 @@ class CheckTiming:
     pressurised_s: float = 1.0
     freed_s: float = 2.0
     gone_s: float = 1.0
-    start_s: float = 30.0
+    start_s: float = 120.0
     check_s: float = 30.0
 
 
