@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import faulthandler
 import os
+import resource
 import signal
 import sys
 import time
@@ -94,12 +95,20 @@ def _made_safe(config: RigConfig, card: str, freed_s: float) -> str:
             return ""
 
 
+def _limit_memory() -> None:
+    """Let a driver that fills the memory fail, before the kernel ends other processes for it."""
+    half = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (half if hard == resource.RLIM_INFINITY else min(half, hard), hard))
+
+
 def main(mode: str, descriptor: str, parent: str, job: str) -> None:
     """Serve one mode, and end without the clean-up of a driver."""
     sender = Sender(int(descriptor))
     faulthandler.register(WHERE, all_threads=False)
     if mode == "check":
         end_with(int(parent))
+        _limit_memory()
         _check(sender, CheckJob.of(job))
     else:
         _stand_by(sender, job)

@@ -34,7 +34,7 @@ class Conformance:
         self, config: RigConfig, rig_file: Path, timing: CheckTiming, unplug: Unplug | None, stop: Callable[[], bool]
     ) -> None:
         """`stop` is asked repeatedly; the check that runs then ends, with the safe state."""
-        self._config, self._rig_file, self._timing = config, rig_file, timing
+        self._config, self._rig_file, self._timing = config, Path(rig_file).absolute(), timing
         self._unplug, self._stop = unplug, stop
         self._stand_by: Child | None = None
         self._unplugged = False

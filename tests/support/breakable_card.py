@@ -35,6 +35,10 @@ def stuck(fault: str) -> None:
     elif fault == "prints without end":
         while True:
             print("read " * 1000)
+    elif fault == "fills the memory":
+        kept = []
+        while True:
+            kept.append(np.empty(1 << 27))
     elif fault == "crashes":
         ctypes.string_at(0)
     elif fault == "exits":

@@ -43,6 +43,7 @@ def outputs(rig_file: Path) -> list[float]:
         ("sampling", "loops in read", "does not return within 4 s"),
         ("sampling", "prints without end in read", "does not return within 4 s"),
         ("sampling", "returns scans without end", "more than 1000000 scans"),
+        ("sampling", "fills the memory in read", "MemoryError"),
         ("sampling", "crashes in read", "its process ended by SIGSEGV"),
         ("sampling", "aborts in read", "its process ended by SIGABRT, in stuck (breakable_card.py"),
         ("sampling", "exits in read", "SystemExit: 0"),
