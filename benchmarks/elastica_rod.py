@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from model import Arm, Geometry, Material
+from model import Arm, Geometry, Material, Segment
 
 with warnings.catch_warnings():
     # What PyElastica's own dependencies say at import is theirs.
@@ -27,24 +28,41 @@ ROD = Arm(
     gravity_m_s2=(0.0, 0.0, 0.0),
 )
 
+TIP_RADIUS = 0.010
+_HALF = Geometry(0.5 * LENGTH, 1e-6, RADIUS, ((0.0, 0.0),))
+STEPPED = replace(
+    ROD,
+    geometry=_HALF,
+    beyond=(Segment(replace(_HALF, outer_radius_m=TIP_RADIUS), ROD.material, "homogeneous"),),
+)
+"""The same with a thinner half towards the tip."""
+
 
 class _Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping):  # type: ignore[misc]
     pass
 
 
 def elastica_tips(
-    elements: int, duration_s: float, damping: float, samples: int, pull: bool, courant: float = 0.25
+    elements: int,
+    duration_s: float,
+    damping: float,
+    samples: int,
+    pull: bool,
+    courant: float = 0.25,
+    tip_radius: float = RADIUS,
 ) -> NDArray[np.float64]:
     """Tip path (samples, 3) of PyElastica's rod, base clamped, its tip pulled by a force that grows over RAMP_S.
 
-    courant: elements that sound passes in one time step; damping [1/s] of every velocity.
+    courant: elements that sound passes in one time step; damping [1/s] of every velocity. tip_radius: of the half
+    towards the tip.
     """
+    radii = np.where(np.arange(elements) < elements // 2, RADIUS, tip_radius)
     simulator = _Simulator()
     rod = ea.CosseratRod.straight_rod(
-        elements, np.zeros(3), np.array([0.0, 0, 1]), np.array([1.0, 0, 0]), LENGTH, RADIUS, DENSITY,
+        elements, np.zeros(3), np.array([0.0, 0, 1]), np.array([1.0, 0, 0]), LENGTH, radii, DENSITY,
         youngs_modulus=MODULUS, shear_modulus=RATIO * MODULUS,
     )  # fmt: skip
-    area = math.pi * RADIUS**2
+    area = math.pi * radii**2
     # Our gamma includes the form factor that PyElastica applies to shear by itself.
     rod.shear_matrix[0, 0, :] = rod.shear_matrix[1, 1, :] = RATIO * MODULUS * area
     simulator.append(rod)

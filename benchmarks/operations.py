@@ -24,7 +24,7 @@ from rod import DT, path_of_sine
 import model.laws.quadratic_compliance
 from model import Arm
 from model.dynamics import Dynamics
-from model.kernels.arguments import PressureWrench, Rod
+from model.kernels.arguments import Line, PressureWrench, Rod
 from model.kernels.axis import write_tip_pose
 from model.kernels.layout import LANES, OTHER_TRIOS, STATE, SUMS
 from model.kernels.shooting import TOLERANCE_IN_MOTION, Workspace
@@ -152,18 +152,21 @@ def second(variant: str, nodes: int) -> dict[str, int]:
     workspace = Workspace(*(given(part) for part in moving._workspace))
     # Walls without branches have no past of their own.
     workspace = workspace._replace(walls_past=workspace.history)
-    state, push = moving.state, PressureWrench(problem.rest[0], problem.per_pressure[0], problem.free_per_pa)
+    push = PressureWrench(problem.rest[0], problem.per_pressure, problem.free_per_pa, problem.chambers)
+    state, line = moving.state, Line(*problem.line(problem.first_nodes(nodes)))
     work, past_states, x = (given(a) for a in (problem.work(), state.past_states, state.x))
     place, turned = given(np.zeros((1, 3))), given(np.zeros((1, 3, 3)))
     for row in path[1:]:
         # With up to three tubes there is one trio: adding the zeros of others is no operation.
-        work[OTHER_TRIOS * LANES : (OTHER_TRIOS + SUMS) * LANES] = 0.0
-        own = Rod(work, problem.walls, moving._load, moving._loaded, moving._tip, problem.length_m, problem.scale)
+        work[:, OTHER_TRIOS * LANES : (OTHER_TRIOS + SUMS) * LANES] = 0.0
+        own = Rod(
+            work, problem.walls, moving._load, moving._loaded, moving._ends, problem.length_m, problem.scale, line
+        )
         own_state = state._replace(past_states=past_states, x=x)
         done = advance(own, push, own_state, row, workspace, TOLERANCE_IN_MOTION)
         assert done > 0
         passes += done
-        write_tip_pose(x, problem.length_m, problem.centre_m, place, turned, 0)
+        write_tip_pose(x, line, place, turned, 0)
         # Of the history: v, u, q, w at the nodes and their slopes, and between the nodes the slopes of v and u alone.
         history = workspace.history.reshape(4, nodes + 1, STATE)
         carried = [*history[:3, :, :12].ravel(), *history[3, :, :6].ravel(), *x.ravel()]

@@ -1,6 +1,6 @@
 """Cosserat rods with pressure as an eigenstrain. No I/O, no clock."""
 
-from model.arm import Arm
+from model.arm import Arm, Coupling, Segment
 from model.errors import NotConverged, Unstable
 from model.geometry import Geometry
 from model.loads import Loads
@@ -9,10 +9,12 @@ from model.shape import Shape
 
 __all__ = [
     "Arm",
+    "Coupling",
     "Geometry",
     "Loads",
     "Material",
     "NotConverged",
+    "Segment",
     "Shape",
     "Unstable",
 ]

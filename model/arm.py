@@ -1,9 +1,10 @@
-"""The arm as data: geometry, material, actuation, cap, gravity, and the variant of the model."""
+"""The arm as data: its segments, actuation, cap and gravity."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from model.actuation import ActuationLaw, Proportional
 from model.geometry import Geometry
@@ -16,8 +17,65 @@ Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
+class Coupling:
+    """A rigid body on the axis of the arm between two segments: its length, and its mass half-way along it."""
+
+    length_m: float = 0.0
+    mass_kg: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in (("length_m", self.length_m), ("mass_kg", self.mass_kg)):
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"{name} of a coupling must be zero or positive, got {value}")
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A part of an arm that is the same along its length: its tubes, their material, and the variant of the model.
+
+    Its chambers act on this segment alone. coupling: between the segment before and this one.
+    """
+
+    geometry: Geometry
+    material: Material
+    variant: str = "inhomogeneous+rpe"
+    coupling: Coupling = field(default=Coupling())
+
+    def __post_init__(self) -> None:
+        variant_named(self.variant)
+
+    @property
+    def radial_effect(self) -> bool:
+        """Whether the radial pressure effect is part of the variant."""
+        return variant_named(self.variant).radial_effect
+
+    @property
+    def rpe_per_bar(self) -> float:
+        """Free strain per bar of the variant."""
+        return self.material.rpe_per_bar if self.radial_effect else 0.0
+
+    @property
+    def law(self) -> ConstitutiveLaw:
+        """The constitutive law of the walls."""
+        return variant_named(self.variant).law
+
+    @property
+    def stiffness_n(self) -> float:
+        """Axial stiffness E A_m [N] of each tube at zero strain."""
+        return self.law.stiffness_n(self.material, self.geometry)
+
+    @property
+    def line_density_kg_m(self) -> float:
+        """rho A of all walls [kg/m]."""
+        return self.material.density_kg_m3 * self.geometry.wall_area_m2 * self.geometry.actuators
+
+
+@dataclass(frozen=True)
 class Arm:
-    """One arm: geometry, material, actuation, cap, gravity, and the variant of the model.
+    """An arm: its segments from the base to the tip, actuation, cap and gravity.
+
+    geometry, material, variant: of the first segment, the only one of most arms. beyond: the further segments, which
+    may differ in all of these; only one of their laws may be a `TubeLaw`. Pressures are in the order of the segments.
 
     variant: a name of model/variants.py. Those of the paper are 'homogeneous' (eq 16, no radial pressure effect),
     'homogeneous+rpe', and 'inhomogeneous+rpe', in which each tube follows eq 32 at every point of the rod.
@@ -38,9 +96,14 @@ class Arm:
     cap_inertia_kg_m2: Triple = field(default=(0.0, 0.0, 0.0))
     actuation: ActuationLaw = field(default=Proportional())
     inertia: bool = True
+    beyond: tuple[Segment, ...] = ()
 
     def __post_init__(self) -> None:
         variant_named(self.variant)
+        object.__setattr__(self, "beyond", tuple(self.beyond))
+        laws = {segment.law.name for segment in self.segments if segment.law.pointwise}
+        if len(laws) > 1:
+            raise ValueError(f"the segments of an arm may follow one law of the tubes, got {', '.join(sorted(laws))}")
         if not (math.isfinite(self.cap_mass_kg) and self.cap_mass_kg >= 0):
             raise ValueError(f"the cap's mass must be zero or positive, got {self.cap_mass_kg} kg")
         for name, triple in (("gravity_m_s2", self.gravity_m_s2), ("cap_inertia_kg_m2", self.cap_inertia_kg_m2)):
@@ -55,30 +118,57 @@ class Arm:
         """The paper's arm, hanging, with a 50 g cap and no weight of its own."""
         return cls(Geometry.paper(), Material.paper(), variant)
 
+    @cached_property
+    def segments(self) -> tuple[Segment, ...]:
+        """All segments, from the base to the tip."""
+        return Segment(self.geometry, self.material, self.variant), *self.beyond
+
+    @property
+    def actuators(self) -> int:
+        """Number of chambers of all segments."""
+        return sum(segment.geometry.actuators for segment in self.segments)
+
+    @property
+    def length_m(self) -> float:
+        """Length at rest from the base to the tip, couplings included."""
+        return sum((s.geometry.length_m + s.coupling.length_m for s in self.beyond), self.geometry.length_m)
+
+    @property
+    def slenderness(self) -> float:
+        """Sum of the slenderness of all segments."""
+        return sum(segment.geometry.slenderness for segment in self.segments)
+
+    @property
+    def branches(self) -> int:
+        """Largest number of Maxwell branches of a segment."""
+        return max(len(segment.material.branches) for segment in self.segments)
+
     @property
     def radial_effect(self) -> bool:
-        """Whether the radial pressure effect is part of this variant."""
-        return variant_named(self.variant).radial_effect
+        """Whether the radial pressure effect is part of the variant of the first segment."""
+        return self.segments[0].radial_effect
 
     @property
     def rpe_per_bar(self) -> float:
-        """Free strain per bar of this variant."""
-        return self.material.rpe_per_bar if self.radial_effect else 0.0
+        """Free strain per bar of the first segment."""
+        return self.segments[0].rpe_per_bar
 
     @property
     def law(self) -> ConstitutiveLaw:
-        """The constitutive law of the walls."""
-        return variant_named(self.variant).law
+        """The constitutive law of the walls of the first segment."""
+        return self.segments[0].law
 
     @property
-    def kind(self) -> tuple[int, str, str, int]:
+    def kind(self) -> tuple[tuple[int, ...], tuple[str, ...], str, int]:
         """Properties that arms of one batch share: actuators, laws of walls and actuation, number of branches."""
-        return self.geometry.actuators, self.law.name, self.actuation.name, len(self.material.branches)
+        laws = tuple(segment.law.name for segment in self.segments)
+        actuators = tuple(segment.geometry.actuators for segment in self.segments)
+        return actuators, laws, self.actuation.name, self.branches
 
     @property
     def remembers(self) -> bool:
         """Whether the arm has memory without inertia: Maxwell branches of the walls, friction of the actuators."""
-        return bool(self.material.branches or self.actuation.stops)
+        return bool(self.branches or self.actuation.stops)
 
     @property
     def by_pressure(self) -> bool:
@@ -87,10 +177,10 @@ class Arm:
 
     @property
     def line_density_kg_m(self) -> float:
-        """rho A of all walls [kg/m]."""
-        return self.material.density_kg_m3 * self.geometry.wall_area_m2 * self.geometry.actuators
+        """rho A of all walls of the first segment [kg/m]."""
+        return self.segments[0].line_density_kg_m
 
     @property
     def stiffness_n(self) -> float:
-        """Axial stiffness E A_m [N] of each tube at zero strain."""
-        return self.law.stiffness_n(self.material, self.geometry)
+        """Axial stiffness E A_m [N] of each tube of the first segment at zero strain."""
+        return self.segments[0].stiffness_n

@@ -66,22 +66,24 @@ def statics(
             else:
                 mine = given[at]
                 problems = [KernelArguments.of(arm, row[None]) for arm, row in zip(mine, rows[at], strict=True)]
-            loads = [problem.load(arm, None, steps) for problem, arm in zip(problems, mine, strict=True)]
             first = problems[0]
-            works = layout.aligned(len(problems), len(first.prepared))
+            nodes = first.first_nodes(steps)
+            loads = [problem.load(arm, None, nodes) for problem, arm in zip(problems, mine, strict=True)]
+            lines = [problem.line(nodes) for problem in problems]
+            works = layout.aligned(len(problems), *first.prepared.shape)
             works[:] = [p.prepared for p in problems]
             arms_here = ArmArguments(
                 work=works,
-                stiffness=np.concatenate([p.stiffness for p in problems]),
                 rest=np.concatenate([p.rest for p in problems]),
-                per_pressure=np.concatenate([p.per_pressure for p in problems]),
+                per_pressure=np.array([p.per_pressure for p in problems]),
                 free_per_pa=np.array([p.free_per_pa for p in problems]),
+                chambers=first.chambers,
                 load=np.array([load for load, _ in loads]),
                 loaded=any(loaded for _, loaded in loads),
-                tip=np.array([p.cap for p in problems]),
+                ends=np.array([p.ends for p in problems]),
                 length=np.array([p.length_m for p in problems]),
                 scale=np.array([p.scale for p in problems]),
-                centre=np.array([p.centre_m for p in problems]),
+                line=(nodes, *(np.array([line[c] for line in lines]) for c in (1, 2, 3))),
             )
             tips = place[at], turned[at], good[at]
             equilibria(first.walls, tuple(arms_here), rows[at], pool, TOLERANCE_AT_REST, tips, unstable[at])
@@ -121,7 +123,7 @@ def _check(arms: list[Arm], pressure: Array, axes: int) -> None:
     kinds = {arm.kind for arm in arms}
     if len(kinds) > 1:
         raise ValueError(f"the arms of a batch must share actuators, laws and branches, got {sorted(kinds)}")
-    actuators, *_ = kinds.pop()
+    actuators = arms[0].actuators
     if pressure.ndim != axes or pressure.shape[-1] != actuators:
         raise ValueError(f"pressure_pa must have {axes} axes, the last of {actuators}, got shape {pressure.shape}")
     if len(arms) not in (1, len(pressure)):

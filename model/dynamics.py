@@ -16,7 +16,7 @@ from model.kernel_arguments import KernelArguments
 from model.kernels.arguments import ArmArguments, MotionState
 from model.kernels.axis import motion
 from model.kernels.layout import STATE, aligned
-from model.kernels.relaxation import compute_past_strains
+from model.kernels.relaxation import update_midpoints, update_past_strains
 from model.kernels.shooting import TOLERANCE_IN_MOTION, workspace_in, workspace_size
 from model.kernels.time_stepping import initialise_history
 from model.loads import Loads
@@ -67,7 +67,7 @@ class Dynamics:
         growth = self._growth()
         if not growth < MOST_NODES / 2:
             raise ValueError(f"a time step of {dt_s} s is too short for this arm: it needs {growth:.3g} steps along it")
-        slender = 1.5 * arm.geometry.slenderness
+        slender = 1.5 * arm.slenderness
         if nodes is None and arm.inertia:
             nodes = 4 * math.ceil(max(3, growth / 2, slender))
         self._nodes = steps_along(arm, nodes)
@@ -76,7 +76,7 @@ class Dynamics:
                 f"a time step of {dt_s} s needs at least {math.ceil(growth)} steps along the arm, got {nodes}"
             )
         self._even_growth = growth
-        self._segments = _segments(self._nodes, growth)
+        self._segments = _segments(self._nodes, growth, len(arm.segments))
         self._even = self._coefficients
         self._coefficient_array = _array(self._coefficients)
         self._started = False
@@ -110,7 +110,7 @@ class Dynamics:
     @property
     def arm_with_cap(self) -> ArmArguments:
         """The arm in motion without tip loads beyond its cap, as arguments of the kernels; after `start`."""
-        return self._arguments.arm(self._work, self._arguments.cap, self._load, self._loaded)
+        return self._arguments.arm(self._work, self._arguments.ends, self._load, self._loaded, self._first)
 
     @property
     def pool(self) -> Array:
@@ -121,32 +121,35 @@ class Dynamics:
         """Start at rest under gauge pressures (N,) [Pa]; raises as `statics` does."""
         pressure = pressures(self._arm, pressure_pa)
         at_rest = KernelArguments.of(self._arm, pressure[None])
-        self.start_from(at_rest, pressure, at_rest.tip(loads), *at_rest.load(self._arm, loads, self._nodes))
+        load, loaded = at_rest.load(self._arm, loads, at_rest.first_nodes(self._nodes))
+        self.start_from(at_rest, pressure, at_rest.ends_with(loads), load, loaded)
         self._loads = loads
-        return shape(self._arm, self._arguments, self._x, ok=True, stable=True)
+        return shape(self._arm, self._arguments, self._x, self._first, ok=True, stable=True)
 
-    def start_from(self, at_rest: KernelArguments, pressure: Array, tip: Array, load: Array, loaded: bool) -> None:
-        """Start at rest as `start` does, from the arguments of the static solution; tip, load: as of `ArmArguments`."""
+    def start_from(self, at_rest: KernelArguments, pressure: Array, ends: Array, load: Array, loaded: bool) -> None:
+        """Start at rest as `start` does, from the arguments of the static solution; ends, load: of `ArmArguments`."""
         n = self._nodes
+        self._first = at_rest.first_nodes(n)
         self._last_s, self._step_s, self._coefficients_last_s = self._dt_s, self._dt_s, self._dt_s
-        self._coefficients, self._segments = self._even, _segments(n, self._even_growth)
+        self._coefficients, self._segments = self._even, _segments(n, self._even_growth, len(self._arm.segments))
         self._coefficient_array = _array(self._coefficients)
-        self._x, stable = states(at_rest, pressure, tip, load, loaded)
+        self._x, stable = states(at_rest, pressure, ends, load, loaded, self._first)
         if not stable:
             raise Unstable.at(pressure)
         self._arguments = KernelArguments.of(self._arm, pressure[None], self._coefficients.c0, self._dt_s)
         self._work = self._arguments.work()
-        branches = len(self._arm.material.branches)
+        branches = self._arm.branches
+        self._line = at_rest.line(self._first)
         self._pool = aligned(workspace_size(n, branches))
         self._workspace = workspace_in(self._pool, n, branches)
         self._past_states = aligned(2, 2 * n + 2, STATE)
-        initialise_history(self._coefficient_array, self._x, self._past_states, at_rest.length_m, self._workspace)
+        initialise_history(self._coefficient_array, self._x, self._past_states, self._line, self._workspace)
         self._hysteresis = Hysteresis(self._arm.actuation.stops, pressure)
         self._branch_strains = np.zeros((branches, 2 * n + 2, 6))
-        self._branch_factors = branch_factors(self._arm.material, self._coefficients.c0, self._dt_s)
+        self._branch_factors = branch_factors(self._arm, self._coefficients.c0, self._dt_s)
         self._compute_past_strains()
         self._last_pressures = np.stack([pressure] * 3)
-        self._loads, self._tip, self._load, self._loaded = None, tip, load, loaded
+        self._loads, self._ends, self._load, self._loaded = None, ends, load, loaded
         self._prepare()
         self._started = True
 
@@ -168,7 +171,7 @@ class Dynamics:
         moved = self._advance(self._hysteresis.advance(pressure[None]))
         if moved.ok[0]:
             self._last_s = dt_s
-        return shape(self._arm, self._arguments, self._x, ok=bool(moved.ok[0]))
+        return shape(self._arm, self._arguments, self._x, self._first, ok=bool(moved.ok[0]))
 
     def run(self, pressure_pa: ArrayLike) -> ArmTrajectory:
         """Advance through the rows of pressure_pa (T, N) [Pa] in one call, with the loads of the last step.
@@ -179,7 +182,7 @@ class Dynamics:
         if not self._started:
             raise ValueError("start(pressure_pa) comes before the first step")
         rows = np.array(pressure_pa, dtype=np.float64)
-        actuators = self._arm.geometry.actuators
+        actuators = self._arm.actuators
         if rows.ndim != 2 or rows.shape[1] != actuators:
             raise ValueError(f"pressure_pa must be rows of {actuators} numbers, got shape {rows.shape}")
         if self._last_s != self._dt_s:
@@ -215,7 +218,8 @@ class Dynamics:
             return
         if dt_s < self.shortest_step_s:
             raise ValueError(f"a time step of {dt_s} s is shorter than {self.shortest_step_s:.3g} s")
-        self._segments = _segments(self._nodes, self._even_growth * coefficients.c0 / self._even.c0)
+        growth = self._even_growth * coefficients.c0 / self._even.c0
+        self._segments = _segments(self._nodes, growth, len(self._arm.segments))
         last = self._coefficients
         size, history = self._x.size, self._workspace.history
         for weight, past in (
@@ -224,10 +228,10 @@ class Dynamics:
             (coefficients.c3 - last.c3, self._past_states[1]),
         ):
             history[:size] += weight * past.ravel()
-        _fill_between(history, size, self._arguments.length_m / self._nodes)
+        update_midpoints(history, size // 2, self._line)
         self._coefficients, self._coefficient_array = coefficients, _array(coefficients)
         self._step_s, self._coefficients_last_s = dt_s, self._last_s
-        self._branch_factors = branch_factors(self._arm.material, coefficients.c0, dt_s)
+        self._branch_factors = branch_factors(self._arm, coefficients.c0, dt_s)
         self._compute_past_strains()
         self._arguments = KernelArguments.of(self._arm, self._last_pressures[:1], coefficients.c0, dt_s)
         self._work = self._arguments.work()
@@ -235,7 +239,7 @@ class Dynamics:
 
     def _prepare(self) -> None:
         """Collect the arguments of the kernels, which most time steps share."""
-        self._arm_fields = tuple(self._arguments.arm(self._work, self._tip, self._load, self._loaded))
+        self._arm_fields = tuple(self._arguments.arm(self._work, self._ends, self._load, self._loaded, self._first))
         self._state = MotionState(
             self._last_pressures, self._segments, self._coefficient_array, self._past_states, self._x,
             self._branch_factors, self._branch_strains,
@@ -246,8 +250,8 @@ class Dynamics:
         """Past strains of the walls for the next step, if they differ from the history."""
         if len(self._branch_strains):
             past = self._workspace.walls_past
-            compute_past_strains(self._branch_factors, self._branch_strains, self._x, self._workspace.history, past)
-            _fill_between(past, self._x.size, self._arguments.length_m / self._nodes)
+            history = self._workspace.history
+            update_past_strains(self._line, self._branch_factors, self._branch_strains, self._x, history, past)
 
     def _advance(self, rows: Array) -> ArmTrajectory:
         if self._arm.by_pressure and len(rows):
@@ -264,8 +268,8 @@ class Dynamics:
         return ArmTrajectory(*tips)
 
     def _set_loads(self, loads: Loads | None) -> None:
-        self._tip = self._arguments.tip(loads)
-        self._load, self._loaded = self._arguments.load(self._arm, loads, self._nodes)
+        self._ends = self._arguments.ends_with(loads)
+        self._load, self._loaded = self._arguments.load(self._arm, loads, self._first)
         self._loads = loads
         self._prepare()
 
@@ -273,10 +277,13 @@ class Dynamics:
         """Exponent c0 L / c_shear of the stiffest mode, which grows along the arm in the equations of one time step."""
         if not self._arm.inertia:
             return 0.0
-        material, geometry = self._arm.material, self._arm.geometry
-        stiffness = self._arm.law.softest * self._arm.stiffness_n
-        slowest = math.sqrt(material.shear_ratio * stiffness / (material.density_kg_m3 * geometry.wall_area_m2))
-        return self._coefficients.c0 * geometry.length_m / slowest
+        growth = 0.0
+        for segment in self._arm.segments:
+            material, geometry = segment.material, segment.geometry
+            stiffness = segment.law.softest * segment.stiffness_n
+            slowest = math.sqrt(material.shear_ratio * stiffness / (material.density_kg_m3 * geometry.wall_area_m2))
+            growth += self._coefficients.c0 * geometry.length_m / slowest
+        return growth
 
 
 def _array(coefficients: Coefficients) -> Array:
@@ -284,18 +291,8 @@ def _array(coefficients: Coefficients) -> Array:
     return np.array([c.c0, c.c1, c.c2, c.c3, c.d1])
 
 
-def _fill_between(history: Array, size: int, h: float) -> None:
-    """Interpolate the history as `time_stepping.interpolate_midpoints` does."""
-    nodes, slopes = (history[at : at + size // 2].reshape(-1, STATE) for at in (0, size // 2))
-    middle = 0.5 * (nodes[:-1] + nodes[1:]) + 0.125 * h * (slopes[:-1] - slopes[1:])
-    slope = 1.5 / h * (nodes[1:] - nodes[:-1]) - 0.25 * (slopes[:-1] + slopes[1:])
-    for at, values in ((size, middle), (3 * size // 2, slope)):
-        history[at : at + values.size] = values.ravel()
-
-
-def _segments(nodes: int, growth: float) -> int:
-    """The smallest divisor of `nodes` that limits the growth within one segment."""
-    if growth < 2.5:
-        return 1
-    wanted = min(nodes, max(1, math.ceil(growth / 2)))
-    return next(d for d in range(wanted, nodes + 1) if nodes % d == 0)
+def _segments(nodes: int, growth: float, least: int) -> int:
+    """The smallest divisor of `nodes` that limits the growth within one shooting segment, and is at least `least`."""
+    if growth >= 2.5:
+        least = max(least, math.ceil(growth / 2))
+    return next(d for d in range(min(nodes, least), nodes + 1) if nodes % d == 0)

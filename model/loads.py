@@ -44,13 +44,13 @@ class Loads:
         """The force at the tip and the point where it acts, (6,)."""
         return np.concatenate([self.tip_force_n, self.tip_point_m])
 
-    def along(self, points: int) -> Array:
-        """Force and moment per metre at evenly spaced points, (points, 6)."""
+    def along(self, share: Array) -> Array:
+        """Force and moment per metre (points, 6) at shares (points,) of the length of the arm."""
         columns = []
         for value in (self.force_n_per_m, self.moment_n_m_per_m):
             given = np.atleast_2d(value)
             at = np.linspace(0.0, 1.0, len(given))
-            columns += [np.interp(np.linspace(0.0, 1.0, points), at, column) for column in given.T]
+            columns += [np.interp(share, at, column) for column in given.T]
         return np.stack(columns, axis=1)
 
 

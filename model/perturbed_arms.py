@@ -68,10 +68,10 @@ def _weights(weight_kg: ArrayLike | None, count: int) -> Array:
 
 @dataclass(frozen=True)
 class PerturbedArms:
-    """Kernel arguments of an arm and its perturbed copies; one section for each row of pressures, or one for all.
+    """Kernel arguments of an arm and its perturbed copies; one wrench at rest for each row of pressures, or for all.
 
     first: of the arm. lanes: of the copies. load, loaded: distributed load of the arm. work: its work array. steps
-    (P,): sizes of the changes.
+    (P,): sizes of the changes. first_nodes: as of `KernelArguments.first_nodes`.
     """
 
     first: KernelArguments
@@ -80,6 +80,7 @@ class PerturbedArms:
     loaded: bool
     work: Array
     steps: Array
+    first_nodes: NDArray[np.int64]
 
     @classmethod
     def of(
@@ -92,36 +93,33 @@ class PerturbedArms:
         first = each[0]
         order = np.zeros(work_arrays(len(changes)) * layout.LANES, dtype=np.intp)
         order[FIRST : FIRST + len(changes)] = np.arange(1, len(arms))
-        works = layout.aligned(len(order) // layout.LANES, len(first.prepared) // layout.LANES, layout.LANES)
-        works[:] = _lanes(order, [p.prepared[:: layout.LANES] for p in each])
-        weight = [one.line_density_kg_m * one.rod_weight * np.asarray(one.gravity_m_s2) for one in arms]
+        shape = len(order) // layout.LANES, len(first.prepared), first.prepared.shape[1] // layout.LANES, layout.LANES
+        works = layout.aligned(*shape)
+        works[:] = _lanes(order, [p.prepared[:, :: layout.LANES] for p in each])
+        weight = [
+            np.outer([s.line_density_kg_m * one.rod_weight for s in one.segments], one.gravity_m_s2) for one in arms
+        ]
         heavier = [own - weight[0] for own in weight]
-        works[:, layout.STEP_LENGTH] = _lanes(order, [p.length_m / nodes for p in each])
-        works[:, layout.OWN_LOAD : layout.OWN_LOAD + 3] = _lanes(order, heavier)
-        works[:, layout.CENTRE : layout.CENTRE + 2] = _lanes(order, [p.centre_m for p in each])
-        ends = _lanes(order, [p.cap for p in each])
-        load, loaded = first.load(arm, None, nodes)
-        sections = [p.stiffness for p in each], [p.rest for p in each], [p.per_pressure for p in each]
-        stiffness, rest, per_pressure = (np.ascontiguousarray(_lanes(order, part).swapaxes(0, 1)) for part in sections)
+        first_nodes = first.first_nodes(nodes)
+        works[:, :, layout.STEP_LENGTH] = _lanes(order, [p.line(first_nodes)[1] for p in each])
+        works[:, :, layout.OWN_LOAD : layout.OWN_LOAD + 3] = _lanes(order, heavier)
+        load, loaded = first.load(arm, None, first_nodes)
+        rest = np.ascontiguousarray(_lanes(order, [p.rest for p in each]).swapaxes(0, 1))
+        inertia = np.array([p.ends[:, 6:10].any(axis=1) for p in each]).any(axis=0)
         lanes = LaneArguments(
-            works.reshape(len(works), -1), stiffness, rest, per_pressure, _lanes(order, [p.free_per_pa for p in each]),
-            ends, loaded or bool(np.any(heavier)), any(one.cap_inertia and one.inertia for one in arms),
-            _lanes(order, [branch_factors(one.material, c0, dt_s) for one in arms]), first.scale,
+            works.reshape(*works.shape[:2], -1), rest, _lanes(order, [p.per_pressure for p in each]),
+            _lanes(order, [p.free_per_pa for p in each]), _lanes(order, [p.ends for p in each]),
+            loaded or bool(np.any(heavier)), inertia,
+            _lanes(order, [branch_factors(one, c0, dt_s) for one in arms]), first.scale,
         )  # fmt: skip
         steps = np.array([change.step for change in changes], dtype=np.float64)
-        return cls(first, lanes, load, loaded, first.work(), steps)
+        return cls(first, lanes, load, loaded, first.work(), steps, first_nodes)
 
     def own(self, rows: slice) -> PerturbedArms:
         """The arguments for some rows, with separate work arrays."""
         lanes, first = self.lanes, self.first
         works = layout.aligned(*lanes.works.shape)
         works[:] = lanes.works
-        at = slice(None) if len(lanes.stiffness) == 1 else rows
-        at_rest = slice(None) if len(lanes.rest) == 1 else rows
-        own = lanes._replace(
-            works=works, stiffness=lanes.stiffness[at], rest=lanes.rest[at_rest], per_pressure=lanes.per_pressure[at]
-        )
-        first = replace(
-            first, stiffness=first.stiffness[at], rest=first.rest[at_rest], per_pressure=first.per_pressure[at]
-        )
-        return replace(self, first=first, lanes=own, work=first.work())
+        at = slice(None) if len(lanes.rest) == 1 else rows
+        first = replace(first, rest=first.rest[at])
+        return replace(self, first=first, lanes=lanes._replace(works=works, rest=lanes.rest[at]), work=first.work())

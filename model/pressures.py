@@ -19,8 +19,8 @@ LEAST_BAR, MOST_BAR = 0.01, 10.0
 def pressures(arm: Arm, pressure_pa: ArrayLike) -> Array:
     """The pressures as an array (N,) [Pa]; ValueError unless they are N finite numbers."""
     pressure = np.array(pressure_pa, dtype=np.float64)
-    if pressure.shape != (arm.geometry.actuators,):
-        raise ValueError(f"pressure_pa must hold {arm.geometry.actuators} numbers, got shape {pressure.shape}")
+    if pressure.shape != (arm.actuators,):
+        raise ValueError(f"pressure_pa must hold {arm.actuators} numbers, got shape {pressure.shape}")
     if not all(map(math.isfinite, pressure.tolist())):
         raise ValueError(f"pressures must be finite, got {pressure.tolist()} Pa")
     return pressure

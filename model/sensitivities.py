@@ -61,7 +61,8 @@ class Gradients:
 
 @dataclass(frozen=True)
 class TipGradient:
-    """tip_m (3,); by_parameter: material field -> d tip / d field (3,), per its unit; by_pressure (3, N) [m/Pa]."""
+    """tip_m (3,); by_parameter: material field -> d tip / d field (3,), per its unit, those of the second segment as
+    `segment_2.field`; by_pressure (3, N) [m/Pa]."""
 
     tip_m: Array
     by_parameter: dict[str, Array]
@@ -78,7 +79,9 @@ def tip_gradient(arm: Arm, pressure_pa: ArrayLike) -> TipGradient:
         stack = _kept.stack(arm, nodes)
     tip_loads = np.zeros((1, len(stack.lanes.works), 12, layout.LANES))
     rows = pressure[:, None] + _shifts(len(names), len(pressure))
-    tips, _ = _solve(stack, rows, tip_loads, nodes, _kept.workspace(len(stack.steps), nodes))
+    tips, _ = _solve(
+        stack, rows, tip_loads, nodes, _kept.workspace(len(stack.steps), nodes, _shooting_segments(arm, nodes))
+    )
     if not tips.good[0]:
         raise (Unstable if tips.unstable[0] else NotConverged).at(pressure)
     by = tips.by[0, :, :3]
@@ -111,7 +114,7 @@ def statics(
     def part(span: range) -> None:
         if len(span):
             own = slice(span.start, span.stop)
-            workspace = SensitivityWorkspace.of(len(changes), nodes, 1)
+            workspace = SensitivityWorkspace.of(len(changes), nodes, _shooting_segments(arm, nodes))
             loads = tip_loads if len(tip_loads) == 1 else tip_loads[own]
             parts[span.start] = _gradients(*_solve(stack.own(own), by_lane[own], loads, nodes, workspace, at))
 
@@ -150,22 +153,20 @@ def motion(
     dynamics = Dynamics(arm, dt_s, nodes=nodes)
     n = dynamics.nodes
     at_rest = PerturbedArms.of(arm, changes, n, rows[:1])
-    tip_load = np.empty(layout.TIP_LOAD_SIZE)
-    apply_tip_load(at_rest.first.cap, tip_loads[0], tip_load)
+    ends = np.empty_like(at_rest.first.ends)
+    apply_tip_load(at_rest.first.ends, tip_loads[0], ends)
     try:
-        dynamics.start_from(at_rest.first, rows[0], tip_load, at_rest.load, at_rest.loaded)
+        dynamics.start_from(at_rest.first, rows[0], ends, at_rest.load, at_rest.loaded)
     except NotConverged as fault:
         tips.unstable[0] = isinstance(fault, Unstable)
         return _gradients(*_without_failures(tips, sections))
     moving = PerturbedArms.of(arm, changes, n, rows, dynamics.c0, dt_s)
     first = moving.first
-    arm_in_motion = dynamics.arm_with_cap._replace(
-        stiffness=first.stiffness, rest=first.rest, per_pressure=first.per_pressure
-    )
+    arm_in_motion = dynamics.arm_with_cap._replace(rest=first.rest)
     dynamic_sensitivities(
         first.walls, tuple(arm_in_motion), tuple(dynamics.state), tuple(at_rest.lanes), tuple(moving.lanes),
         lane_rows(rows, [change.pressure_pa for change in changes]), tip_loads, moving.steps, every, dynamics.pool,
-        tuple(SensitivityWorkspace.of(len(changes), n, dynamics.segments, len(arm.material.branches))),
+        tuple(SensitivityWorkspace.of(len(changes), n, dynamics.segments, arm.branches)),
         TOLERANCE_IN_MOTION, tuple(tips), tuple(sections),
     )  # fmt: skip
     return _gradients(*_without_failures(tips, sections))
@@ -212,7 +213,7 @@ def _gradients(tip: TipSensitivities, sections: SectionSensitivities) -> Gradien
 
 def _arc_lengths(arm: Arm, sections_m: ArrayLike) -> Array:
     at = np.array(sections_m, dtype=np.float64).reshape(-1)
-    length = arm.geometry.length_m
+    length = arm.length_m
     if not ((at >= 0) & (at <= length)).all():
         raise ValueError(f"sections lie on the arm, from 0 to {length:g} m, got {at.tolist()}")
     return at
@@ -220,7 +221,7 @@ def _arc_lengths(arm: Arm, sections_m: ArrayLike) -> Array:
 
 def _rows(arm: Arm, pressure_pa: ArrayLike) -> Array:
     rows = np.array(pressure_pa, dtype=np.float64)
-    actuators = arm.geometry.actuators
+    actuators = arm.actuators
     if rows.ndim != 2 or rows.shape[1] != actuators or not len(rows):
         raise ValueError(f"pressure_pa must be rows of {actuators} numbers, got shape {rows.shape}")
     return rows
@@ -239,18 +240,30 @@ def _check_changes(arm: Arm, changes: Sequence[Variation], rows: Array) -> None:
 
 
 def _parameters(arm: Arm) -> tuple[str, ...]:
-    """Fields of the material that the section depends on."""
-    return (*arm.law.parameters, "rpe_per_bar", "shear_ratio")
+    """Fields of the materials that the sections depend on; those after the first segment have its number before."""
+    return tuple(
+        name if k == 0 else f"segment_{k + 1}.{name}"
+        for k, segment in enumerate(arm.segments)
+        for name in (*segment.law.parameters, "rpe_per_bar", "shear_ratio")
+    )
 
 
 def _varied(arm: Arm, pressure: Array) -> list[Variation]:
     """Changes of these fields, then of each pressure (N,)."""
     changes = []
-    for name in _parameters(arm):
-        value = getattr(arm.material, name)
-        # The step of a parameter that is zero is a fraction of its usual magnitude.
-        step = STEP * abs(value) or STEP * USUAL.get(name, 1.0)
-        changes.append(Variation(step, replace(arm, material=replace(arm.material, **{name: value + step}))))
+    for k, segment in enumerate(arm.segments):
+        for name in (*segment.law.parameters, "rpe_per_bar", "shear_ratio"):
+            value = getattr(segment.material, name)
+            # The step of a parameter that is zero is a fraction of its usual magnitude.
+            step = STEP * abs(value) or STEP * USUAL.get(name, 1.0)
+            material = replace(segment.material, **{name: value + step})
+            if k == 0:
+                changed = replace(arm, material=material)
+            else:
+                beyond = list(arm.beyond)
+                beyond[k - 1] = replace(segment, material=material)
+                changed = replace(arm, beyond=tuple(beyond))
+            changes.append(Variation(step, changed))
     pressed = pressure + PRESSURE_STEP_PA * np.eye(len(pressure))
     return changes + [Variation(PRESSURE_STEP_PA, arm, own[None]) for own in pressed]
 
@@ -271,12 +284,17 @@ class _Kept(threading.local):
 
 
 def _stack_of_material(arm: Arm, nodes: int) -> PerturbedArms:
-    nothing = np.zeros(arm.geometry.actuators)
+    nothing = np.zeros(arm.actuators)
     return PerturbedArms.of(arm, _varied(arm, nothing), nodes, nothing[None])
 
 
-def _workspace_at_rest(copies: int, nodes: int) -> SensitivityWorkspace:
-    return SensitivityWorkspace.of(copies, nodes, 1)
+def _workspace_at_rest(copies: int, nodes: int, segments: int) -> SensitivityWorkspace:
+    return SensitivityWorkspace.of(copies, nodes, segments)
+
+
+def _shooting_segments(arm: Arm, nodes: int) -> int:
+    """Shooting segments of an arm at rest: as many as its own at least, because a change grows along each of them."""
+    return next(d for d in range(len(arm.segments), nodes + 1) if nodes % d == 0)
 
 
 _kept = _Kept()
@@ -295,7 +313,7 @@ def _solve(
 ) -> tuple[TipSensitivities, SectionSensitivities]:
     """Solve for pressures (K, W, N, 8) [Pa]; writes to the work arrays of the stack."""
     count, first = len(rows), stack.first
-    arm = first.arm(stack.work, first.cap, stack.load, stack.loaded)
+    arm = first.arm(stack.work, first.ends, stack.load, stack.loaded, stack.first_nodes)
     pool, _ = workspace_for(nodes)
     tips, sections = _empty_tips(count, len(stack.steps)), _empty_sections(count, len(stack.steps), at_m)
     static_sensitivities(

@@ -16,10 +16,10 @@ _UNIT = np.eye(3)
 class Shape:
     """The arm's axis at n points, in the base frame (z along the straight arm).
 
-    s_m (n,): arc length at rest. p_m (n, 3): position. rotation (n, 3, 3): section frame to base frame. v (n, 3): shear
-    and stretch. u (n, 3) [1/m]: curvature and twist, both in the section frame. ok: False for the last good
-    shape in place of one that could not be solved. stable: whether an arm at rest is at a minimum of its potential
-    energy; None if this is not decided, as in motion.
+    s_m (n,): arc length at rest; the two ends of a coupling are two points. p_m (n, 3): position. rotation (n, 3, 3):
+    section frame to base frame. v (n, 3): shear and stretch. u (n, 3) [1/m]: curvature and twist, both in the section
+    frame. ok: False for the last good shape in place of one that could not be solved. stable: whether an arm at rest is
+    at a minimum of its potential energy; None if this is not decided, as in motion.
     """
 
     s_m: Array
@@ -30,6 +30,10 @@ class Shape:
     ok: bool
     actuator_xy_m: Array = field(repr=False)
     stable: bool | None = None
+    first_nodes: tuple[int, ...] = field(default=(), repr=False)
+    """First point of each segment, then n; empty for one segment."""
+    chambers: tuple[int, ...] = field(default=(), repr=False)
+    """First actuator of each segment, then N; empty for one segment."""
 
     @property
     def tip_m(self) -> Array:
@@ -67,10 +71,15 @@ class Shape:
 
     @property
     def actuator_lengths_m(self) -> Array:
-        """Length (N,) [m] of each actuator's axis from cap to cap."""
-        x, y = self.actuator_xy_m.T
-        v1, v2, v3 = self.v.T[:, :, None]
-        u1, u2, u3 = self.u.T[:, :, None]
-        speed = np.sqrt((v1 - u3 * y) ** 2 + (v2 + u3 * x) ** 2 + (v3 + u1 * y - u2 * x) ** 2)
-        lengths: Array = 0.5 * np.diff(self.s_m) @ (speed[1:] + speed[:-1])
-        return lengths
+        """Length (N,) [m] of each actuator's axis, from end to end of its segment."""
+        nodes = self.first_nodes or (0, len(self.s_m))
+        chambers = self.chambers or (0, len(self.actuator_xy_m))
+        lengths = []
+        for begin, end, first, last in zip(nodes, nodes[1:], chambers, chambers[1:], strict=False):
+            x, y = self.actuator_xy_m[first:last].T
+            v1, v2, v3 = self.v[begin:end].T[:, :, None]
+            u1, u2, u3 = self.u[begin:end].T[:, :, None]
+            speed = np.sqrt((v1 - u3 * y) ** 2 + (v2 + u3 * x) ** 2 + (v3 + u1 * y - u2 * x) ** 2)
+            lengths.append(0.5 * np.diff(self.s_m[begin:end]) @ (speed[1:] + speed[:-1]))
+        found: Array = np.concatenate(lengths)
+        return found

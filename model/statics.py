@@ -7,7 +7,7 @@ import threading
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from model.arm import Arm
 from model.arrays import Array
@@ -36,8 +36,9 @@ def statics(
 ) -> Shape:
     """The stable shape at rest under gauge pressures (N,) [Pa].
 
-    nodes: steps along the arm (RK4); by default 20, or ten for each width of its length where it is slender, which
-    leaves an error below 1e-8 m at the paper's pressures (docs/explanation/model.md says where not).
+    nodes: steps along the arm (RK4), the joints between its segments counted in; by default 20, or ten for each width
+    of its length where it is slender, which leaves an error below 1e-8 m at the paper's pressures
+    (docs/explanation/model.md says where not).
 
     doubt_units: refuse pressures that are plausible only in another unit; False for measured pressures, which may
     have any value.
@@ -51,11 +52,12 @@ def statics(
     if doubt_units:
         refuse_other_units(pressure)
     arguments = KernelArguments.of(arm, pressure[None])
-    load, loaded = arguments.load(arm, loads, steps_along(arm, nodes))
-    x, stable = states(arguments, pressure, arguments.tip(loads), load, loaded)
+    first = arguments.first_nodes(steps_along(arm, nodes))
+    load, loaded = arguments.load(arm, loads, first)
+    x, stable = states(arguments, pressure, arguments.ends_with(loads), load, loaded, first)
     if not (stable or allow_unstable):
         raise Unstable.at(pressure)
-    return shape(arm, arguments, x, ok=True, stable=stable)
+    return shape(arm, arguments, x, first, ok=True, stable=stable)
 
 
 def steps_along(arm: Arm, nodes: int | None) -> int:
@@ -65,7 +67,7 @@ def steps_along(arm: Arm, nodes: int | None) -> int:
         ValueError: fewer than two, or more than MOST_NODES.
     """
     if nodes is None:
-        nodes = 4 * max(5, math.ceil(2.5 * arm.geometry.slenderness))
+        nodes = 4 * max(5, math.ceil(2.5 * arm.slenderness))
     if nodes < 2:
         raise ValueError(f"an arm needs at least two steps along it, got {nodes}")
     if nodes > MOST_NODES:
@@ -83,15 +85,18 @@ class _Arrays(threading.local):
 _arrays = _Arrays()
 
 
-def states(arguments: KernelArguments, pressure: Array, tip: Array, load: Array, loaded: bool) -> tuple[Array, bool]:
+def states(
+    arguments: KernelArguments, pressure: Array, ends: Array, load: Array, loaded: bool, first: NDArray[np.int64]
+) -> tuple[Array, bool]:
     """States at the nodes, then their derivatives, (2 N + 2, 16), of the arm at rest, and whether it is stable.
 
-    tip, load and loaded: as of `ArmArguments`. Raises NotConverged if not even an unstable one is found.
+    ends, load and loaded: as of `ArmArguments`; first: as of `Line`. Raises NotConverged if not even an unstable one is
+    found.
     """
     pool, workspace = workspace_for(len(load) // 12)
-    work = _arrays.work(len(arguments.prepared))
+    work = _arrays.work(*arguments.prepared.shape)
     work[:] = arguments.prepared
-    arm_fields = tuple(arguments.arm(work, tip, load, loaded))
+    arm_fields = tuple(arguments.arm(work, ends, load, loaded, first))
     passes = solve_equilibrium(arguments.walls, arm_fields, pressure, pool, TOLERANCE_AT_REST)
     if passes < 0 and passes != UNSTABLE:
         raise NotConverged.at(pressure)
@@ -99,16 +104,27 @@ def states(arguments: KernelArguments, pressure: Array, tip: Array, load: Array,
 
 
 @lru_cache(maxsize=32)
-def _points(length_m: float, n: int) -> Array:
+def _points(lengths_m: tuple[float, ...], gaps_m: tuple[float, ...], first: tuple[int, ...]) -> Array:
     """Arc lengths at rest (n,), shared by every shape of an arm and so read-only."""
-    s = np.linspace(0.0, length_m, n)
+    parts, start = [], 0.0
+    for length, gap, begin, end in zip(lengths_m, gaps_m, first, first[1:], strict=False):
+        parts.append(np.linspace(start, start + length, end - begin))
+        start += length + gap
+    s = np.concatenate(parts)
     s.flags.writeable = False
     return s
 
 
-def shape(arm: Arm, arguments: KernelArguments, x: Array, ok: bool, stable: bool | None = None) -> Shape:
+def shape(
+    arm: Arm, arguments: KernelArguments, x: Array, first: NDArray[np.int64], ok: bool, stable: bool | None = None
+) -> Shape:
     """The arm's axis from solved states."""
     n = len(x) // 2
     p, rotation, v, u = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
-    axis(x, arguments.length_m, arguments.centre_m, p, rotation, v, u)
-    return Shape(_points(arguments.length_m, n), p, rotation, v, u, ok, arm.geometry.positions_m, stable)
+    axis(x, arguments.line(first), p, rotation, v, u)
+    nodes = tuple(first.tolist())
+    s = _points(tuple(arguments.lengths_m.tolist()), tuple(arguments.joint[:, 2].tolist()), nodes)
+    places = arm.geometry.positions_m
+    if arm.beyond:
+        places = np.concatenate([segment.geometry.positions_m for segment in arm.segments])
+    return Shape(s, p, rotation, v, u, ok, places, stable, nodes, tuple(arguments.chambers.tolist()))

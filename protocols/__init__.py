@@ -4,7 +4,7 @@ from protocols.library import Protocol, from_steps, load, named
 from protocols.parameters import ParameterValue
 from protocols.problems import BadInputError, Problem
 from protocols.tip_reference import TipMotion, TipReference
-from protocols.trajectory import Prompt, Segment, SetPointTrajectory
+from protocols.trajectory import Prompt, SetPointTrajectory, TrajectorySegment
 
 __all__ = [
     "BadInputError",
@@ -12,10 +12,10 @@ __all__ = [
     "Problem",
     "Prompt",
     "Protocol",
-    "Segment",
     "SetPointTrajectory",
     "TipMotion",
     "TipReference",
+    "TrajectorySegment",
     "from_steps",
     "load",
     "named",

@@ -14,7 +14,7 @@ from protocols.waveforms import Waveform
 
 
 @dataclass(frozen=True)
-class Segment:
+class TrajectorySegment:
     """A time interval of the protocol with one waveform per actuator.
 
     `kind` is the kind of its step, or what the step makes of it: `dwell` and `rise` (one level of a staircase and the
@@ -83,7 +83,7 @@ class SetPointTrajectory:
 
     duration_s: float
     actuators: int
-    segments: tuple[Segment, ...]
+    segments: tuple[TrajectorySegment, ...]
     prompts: tuple[Prompt, ...]
     source: str
     tip: TipReference = NO_TIP_REFERENCE
@@ -95,7 +95,7 @@ class SetPointTrajectory:
     def __post_init__(self) -> None:
         object.__setattr__(self, "_starts", tuple(segment.start_s for segment in self.segments))
 
-    def segment_at(self, t_s: float) -> Segment:
+    def segment_at(self, t_s: float) -> TrajectorySegment:
         """The segment at a protocol time; the first before 0, the last from the end on."""
         return self.segments[max(bisect_right(self._starts, t_s) - 1, 0)]
 
@@ -150,7 +150,7 @@ class SetPointTrajectory:
                 found[inside[rows], index] = wave.slopes_at(t_s[inside[rows]] - segment.start_s)
         return found
 
-    def _by_segment(self, t_s: NDArray[np.float64]) -> Iterator[tuple[Segment, NDArray[np.intp]]]:
+    def _by_segment(self, t_s: NDArray[np.float64]) -> Iterator[tuple[TrajectorySegment, NDArray[np.intp]]]:
         """Each segment with times (T,) in it, and the indices of these times."""
         places = np.maximum(np.searchsorted(self._starts, t_s, side="right") - 1, 0)
         for place in np.unique(places).tolist():

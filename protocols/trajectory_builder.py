@@ -14,7 +14,7 @@ from protocols.source_positions import Document
 from protocols.tip_inverse import HISTORY_S, HISTORY_STEP_S, TipInverse, TipRefusedError, TipRequest
 from protocols.tip_paths import TipPath, fade
 from protocols.tip_reference import GRID_S, TipMotion, TipReference
-from protocols.trajectory import Prompt, Segment, SetPointTrajectory, StreamInterval
+from protocols.trajectory import Prompt, SetPointTrajectory, StreamInterval, TrajectorySegment
 from protocols.waveforms import Samples, Waveform
 
 Path = tuple[str | int, ...]
@@ -32,7 +32,7 @@ class TrajectoryBuilder:
     ) -> None:
         """Begin at 0 bar; data and inverse as for `expand`."""
         self._now_s = 0.0
-        self._segments: list[Segment] = []
+        self._segments: list[TrajectorySegment] = []
         self._prompts: list[Prompt] = []
         self._streams: list[StreamInterval] = []
         self._problems: list[Problem] = []
@@ -182,7 +182,9 @@ class TrajectoryBuilder:
     ) -> None:
         start_s, self._now_s = self._now_s, self._now_s + duration_s
         level_pa = tuple(self._level_pa)
-        self._segments.append(Segment(start_s, self._now_s, kind, label, actuators, self._line, level_pa, waves, jumps))
+        self._segments.append(
+            TrajectorySegment(start_s, self._now_s, kind, label, actuators, self._line, level_pa, waves, jumps)
+        )
 
 
 def _time_fault(path: TipPath, lead_in_s: float) -> tuple[str, str] | None:

@@ -1,4 +1,4 @@
-"""Kernels that integrate perturbed copies of an arm side by side in SIMD lanes, from the base to the tip.
+"""Perturbed copies of an arm side by side in SIMD lanes: their pressures, loads and poses.
 
 Each lane has its own length, section, pressures, loads and history. Lanes are numbered through all work arrays: lane 0
 is the arm, each of lanes 1 to 6 perturbs one base strain, and the copies with a perturbed parameter follow.
@@ -8,23 +8,20 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from model.kernels.arguments import LaneArguments, Rod
+from model.kernels.arguments import LaneArguments, Line, interval_at
 from model.kernels.between_nodes import Quaternion, displacement_between, orientation_between
-from model.kernels.law import Walls, branched
+from model.kernels.law import Walls
 from model.kernels.layout import (
     ALL_TRIOS,
-    AXIAL,
     AXIS_SUM,
     CENTRE,
     ECCENTRIC_FORCE,
-    FOURTH,
+    JOINT,
     LANES,
     NODE,
     OFFSET,
-    PAST,
     PER_TUBE,
     SLOPE,
-    STAGE,
     STATE,
     STEP_LENGTH,
     THIRD,
@@ -33,13 +30,11 @@ from model.kernels.layout import (
     TRIO,
     aligned,
 )
-from model.kernels.rod import stage
 from model.kernels.vec3 import Triple, called, cross, inlined, leaf, plus, put, rotation, triple
 
 Array = Any
 
 FIRST = 7  # lane of the first perturbed copy
-UNUSED_HISTORY = ((0.0, 0.0, 0.0),) * 8  # argument in place of a history that all lanes share
 
 
 class SensitivityWorkspace(NamedTuple):
@@ -76,123 +71,65 @@ def work_arrays(copies: int) -> int:
     return -(-(FIRST + copies) // LANES)
 
 
-@inlined
-def _load_history(w: Array, walls: Walls, past: Array) -> None:
-    """Load the history at a node, and the past strains of the walls, into the work array."""
-    for i in range(12 * LANES):
-        w[PAST * LANES + i] = past[i]
-    slope = 30 * LANES if branched(walls.law) else 12 * LANES
-    for i in range(6 * LANES):
-        w[(PAST + 12) * LANES + i] = past[slope + i]
-    if branched(walls.law):
-        for i in range(6 * LANES):
-            w[(PAST + 18) * LANES + i] = past[24 * LANES + i]
-
-
-@inlined
-def _interpolate_history(w: Array, walls: Walls, a: Array, b: Array) -> None:
-    """Load the same half-way between two nodes, as `time_stepping.interpolate_midpoints` does."""
-    for c in range(12):
-        for i in range(LANES):
-            at, to = c * LANES + i, (12 + c) * LANES + i
-            bent = 0.125 * w[STEP_LENGTH * LANES + i] * (a[to] - b[to])
-            w[PAST * LANES + at] = 0.5 * (a[at] + b[at]) + bent
-    own, slope = (24, 30) if branched(walls.law) else (0, 12)
-    for c in range(6):
-        for i in range(LANES):
-            at, to, k = (own + c) * LANES + i, (slope + c) * LANES + i, (12 + c) * LANES + i
-            w[PAST * LANES + k] = 1.5 / w[STEP_LENGTH * LANES + i] * (b[at] - a[at]) - 0.25 * (a[to] + b[to])
-    if branched(walls.law):
-        for c in range(6):
-            for i in range(LANES):
-                at, to = (24 + c) * LANES + i, (30 + c) * LANES + i
-                bent = 0.125 * w[STEP_LENGTH * LANES + i] * (a[to] - b[to])
-                w[(PAST + 18 + c) * LANES + i] = 0.5 * (a[at] + b[at]) + bent
-
-
 @leaf
-def integrate_lanes(
-    rod: Rod, past: Array, moving: bool, first: int, last: int, states: Array, derivatives: Array
+def apply_pressure(
+    lanes: LaneArguments, walls: Walls, chambers: Array, t: int, pressure: Array, tip_loads: Array
 ) -> None:
-    """Integrate the state at NODE in all lanes from node `first` to node `last`, as `rod.integrate` does.
+    """Write pressures (W, A, 8) and loads at the ends into the work arrays, lane by lane, for row t.
 
-    rod: the arm with one work array of the lanes. past (N + 1, 192 or 288): as of `SensitivityWorkspace`, history of
-    strains, velocities and their derivatives at the nodes, and past strains of walls with Maxwell branches; read only
-    if `moving`.
+    tip_loads (W, 12, 8): force and moment at the tip beside those of the cap, and the eccentric force with its point.
     """
-    w, walls, size, n = rod.work, rod.walls, STATE * LANES, states.shape[0] - 1
-    for j in range(first, last + 1):
-        if j == last and last < n:
-            break
-        for i in range(size):
-            states[j, i] = w[NODE * LANES + i]
-        if moving:
-            _load_history(w, walls, past[j])
-        stage(rod, UNUSED_HISTORY, True, 2 * j, NODE, STAGE, 0.5)
-        for i in range(12 * LANES):
-            derivatives[j, i] = w[SLOPE * LANES + i]
-        if j == n:
-            break
-        if moving:
-            _interpolate_history(w, walls, past[j], past[j + 1])
-        stage(rod, UNUSED_HISTORY, True, 2 * j + 1, STAGE, THIRD, 0.5)
-        stage(rod, UNUSED_HISTORY, True, 2 * j + 1, THIRD, FOURTH, 1.0)
-        if moving:
-            _load_history(w, walls, past[j + 1])
-        stage(rod, UNUSED_HISTORY, True, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)
-
-
-@leaf
-def apply_pressure(lanes: LaneArguments, actuators: int, t: int, pressure: Array, tip_loads: Array) -> None:
-    """Write sections, pressures (W, N, 8) and loads at the tip into the work arrays, lane by lane, for row t.
-
-    tip_loads (W, 12, 8): force and moment beside those of the cap, and the eccentric force with its point.
-    """
-    first = TRIO if actuators <= 3 else ALL_TRIOS
-    r, q = t % lanes.stiffness.shape[0], t % lanes.rest.shape[0]
-    stiffness, rest, per_pressure = lanes.stiffness[r], lanes.rest[q], lanes.per_pressure[r]
+    first = TRIO if walls.tubes <= 3 else ALL_TRIOS
+    rest, tip = lanes.rest[t % lanes.rest.shape[0]], lanes.works.shape[1] - 1
     for p in range(lanes.works.shape[0]):
-        w = lanes.works[p]
-        for c in range(24):
-            for i in range(LANES):
-                w[(AXIAL + c) * LANES + i] = stiffness[p, c, i]
-        for c in range(6):
-            for i in range(LANES):
-                total = rest[p, c, i]
-                for k in range(actuators):
-                    total += per_pressure[p, c, k, i] * pressure[p, k, i]
-                w[(OFFSET + c) * LANES + i] = total
-        for c in range(TIP_LOAD_SIZE):
-            for i in range(LANES):
-                w[(TIP_LOAD + c) * LANES + i] = lanes.cap_loads[p, c, i]
+        for s in range(tip + 1):
+            w = lanes.works[p, s]
+            begin, end = chambers[s], chambers[s + 1]
+            for c in range(6):
+                for i in range(LANES):
+                    total = rest[p, s, c, i]
+                    for k in range(begin, end):
+                        total += lanes.per_pressure[p, s, c, k, i] * pressure[p, k, i]
+                    w[(OFFSET + c) * LANES + i] = total
+            for c in range(TIP_LOAD_SIZE):
+                for i in range(LANES):
+                    w[(TIP_LOAD + c) * LANES + i] = lanes.ends[p, s, c, i]
+            for k in range(begin, end):
+                at = (first + PER_TUBE * (k - begin) + 2) * LANES
+                for i in range(LANES):
+                    w[at + i] = lanes.free_per_pa[p, s, i] * pressure[p, k, i]
+        w = lanes.works[p, tip]
         for c in range(6):
             for i in range(LANES):
                 w[(TIP_LOAD + c) * LANES + i] += tip_loads[p, c, i]
                 w[(ECCENTRIC_FORCE + c) * LANES + i] += tip_loads[p, 6 + c, i]
-        for k in range(actuators):
-            for i in range(LANES):
-                w[(first + PER_TUBE * k + 2) * LANES + i] = lanes.free_per_pa[p, i] * pressure[p, k, i]
 
 
 @called
-def apply_tip_load(cap_load: Array, tip_loads: Array, tip_load: Array) -> None:
-    """Fill the tip load (19,) of the arm in lane 0: that of its cap, and the load that `apply_pressure` adds."""
-    for c in range(TIP_LOAD_SIZE):
-        tip_load[c] = cap_load[c]
+def apply_tip_load(own: Array, tip_loads: Array, ends: Array) -> None:
+    """Fill the loads at the ends (K, 19) of the arm in lane 0: its own, and the load that `apply_pressure` adds."""
+    tip = own.shape[0] - 1
+    for s in range(tip + 1):
+        for c in range(TIP_LOAD_SIZE):
+            ends[s, c] = own[s, c]
     for c in range(6):
-        tip_load[c] += tip_loads[0, c, 0]
-        tip_load[TIP_LOAD_SIZE - 6 + c] += tip_loads[0, 6 + c, 0]
+        ends[tip, c] += tip_loads[0, c, 0]
+        ends[tip, TIP_LOAD_SIZE - 6 + c] += tip_loads[0, 6 + c, 0]
 
 
 @inlined
-def _integrate_axis(w: Array, states: Array, derivatives: Array, last: int) -> None:
+def _integrate_axis(works: Array, line: Line, states: Array, derivatives: Array, last: int) -> int:
     """Integrate the line from the base to node `last` in every lane, as `axis.axis` does.
 
-    Writes the position, p' and p'' to AXIS_SUM, and the state of the node to NODE.
+    works (K, size). Writes the position, p' and p'' to AXIS_SUM, and the state of the node to NODE, of the segment of
+    that node, which it returns.
     """
+    k = 0
+    w = works[0]
     for i in range(9 * LANES):
         w[AXIS_SUM * LANES + i] = 0.0
     for j in range(last + 1):
+        starts = j == line.first[k]
         for i in range(STATE * LANES):
             w[NODE * LANES + i] = states[j, i]
         for i in range(6 * LANES):
@@ -204,13 +141,24 @@ def _integrate_axis(w: Array, states: Array, derivatives: Array, last: int) -> N
                 triple(w, AXIS_SUM + 6, i),
             )
             tangent, tangent_slope = _tangents(w, i)
-            h = w[STEP_LENGTH * LANES + i] if j > 0 else 0.0
+            h = 0.0 if starts else w[STEP_LENGTH * LANES + i]
             at = plus(
                 plus(at, 0.5 * h, plus(last_tangent, 1.0, tangent)), h * h / 12.0, plus(last_slope, -1.0, tangent_slope)
             )
             put(w, AXIS_SUM, i, at)
             put(w, AXIS_SUM + 3, i, tangent)
             put(w, AXIS_SUM + 6, i, tangent_slope)
+        if j < last and j + 1 == line.first[k + 1]:
+            k += 1
+            after = works[k]
+            for i in range(LANES):
+                d1, d2, d3 = rotation(_orientation(w, i))
+                a, b, c = triple(w, JOINT, i)
+                put(after, AXIS_SUM, i, plus(plus(plus(triple(w, AXIS_SUM, i), a, d1), b, d2), c, d3))
+                put(after, AXIS_SUM + 3, i, (0.0, 0.0, 0.0))
+                put(after, AXIS_SUM + 6, i, (0.0, 0.0, 0.0))
+            w = after
+    return k
 
 
 @inlined
@@ -230,11 +178,16 @@ def _orientation(w: Array, i: int) -> Quaternion:
 
 
 @inlined
-def _write_lane_pose(w: Array, i: int, at: Triple, own: Quaternion, other: Quaternion, place: Array) -> None:
-    """Write the position of lane i on the axis, and its rotation vector against the orientation `other`."""
+def _write_lane_pose(
+    base: Array, w: Array, i: int, at: Triple, own: Quaternion, other: Quaternion, place: Array
+) -> None:
+    """Write the position of lane i on the axis, and its rotation vector against the orientation `other`.
+
+    base: the work array of the first segment; w: that of the segment of the place.
+    """
     d1, d2, _ = rotation(own)
-    cx, cy = w[CENTRE * LANES + i], w[(CENTRE + 1) * LANES + i]
-    moved = plus(plus(at, -cx, d1), -cy, d2)
+    moved = plus(plus(at, -w[CENTRE * LANES + i], d1), -w[(CENTRE + 1) * LANES + i], d2)
+    cx, cy = base[CENTRE * LANES + i], base[(CENTRE + 1) * LANES + i]
     place[0, i], place[1, i], place[2, i] = moved[0] + cx, moved[1] + cy, moved[2]
     a, b, c, e = own
     a0, b0, c0, e0 = other
@@ -245,34 +198,35 @@ def _write_lane_pose(w: Array, i: int, at: Triple, own: Quaternion, other: Quate
 
 
 @leaf
-def tip_poses(w: Array, states: Array, derivatives: Array, tip: Array, place: Array) -> None:
+def tip_poses(works: Array, line: Line, states: Array, derivatives: Array, tip: Array, place: Array) -> None:
     """Write position (3) and rotation vector (3) of the tip in every lane into place (6, 8), as of `axis.axis`.
 
-    The rotation vector [rad], in the base frame, leads from the orientation of the state `tip` (16,) to that of the
-    lane, to first order.
+    works (K, size). The rotation vector [rad], in the base frame, leads from the orientation of the state `tip` (16,)
+    to that of the lane, to first order.
     """
-    _integrate_axis(w, states, derivatives, states.shape[0] - 1)
+    w = works[_integrate_axis(works, line, states, derivatives, states.shape[0] - 1)]
+    other = tip[12], tip[13], tip[14], tip[15]
     for i in range(LANES):
-        _write_lane_pose(w, i, triple(w, AXIS_SUM, i), _orientation(w, i), (tip[12], tip[13], tip[14], tip[15]), place)
+        _write_lane_pose(works[0], w, i, triple(w, AXIS_SUM, i), _orientation(w, i), other, place)
 
 
 @leaf
 def section_poses(
-    w: Array, states: Array, derivatives: Array, at: float, length: float, x: Array, place: Array
+    works: Array, line: Line, states: Array, derivatives: Array, at: float, x: Array, place: Array
 ) -> None:
-    """Write the same of the section at arc length `at`, against that of the arm x (2 N + 2, 16) of a length.
+    """Write the same of the section at arc length `at`, against that of the arm x (2 N + 2, 16).
 
-    Every lane is interpolated between the same two nodes, whose arc lengths depend on the length of its arm.
+    Every lane is interpolated between the same two nodes, whose arc lengths depend on the lengths of its segments.
     """
-    n = states.shape[0] - 1
-    last = min(max(int(at * n / length), 0), n - 1)
-    h = length / n
+    k, start, last = interval_at(line, at)
+    h = line.step[k]
     other = orientation_between(
         (x[last, 12], x[last, 13], x[last, 14], x[last, 15]), (x[last, 3], x[last, 4], x[last, 5]),
         (x[last + 1, 12], x[last + 1, 13], x[last + 1, 14], x[last + 1, 15]),
-        (x[last + 1, 3], x[last + 1, 4], x[last + 1, 5]), at / h - last, h,
+        (x[last + 1, 3], x[last + 1, 4], x[last + 1, 5]), min((at - start) / h, 1.0), h,
     )  # fmt: skip
-    _integrate_axis(w, states, derivatives, last)
+    _integrate_axis(works, line, states, derivatives, last)
+    w = works[k]
     for i in range(STATE * LANES):
         w[THIRD * LANES + i] = w[NODE * LANES + i]
         w[NODE * LANES + i] = states[last + 1, i]
@@ -280,7 +234,11 @@ def section_poses(
         w[SLOPE * LANES + i] = derivatives[last + 1, i]
     for i in range(LANES):
         h = w[STEP_LENGTH * LANES + i]
-        t = at / h - last
+        before_segment = 0.0
+        for s in range(k):
+            own_step = works[s, STEP_LENGTH * LANES + i]
+            before_segment += own_step * (line.first[s + 1] - 1 - line.first[s]) + works[s, (JOINT + 2) * LANES + i]
+        t = min((at - before_segment) / h - (last - line.first[k]), 1.0)
         tangent, tangent_slope = _tangents(w, i)
         step = displacement_between(
             triple(w, AXIS_SUM + 3, i), triple(w, AXIS_SUM + 6, i), tangent, tangent_slope, t, h
@@ -288,4 +246,4 @@ def section_poses(
         q = (THIRD + 12) * LANES + i
         before = w[q], w[q + LANES], w[q + 2 * LANES], w[q + 3 * LANES]
         own = orientation_between(before, triple(w, THIRD + 3, i), _orientation(w, i), triple(w, NODE + 3, i), t, h)
-        _write_lane_pose(w, i, plus(triple(w, AXIS_SUM, i), 1.0, step), own, other, place)
+        _write_lane_pose(works[0], w, i, plus(triple(w, AXIS_SUM, i), 1.0, step), own, other, place)

@@ -53,19 +53,17 @@ class KernelLaw:
         _responses[kind.key] = response
         self.response = response
         self._numba_type_ = kind
-        self.walls_type = types.NamedTuple([types.boolean, kind, types.intp], Walls)  # type: ignore[no-untyped-call]
+        self.walls_type = types.NamedTuple([kind, types.intp], Walls)  # type: ignore[no-untyped-call]
 
 
 class Walls(NamedTuple):
-    """The constitutive law of the walls.
+    """The constitutive law of the walls. A segment of constant stiffness does not evaluate it (`layout.POINTWISE`).
 
-    pointwise: whether each tube follows `law` at every point; else the stiffness of the section is constant, and `law`
-    is not evaluated.
+    tubes: places for tubes in each section.
     """
 
-    pointwise: bool
     law: KernelLaw
-    actuators: int
+    tubes: int
 
     @property
     def _numba_type_(self) -> Any:

@@ -51,14 +51,16 @@ OFFSET = SHEAR_INVERSE + 6  # wrench at zero strain, n1 n2 n3 m1 m2 m3, with tha
 TUBE = OFFSET + 6  # gamma, I_o / A_m of one tube
 LAW = TUBE + 2  # constants of its constitutive law
 LAW_CONSTANTS = 4
+POINTWISE = LAW + LAW_CONSTANTS  # 1 where each tube follows its law at every point, 0 for a constant stiffness
 # Tubes are summed in trios; tubes of share 0 complete the last one. Per tube: x, y, free strain, share (1 or 0), and of
 # its position xx, xy, yy and xx + yy + 2 I_o / A_m.
-TRIO = LAW + LAW_CONSTANTS  # the trio that is summed: the last, or the only one
+TRIO = POINTWISE + 1  # the trio that is summed: the last, or the only one
 PER_TUBE = 8
 PER_TRIO = 3 * PER_TUBE
 STEP_LENGTH = TRIO + PER_TRIO  # step along the arm
-# Load at the tip: force (3) and moment (3) in the base frame, mass and rotational inertia (3) of the cap, the point of
-# the section where all these act (3). Then a further, eccentric force (3), included in the first, and its point (3).
+# Load at the end of the segment, of the cap or of the coupling to the next one: force (3) and moment (3) in the base
+# frame, mass and rotational inertia (3), the point of the section where all these act (3). Then a further, eccentric
+# force (3), included in the first, and its point (3).
 TIP_LOAD = STEP_LENGTH + 1
 ECCENTRIC_FORCE = TIP_LOAD + 13
 TIP_LOAD_SIZE = 19
@@ -66,7 +68,8 @@ TIP_LOAD_SIZE = 19
 PAST = TIP_LOAD + TIP_LOAD_SIZE  # history at the stage
 OWN_LOAD = PAST + HISTORY  # load per metre beyond the shared one: force and moment, base frame
 CENTRE = OWN_LOAD + 6  # centroid of the walls
-AXIS_SUM = CENTRE + 2  # position, first and second derivative of the line
+JOINT = CENTRE + 2  # from the end of the line to the start of that of the next segment, in the section frame
+AXIS_SUM = JOINT + 3  # position, first and second derivative of the line
 ALL_TRIOS = AXIS_SUM + STATE  # all trios, if there are several
 
 

@@ -89,7 +89,7 @@ def sum_other_trios(w: Array, walls: Walls) -> None:
     """Sum the responses of all trios but the last, all lanes, at STRAINS, and copy the last one to TRIO."""
     for i in range(SUMS * LANES):
         w[OTHER_TRIOS * LANES + i] = 0.0
-    last = (walls.actuators - 1) // 3
+    last = (walls.tubes - 1) // 3
     for k in range(last + 1):
         # The compiler vectorises constant offsets only.
         at = (ALL_TRIOS + PER_TRIO * k) * LANES

@@ -28,12 +28,12 @@ from model.kernels.layout import (
     OFFSET,
     OWN_LOAD,
     PAST,
+    POINTWISE,
     RATE,
     SHEAR,
     SHEAR_INVERSE,
     SLOPE,
     STAGE,
-    STATE,
     STEP_LENGTH,
     STRAINS,
     THIRD,
@@ -51,6 +51,12 @@ from model.kernels.vec3 import Six, Triple, cross, dot, inlined, leaf, plus, put
 
 Array = Any
 Past = tuple[Triple, Triple, Triple, Triple, Triple, Triple, Triple, Triple]
+
+
+@inlined
+def pointwise(w: Array) -> bool:
+    """Whether each tube of the segment follows the law at every point; else its stiffness is constant."""
+    return w[POINTWISE * LANES] > 0.0  # type: ignore[no-any-return]
 
 
 @inlined
@@ -194,7 +200,7 @@ def _linear_stage(w: Array, walls: Walls, past: Past, own: bool, at: int, to: in
 
 @inlined
 def _sum_other_trios(w: Array, walls: Walls, at: int) -> None:
-    if walls.actuators > 3:
+    if walls.tubes > 3:
         for i in range(LANES):
             put(w, STRAINS, i, triple(w, at + 2, i))
         sum_other_trios(w, walls)
@@ -236,88 +242,65 @@ def _rotate_load(w: Array, load: Array, own: bool, row: int, at: int) -> None:
 
 
 @inlined
-def wrench(w: Array, walls: Walls, i: int, at: int, v_p: Triple, u_p: Triple) -> tuple[Triple, Triple]:
+def wrench(w: Array, i: int, at: int, v_p: Triple, u_p: Triple) -> tuple[Triple, Triple]:
     """Total wrench of one lane with its state at `at`; of a pointwise section, after `sum_tubes`."""
     v, u = triple(w, at, i), triple(w, at + 3, i)
-    if not walls.pointwise:
+    if not pointwise(w):
         return linear_wrench(six(w, AXIAL, i), six(w, SHEAR, i), six(w, OFFSET, i), w[LAG * LANES + i], v, u, v_p, u_p)  # type: ignore[no-any-return]
     return pointwise_wrench(w, i, w[C0 * LANES + i], v, u, v_p, u_p)  # type: ignore[no-any-return]
+
+
+@inlined
+def total_wrench(w: Array, walls: Walls, past: Past, own: bool) -> None:
+    """Total wrench at STAGE, all lanes; past and own as of `stage`."""
+    if pointwise(w):
+        _sum_other_trios(w, walls, STAGE)
+        for i in range(LANES):
+            v3, u1, u2 = triple(w, STAGE + 2, i)
+            sum_tubes(w, i, tube_responses(w, walls, i, v3, u1, u2), WALL_FORCES)
+    for i in range(LANES):
+        _, _, _, _, v_p, u_p, _, _ = own_past(w, walls, i) if own else past
+        n, m = wrench(w, i, STAGE, v_p, u_p)
+        put(w, WRENCH, i, n)
+        put(w, WRENCH + 3, i, m)
 
 
 @leaf
 def resting_wrench(w: Array, walls: Walls) -> None:
     """Total wrench at STAGE, all lanes, of an arm without history."""
     zero = (0.0, 0.0, 0.0)
-    if walls.pointwise:
-        _sum_other_trios(w, walls, STAGE)
-        for i in range(LANES):
-            v3, u1, u2 = triple(w, STAGE + 2, i)
-            sum_tubes(w, i, tube_responses(w, walls, i, v3, u1, u2), WALL_FORCES)
-    for i in range(LANES):
-        n, m = wrench(w, walls, i, STAGE, zero, zero)
-        put(w, WRENCH, i, n)
-        put(w, WRENCH + 3, i, m)
+    total_wrench(w, walls, (zero, zero, zero, zero, zero, zero, zero, zero), False)
 
 
 @leaf
-def strain_changes(w: Array, walls: Walls) -> None:
-    """Static changes of the strains at STAGE that change the wrench by the values at RATE, to first order.
+def strain_changes(w: Array) -> None:
+    """Changes of the strains at STAGE that change the wrench by the values at RATE, to first order.
 
-    For a pointwise section call `resting_wrench` first, which sums the tubes.
+    For a pointwise section call `total_wrench` first, which sums the tubes.
     """
     zero = (0.0, 0.0, 0.0)
     for i in range(LANES):
         n, m = triple(w, RATE, i), triple(w, RATE + 3, i)
-        if not walls.pointwise:
+        if not pointwise(w):
             v_s, u_s = linear_slopes(six(w, AXIAL_INVERSE, i), six(w, SHEAR_INVERSE, i), 0.0, n, m, zero, zero)
         else:
             v, u = triple(w, STAGE, i), triple(w, STAGE + 3, i)
-            v_s, u_s = pointwise_slopes(w, i, 0.0, v, u, n, m, zero, zero)
+            v_s, u_s = pointwise_slopes(w, i, w[C0 * LANES + i], v, u, n, m, zero, zero)
         put(w, SLOPE, i, v_s)
         put(w, SLOPE + 3, i, u_s)
 
 
 @inlined
-def stage(rod: Rod, past: Past, own: bool, row: int, at: int, to: int, step_share: float) -> None:
-    """Stage of RK4, all lanes: from the state at `at` to the state at `to`, `step_share` of a step further.
+def stage(rod: Rod, w: Array, past: Past, own: bool, row: int, at: int, to: int, step_share: float) -> None:
+    """Stage of RK4 with the work array w of a segment, all lanes: from the state at `at` to the state at `to`.
 
-    past: the history that all lanes share; with `own`, each lane has its own at PAST, and a load of its own. Shared
-    numbers are read before the loops over the lanes, otherwise the compiler does not vectorise these.
+    step_share: of a step between them. past: the history that all lanes share; with `own`, each lane has its own at
+    PAST, and a load of its own. Shared numbers are read before the loops over the lanes, otherwise the compiler does
+    not vectorise these.
     """
     if rod.loaded:
-        _rotate_load(rod.work, rod.load, own, row, at)
-    if not rod.walls.pointwise:
-        _linear_stage(rod.work, rod.walls, past, own, at, to, step_share)
+        _rotate_load(w, rod.load, own, row, at)
+    if not pointwise(w):
+        _linear_stage(w, rod.walls, past, own, at, to, step_share)
     else:
-        _pointwise_stage(rod.work, rod.walls, past, own, at, to, step_share)
-
-
-@leaf
-def integrate(
-    rod: Rod, history: Array, walls_past: Array, first: int, last: int, states: Array, derivatives: Array
-) -> None:
-    """Integrate the state at NODE in all lanes from node `first` to node `last` by RK4, one step from node to node.
-
-    history, walls_past: as of `time_stepping.advance`.
-    states, derivatives: (N + 1, 128), filled at each node but `last`; at the tip also at that. Of the derivatives, the
-    first twelve quantities are filled.
-    """
-    w, n, size = rod.work, states.shape[0] - 1, STATE * states.shape[0]
-    if not branched(rod.walls.law):
-        walls_past = history
-    for j in range(first, last + 1):
-        if j == last and last < n:
-            break
-        for i in range(STATE * LANES):
-            states[j, i] = w[NODE * LANES + i]
-        at = STATE * j
-        stage(rod, past_of(history, walls_past, size, at), False, 2 * j, NODE, STAGE, 0.5)
-        for i in range(12 * LANES):
-            derivatives[j, i] = w[SLOPE * LANES + i]
-        if j == n:
-            break
-        past = past_of(history, walls_past, size, 2 * size + at)
-        stage(rod, past, False, 2 * j + 1, STAGE, THIRD, 0.5)
-        stage(rod, past, False, 2 * j + 1, THIRD, FOURTH, 1.0)
-        past = past_of(history, walls_past, size, at + STATE)
-        stage(rod, past, False, 2 * j + 2, FOURTH, NODE, 1.0 / 6.0)
+        _pointwise_stage(w, rod.walls, past, own, at, to, step_share)

@@ -1,10 +1,10 @@
 """Newton's method on the rod's boundary value problem: simple or multiple shooting from the base.
 
-The rod is divided into segments, each with a guessed state at its start. One iteration integrates every segment in
-eight lanes: the guess, six states perturbed along directions that span the free base strains, and one perturbed along
-the particular solution that closes the gaps between segments. The directions are made orthonormal again at the start of
-each segment (Godunov, Conte), so that modes that grow along the rod, which overflow simple shooting at small time
-steps, do not hide the others. One segment is simple shooting.
+The rod is divided into shooting segments, whatever the segments of the arm, each with a guessed state at its start. One
+iteration integrates every segment in eight lanes: the guess, six states perturbed along directions that span the free
+base strains, and one perturbed along the particular solution that closes the gaps between segments. The directions are
+made orthonormal again at the start of each segment (Godunov, Conte), so that modes that grow along the rod, which
+overflow simple shooting at small time steps, do not hide the others. One segment is simple shooting.
 """
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from model.kernels.arguments import Rod
+from model.kernels.arguments import Rod, segment_at
+from model.kernels.integration import integrate
 from model.kernels.jit import kernel
-from model.kernels.law import Walls, branched
+from model.kernels.joints import end_wrench, has_inertia
+from model.kernels.lane_sums import broadcast, horizontal_sum, horizontal_sum_slopes
+from model.kernels.law import branched
 from model.kernels.layout import (
-    ECCENTRIC_FORCE,
     LANES,
     LOAD,
     NODE,
@@ -30,9 +32,8 @@ from model.kernels.layout import (
     aligned,
 )
 from model.kernels.linear_algebra import orthonormalise, solve_six
-from model.kernels.rod import Past, integrate, own_past, past_of, wrench
-from model.kernels.simd import broadcast, horizontal_sum, horizontal_sum_slopes
-from model.kernels.vec3 import Triple, cross, dot, inlined, leaf, plus, put, rotation, triple
+from model.kernels.rod import past_of
+from model.kernels.vec3 import inlined, leaf
 
 Array = Any
 
@@ -92,49 +93,6 @@ def workspace_in(pool: Array, n: int, branches: int = 0) -> Workspace:
 
 # One array takes numba less time to unpack than thirteen.
 workspace_within = kernel(workspace_in, inlined=True, called=False)
-
-
-@inlined
-def _subtract_cap_inertia(
-    w: Array, i: int, f: Triple, couple: Triple, place: Triple, c0: float, q_h: Triple, o_h: Triple
-) -> Any:
-    """Subtract the inertia of the cap from the force f and the couple at the tip, in the section frame."""
-    mass, inertia = w[(TIP_LOAD + 6) * LANES + i], triple(w, TIP_LOAD + 7, i)
-    q, o = triple(w, NODE + 6, i), triple(w, NODE + 9, i)
-    q_t, o_t = plus(q_h, c0, q), plus(o_h, c0, o)
-    speed = plus(q, 1.0, cross(o, place))
-    f = plus(f, -mass, plus(plus(q_t, 1.0, cross(o_t, place)), 1.0, cross(o, speed)))
-    j1, j2, j3 = inertia
-    turned = (
-        j1 * o_t[0] + (j3 - j2) * o[1] * o[2],
-        j2 * o_t[1] + (j1 - j3) * o[2] * o[0],
-        j3 * o_t[2] + (j2 - j1) * o[0] * o[1],
-    )
-    return f, plus(couple, -1.0, turned)
-
-
-@leaf
-def tip_residual(w: Array, walls: Walls, past: Past, own: bool, c0: float, cap_inertia: bool) -> None:
-    """Residual of the tip's boundary condition (eqs 23-25, 28) [N, N m], written in place of the wrench.
-
-    Call it after the stage at the tip, which sums the tubes; past and own as of `rod.stage`. The load at the tip stands
-    at TIP_LOAD. cap_inertia: whether the cap has inertia.
-    """
-    for i in range(LANES):
-        _, _, q_h, o_h, v_p, u_p, _, _ = own_past(w, walls, i) if own else past
-        n, m = wrench(w, walls, i, NODE, v_p, u_p)
-        h = (NODE + 12) * LANES + i
-        d1, d2, d3 = rotation((w[h], w[h + LANES], w[h + 2 * LANES], w[h + 3 * LANES]))
-        force, moment, place = triple(w, TIP_LOAD, i), triple(w, TIP_LOAD + 3, i), triple(w, TIP_LOAD + 10, i)
-        eccentric, point = triple(w, ECCENTRIC_FORCE, i), triple(w, ECCENTRIC_FORCE + 3, i)
-        f = (dot(d1, force), dot(d2, force), dot(d3, force))
-        couple = (dot(d1, moment), dot(d2, moment), dot(d3, moment))
-        couple = plus(couple, 1.0, cross(point, (dot(d1, eccentric), dot(d2, eccentric), dot(d3, eccentric))))
-        if cap_inertia:
-            f, couple = _subtract_cap_inertia(w, i, f, couple, place, c0, q_h, o_h)
-        couple = plus(couple, 1.0, cross(place, f))
-        put(w, WRENCH, i, plus(n, -1.0, f))
-        put(w, WRENCH + 3, i, plus(m, -1.0, couple))
 
 
 @inlined
@@ -246,7 +204,7 @@ def _measure_update(update: Array, scale: Array) -> tuple[float, float, float]:
 
 @leaf
 def newton(
-    rod: Rod, c0: float, segments: int, workspace: Workspace, tolerance: float, max_passes: float, max_update: float
+    rod: Rod, segments: int, workspace: Workspace, tolerance: float, max_passes: float, max_update: float
 ) -> int:
     """Solve for the states at the nodes, and their derivatives, from a guess in workspace.x; N divides by `segments`.
 
@@ -257,30 +215,32 @@ def newton(
     iterations, or -1 without a solution after `max_passes` (a float: numba would compile the kernel again for each
     constant integer).
     """
-    w, walls, tip, scale = rod.work, rod.walls, rod.tip, rod.scale
+    walls, scale, line = rod.walls, rod.scale, rod.line
     history, walls_past = workspace.history, workspace.walls_past
     states, derivatives, x = workspace.states, workspace.derivatives, workspace.x
-    cap_inertia = tip[6] > 0.0 or tip[7] > 0.0 or tip[8] > 0.0 or tip[9] > 0.0
     weights, update = workspace.weights, workspace.update
     n = states.shape[0] - 1
     per, last = n // segments, segments - 1
-    broadcast(w, STEP_LENGTH, rod.length / n)
-    for c in range(TIP_LOAD_SIZE):
-        broadcast(w, TIP_LOAD + c, tip[c])
-    if not rod.loaded:
-        for c in range(6):
-            broadcast(w, LOAD + c, 0.0)
+    tip = rod.work.shape[0] - 1
+    for k in range(tip + 1):
+        broadcast(rod.work[k], STEP_LENGTH, line.step[k])
+        for c in range(TIP_LOAD_SIZE):
+            broadcast(rod.work[k], TIP_LOAD + c, rod.ends[k, c])
+        if not rod.loaded:
+            for c in range(6):
+                broadcast(rod.work[k], LOAD + c, 0.0)
     workspace.particular_step[0] = 0.0
     previous = np.inf
     for passes in range(1, int(max_passes) + 1):
         for s in range(segments):
-            _start_segment(w, workspace, scale, s, s * per)
-            integrate(rod, history, walls_past, s * per, (s + 1) * per, states, derivatives)
-            if s < last and not _carry_directions(w, workspace, scale, s, (s + 1) * per):
+            start, end = s * per, (s + 1) * per
+            _start_segment(rod.work[segment_at(line, start)], workspace, scale, s, start)
+            integrate(rod, history, walls_past, start, end, states, derivatives, x)
+            if s < last and not _carry_directions(rod.work[segment_at(line, end)], workspace, scale, s, end):
                 return -1
         past = past_of(history, walls_past if branched(walls.law) else history, STATE * (n + 1), STATE * n)
-        tip_residual(w, walls, past, False, c0, cap_inertia)
-        if not _solve_tip(w, workspace, last):
+        end_wrench(rod.work[tip], walls, past, False, has_inertia(rod.ends[tip]))
+        if not _solve_tip(rod.work[tip], workspace, last):
             return -1
         _fill_weights(workspace, last)
         for c in range(STATE):

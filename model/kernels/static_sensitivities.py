@@ -10,10 +10,11 @@ from model.kernels.arguments import (
     ArmArguments,
     Fields,
     LaneArguments,
-    PressureWrench,
-    Rod,
+    Line,
     SectionSensitivities,
     TipSensitivities,
+    push_of,
+    rod_of,
 )
 from model.kernels.axis import write_section_pose, write_tip_pose
 from model.kernels.equilibrium import UNSTABLE, equilibrium
@@ -21,9 +22,9 @@ from model.kernels.jit import kernel
 from model.kernels.lanes import FIRST, SensitivityWorkspace, apply_pressure, apply_tip_load, section_poses, tip_poses
 from model.kernels.law import Walls
 from model.kernels.layout import LANES
+from model.kernels.perturbed_solutions import perturbed_solutions, section_derivatives, tip_derivatives
 from model.kernels.shooting import workspace_within
 from model.kernels.tangents import tangents
-from model.kernels.time_stepping import set_stiffness
 from model.kernels.vec3 import leaf
 
 Array = Any
@@ -31,7 +32,7 @@ Array = Any
 
 @leaf
 def _derivatives(works: Array, workspace: SensitivityWorkspace, steps: Array, by: Array) -> None:
-    """Fill the derivatives (P, 6) of the poses in the workspace with respect to each change, of size steps (P,)."""
+    """Fill the derivatives (P, 6) of the poses in the workspace by each change of size steps (P,), one segment."""
     for f in range(steps.shape[0]):
         p, i = (FIRST + f) // LANES, (FIRST + f) % LANES
         for c in range(6):
@@ -42,23 +43,25 @@ def _derivatives(works: Array, workspace: SensitivityWorkspace, steps: Array, by
 
 
 @leaf
-def _tip_derivatives(x: Array, works: Array, workspace: SensitivityWorkspace, steps: Array, by: Array) -> None:
+def _tip_derivatives(
+    x: Array, works: Array, line: Line, workspace: SensitivityWorkspace, steps: Array, by: Array
+) -> None:
     """Fill the derivatives (P, 6) of the pose of the tip, after `tangents`."""
     n = workspace.states.shape[2] - 1
     for p in range(works.shape[0]):
-        tip_poses(works[p], workspace.states[0, p], workspace.derivatives[0, p], x[n], workspace.place[p])
+        tip_poses(works[p], line, workspace.states[0, p], workspace.derivatives[0, p], x[n], workspace.place[p])
     _derivatives(works, workspace, steps, by)
 
 
 @leaf
 def _section_derivatives(
-    x: Array, length: float, works: Array, workspace: SensitivityWorkspace, steps: Array, at: Array, by: Array
+    x: Array, works: Array, line: Line, workspace: SensitivityWorkspace, steps: Array, at: Array, by: Array
 ) -> None:
     """Fill the same (S, P, 6) of the sections at arc lengths `at` (S,)."""
     for k in range(at.shape[0]):
         for p in range(works.shape[0]):
             section_poses(
-                works[p], workspace.states[0, p], workspace.derivatives[0, p], at[k], length, x, workspace.place[p]
+                works[p], line, workspace.states[0, p], workspace.derivatives[0, p], at[k], x, workspace.place[p]
             )
         _derivatives(works, workspace, steps, by[k])
 
@@ -86,32 +89,34 @@ def static_sensitivities(
     solver = workspace_within(pool, arm.load.shape[0] // 12, 0)
     workspace, tips = SensitivityWorkspace(*workspace_fields), TipSensitivities(*tip_fields)
     sections = SectionSensitivities(*section_fields)
-    row, tip_load = np.empty(walls.actuators), arm.tip.copy()
+    row, ends = np.empty(pressure.shape[2]), arm.ends.copy()
     segments = workspace.shares.shape[0]
-    rod = Rod(arm.work, walls, arm.load, arm.loaded, tip_load, arm.length, arm.scale)
+    rod = rod_of(arm, walls, ends)
     for t in range(pressure.shape[0]):
-        r, q = t % arm.stiffness.shape[0], t % arm.rest.shape[0]
         row_loads = tip_loads[t % tip_loads.shape[0]]
-        apply_tip_load(arm.tip, row_loads, tip_load)
-        for k in range(walls.actuators):
+        apply_tip_load(arm.ends, row_loads, ends)
+        for k in range(pressure.shape[2]):
             row[k] = pressure[t, 0, k, 0]
-        set_stiffness(arm.work, arm.stiffness[r])
-        push = PressureWrench(arm.rest[q], arm.per_pressure[r], arm.free_per_pa)
-        solved = equilibrium(rod, push, row, solver, tolerance)
+        solved = equilibrium(rod, push_of(arm, t), row, solver, tolerance)
         tips.good[t], tips.unstable[t] = solved > 0, solved == UNSTABLE
         if solved > 0:
-            write_tip_pose(solver.x, arm.length, arm.centre, tips.place, tips.turned, t)
+            write_tip_pose(solver.x, rod.line, tips.place, tips.turned, t)
             for k in range(sections.at.shape[0]):
-                write_section_pose(
-                    solver.x, arm.length, arm.centre, sections.at[k], sections.place[t], sections.turned[t], k
-                )
+                write_section_pose(solver.x, rod.line, sections.at[k], sections.place[t], sections.turned[t], k)
             if steps.shape[0] > 0:
-                apply_pressure(lanes, walls.actuators, t, pressure[t], row_loads)
-                if tangents(rod, lanes, 0.0, segments, solver.x, workspace, 0):
-                    _tip_derivatives(solver.x, lanes.works, workspace, steps, tips.by[t])
-                    _section_derivatives(
-                        solver.x, arm.length, lanes.works, workspace, steps, sections.at, sections.by[t]
-                    )
+                apply_pressure(lanes, walls, arm.chambers, t, pressure[t], row_loads)
+                differentiable = tangents(rod, lanes, 0.0, segments, solver.x, workspace, 0)
+                if differentiable and segments > 1:
+                    states, derivatives = workspace.states[0], workspace.derivatives[0]
+                    perturbed_solutions(solver.x, segments, workspace, states, derivatives)
+                    tip_derivatives(solver.x, lanes.works, rod.line, workspace, states, derivatives, steps, tips.by[t])
+                    section_derivatives(
+                        solver.x, lanes.works, rod.line, workspace, states, derivatives, steps, sections.at,
+                        sections.by[t],
+                    )  # fmt: skip
+                elif differentiable:
+                    _tip_derivatives(solver.x, lanes.works, rod.line, workspace, steps, tips.by[t])
+                    _section_derivatives(solver.x, lanes.works, rod.line, workspace, steps, sections.at, sections.by[t])
                 else:
                     tips.by[t] = np.nan
                     sections.by[t] = np.nan

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from model.kernels.arguments import LaneArguments, Rod
-from model.kernels.lanes import FIRST, UNUSED_HISTORY, SensitivityWorkspace, integrate_lanes
+from model.kernels.arguments import LaneArguments, Rod, segment_at
+from model.kernels.integration import UNUSED_HISTORY, integrate_lanes
+from model.kernels.joints import end_wrench
+from model.kernels.lanes import FIRST, SensitivityWorkspace
 from model.kernels.layout import LANES, NODE, STATE, WRENCH
 from model.kernels.linear_algebra import orthonormalise, solve_six_rows
-from model.kernels.shooting import tip_residual
 from model.kernels.vec3 import inlined, leaf
 
 Array = Any
@@ -52,9 +53,9 @@ def _start_segment(w: Array, p: int, start: Array, scale: Array, workspace: Sens
 
 
 @inlined
-def _carry_segment(works: Array, scale: Array, workspace: SensitivityWorkspace, s: int) -> bool:
-    """Directions and parts at the start of segment s + 1; False if the directions are dependent."""
-    directions, projections, parts, first = workspace.directions, workspace.projections, workspace.parts, works[0]
+def _carry_segment(works: Array, own: int, scale: Array, workspace: SensitivityWorkspace, s: int) -> bool:
+    """Directions and parts at the start of shooting segment s + 1, in segment `own` of the arm; False if dependent."""
+    directions, projections, parts, first = workspace.directions, workspace.projections, workspace.parts, works[0, own]
     for c in range(STATE):
         at, over = (NODE + c) * LANES, 1.0 / (STEP * scale[c])
         for k in range(6):
@@ -62,7 +63,7 @@ def _carry_segment(works: Array, scale: Array, workspace: SensitivityWorkspace, 
     if not orthonormalise(directions[s + 1], workspace.triangle[s + 1]):
         return False
     for f in range(parts.shape[0]):
-        w, i = works[(FIRST + f) // LANES], (FIRST + f) % LANES
+        w, i = works[(FIRST + f) // LANES, own], (FIRST + f) % LANES
         for c in range(STATE):
             at = (NODE + c) * LANES
             parts[f, c] = (w[at + i] - first[at]) / scale[c]
@@ -82,14 +83,15 @@ def _carry_segment(works: Array, scale: Array, workspace: SensitivityWorkspace, 
 @inlined
 def _solve_tip(works: Array, workspace: SensitivityWorkspace) -> bool:
     """Solve for the shares of the last segment, in workspace.right (P, 6); False if the Jacobian is singular."""
-    first = works[0]
+    tip = works.shape[1] - 1
+    first = works[0, tip]
     for i in range(6):
         at = (WRENCH + i) * LANES
         for k in range(6):
             workspace.matrix[i, k] = (first[at + 1 + k] - first[at]) * (1.0 / STEP)
         for f in range(workspace.parts.shape[0]):
             lane = FIRST + f
-            workspace.right[f, i] = first[at] - works[lane // LANES, at + lane % LANES]
+            workspace.right[f, i] = first[at] - works[lane // LANES, tip, at + lane % LANES]
     return solve_six_rows(workspace.matrix, workspace.right)  # type: ignore[no-any-return]
 
 
@@ -120,19 +122,22 @@ def tangents(
     are joined as in `shooting.newton`. The past of the lanes is not read for an arm at rest, whose c0 is zero. Returns
     False if the Jacobian is singular.
     """
-    states, derivatives, last = workspace.states[now], workspace.derivatives[now], segments - 1
+    states, derivatives, last, line = workspace.states[now], workspace.derivatives[now], segments - 1, rod.line
     per = (states.shape[1] - 1) // segments
     _clear_first_segment(workspace)
     for s in range(segments):
         for p in range(lanes.works.shape[0]):
-            w, past = lanes.works[p], workspace.past[p]
-            _start_segment(w, p, x[s * per], lanes.scale, workspace, s)
-            copies = Rod(w, rod.walls, rod.load, lanes.loaded, rod.tip, rod.length, lanes.scale)
-            integrate_lanes(copies, past, c0 > 0.0, s * per, (s + 1) * per, states[p], derivatives[p])
-        if s < last and not _carry_segment(lanes.works, lanes.scale, workspace, s):
+            start, end = s * per, (s + 1) * per
+            _start_segment(lanes.works[p, segment_at(line, start)], p, x[start], lanes.scale, workspace, s)
+            copies = Rod(lanes.works[p], rod.walls, rod.load, lanes.loaded, rod.ends, rod.length, lanes.scale, rod.line)
+            integrate_lanes(
+                copies, workspace.past[p], c0 > 0.0, start, end, states[p], derivatives[p], x, lanes.inertia
+            )
+        if s < last and not _carry_segment(lanes.works, segment_at(line, (s + 1) * per), lanes.scale, workspace, s):
             return False
+    tip = lanes.works.shape[1] - 1
     for p in range(lanes.works.shape[0]):
-        tip_residual(lanes.works[p], rod.walls, UNUSED_HISTORY, True, c0, lanes.cap_inertia)
+        end_wrench(lanes.works[p, tip], rod.walls, UNUSED_HISTORY, True, lanes.inertia[tip])
     if not _solve_tip(lanes.works, workspace):
         return False
     _fill_shares(workspace, last)

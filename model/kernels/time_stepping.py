@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from model.kernels.arguments import MotionState, PressureWrench, Rod
+from model.kernels.arguments import Fields, Line, MotionState, PressureWrench, Rod
 from model.kernels.jit import kernel
 from model.kernels.law import branched
-from model.kernels.layout import ALL_TRIOS, AXIAL, LANES, OFFSET, PER_TUBE, STATE, TRIO
-from model.kernels.relaxation import compute_past_strains, relax_branches
+from model.kernels.layout import ALL_TRIOS, LANES, OFFSET, PER_TUBE, STATE, TRIO
+from model.kernels.relaxation import compute_past_strains, interpolate_midpoints, relax_branches
 from model.kernels.shooting import Workspace, newton
 from model.kernels.vec3 import called, inlined, leaf
 
@@ -19,26 +19,19 @@ Array = Any
 
 @leaf
 def set_pressures(rod: Rod, push: PressureWrench, pressure: Array) -> None:
-    """Write the wrench and free strains of the pressures (N,) [Pa] into all lanes."""
-    w, actuators = rod.work, rod.walls.actuators
-    for c in range(6):
-        total = push.rest[c]
-        for k in range(actuators):
-            total += push.per_pressure[c, k] * pressure[k]
-        for i in range(LANES):
-            w[(OFFSET + c) * LANES + i] = total
-    first = TRIO if actuators <= 3 else ALL_TRIOS
-    for k in range(actuators):
-        for i in range(LANES):
-            w[(first + PER_TUBE * k + 2) * LANES + i] = push.free_per_pa * pressure[k]
-
-
-@leaf
-def set_stiffness(w: Array, stiffness: Array) -> None:
-    """Write the stiffness blocks of a section and their inverses (24,) into all lanes."""
-    for c in range(24):
-        for i in range(LANES):
-            w[(AXIAL + c) * LANES + i] = stiffness[c]
+    """Write the wrench and free strains of the pressures (A,) [Pa] into all lanes."""
+    first = TRIO if rod.walls.tubes <= 3 else ALL_TRIOS
+    for s in range(rod.work.shape[0]):
+        w, begin, end = rod.work[s], push.chambers[s], push.chambers[s + 1]
+        for c in range(6):
+            total = push.rest[s, c]
+            for k in range(begin, end):
+                total += push.per_pressure[s, c, k] * pressure[k]
+            for i in range(LANES):
+                w[(OFFSET + c) * LANES + i] = total
+        for k in range(begin, end):
+            for i in range(LANES):
+                w[(first + PER_TUBE * (k - begin) + 2) * LANES + i] = push.free_per_pa[s] * pressure[k]
 
 
 @leaf
@@ -51,19 +44,18 @@ def copy_rows(a: Array, b: Array) -> None:
 
 @kernel
 def _continuation(
-    rod: Rod, push: PressureWrench, last: Array, pressure: Array, c0: float, segments: int, workspace: Workspace,
-    tolerance: float,
-) -> int:  # fmt: skip
+    rod: Rod, push: PressureWrench, last: Array, pressure: Array, segments: int, workspace: Workspace, tolerance: float
+) -> int:
     """Change the pressures from the last ones to the new ones in increments that adapt (continuation)."""
     x = workspace.x
     good, partial_pressure = x.copy(), np.empty_like(pressure)
     fraction, increment, total = 0.0, 0.125, 0
     while fraction < 1.0:
         share = min(1.0, fraction + increment)
-        for k in range(rod.walls.actuators):
+        for k in range(pressure.shape[0]):
             partial_pressure[k] = last[k] + (pressure[k] - last[k]) * share
         set_pressures(rod, push, partial_pressure)
-        passes = newton(rod, c0, segments, workspace, tolerance, 40.0, np.inf)
+        passes = newton(rod, segments, workspace, tolerance, 40.0, np.inf)
         if passes > 0:
             total += passes
             fraction, increment = share, 2.0 * increment
@@ -85,22 +77,8 @@ def divisor(n: int, wanted: int) -> int:
     return n
 
 
-@leaf
-def interpolate_midpoints(history: Array, size: int, h: float) -> None:
-    """Interpolate the history half-way between the nodes by cubic Hermite: values, and their derivatives.
-
-    The derivative at the mid-point is of fourth order too: its leading error vanishes by symmetry.
-    """
-    over = 1.5 / h
-    for m in range(size - STATE):
-        a, b = history[m], history[STATE + m]
-        a_s, b_s = history[size + m], history[size + STATE + m]
-        history[2 * size + m] = 0.5 * (a + b) + 0.125 * h * (a_s - b_s)
-        history[3 * size + m] = over * (b - a) - 0.25 * (a_s + b_s)
-
-
 @called
-def initialise_history(scheme: Array, x: Array, past_states: Array, length: float, workspace: Workspace) -> None:
+def initialise_history(scheme: Array, x: Array, past_states: Array, line_fields: Fields, workspace: Workspace) -> None:
     """Fill past_states and workspace.history for the first time step of an arm that has long been at rest in x."""
     history, share = workspace.history, scheme[1] + scheme[2] + scheme[3]
     flat, past = x.reshape(x.size), past_states.reshape(2, x.size)
@@ -108,7 +86,7 @@ def initialise_history(scheme: Array, x: Array, past_states: Array, length: floa
         history[m] = share * flat[m]
         past[0, m] = flat[m]
         past[1, m] = flat[m]
-    interpolate_midpoints(history, x.size // 2, length / (workspace.states.shape[0] - 1))
+    interpolate_midpoints(history, x.size // 2, Line(*line_fields))
 
 
 @inlined
@@ -138,21 +116,21 @@ def advance(
     """
     n = workspace.states.shape[0] - 1
     x, past_states, last_pressures, segments = state.x, state.past_states, state.last_pressures, state.segments
-    c0, y, actuators = state.coefficients[0], workspace.x, rod.walls.actuators
+    y, actuators = workspace.x, pressure.shape[0]
     set_pressures(rod, push, pressure)
     extrapolate, off = 0.0, 0.0
     for k in range(actuators):
         off += abs(pressure[k] - last_pressures[0, k])
         extrapolate += abs(pressure[k] - 3.0 * (last_pressures[0, k] - last_pressures[1, k]) - last_pressures[2, k])
     _predict(x, past_states, extrapolate <= off, n, segments, y)
-    passes = newton(rod, c0, segments, workspace, tolerance, 8.0, np.inf)
+    passes = newton(rod, segments, workspace, tolerance, 8.0, np.inf)
     if passes < 0:
         finer = divisor(n, max(4, 2 * segments))
         _predict(x, past_states, False, n, finer, y)
-        passes = newton(rod, c0, finer, workspace, tolerance, 25.0, np.inf)
+        passes = newton(rod, finer, workspace, tolerance, 25.0, np.inf)
         if passes < 0:
             _predict(x, past_states, False, n, finer, y)
-            passes = _continuation(rod, push, last_pressures[0], pressure, c0, finer, workspace, tolerance)
+            passes = _continuation(rod, push, last_pressures[0], pressure, finer, workspace, tolerance)
             if passes < 0:
                 return -1
     for j in range(n + 1):
@@ -164,12 +142,14 @@ def advance(
         last_pressures[1, k] = last_pressures[0, k]
         last_pressures[0, k] = pressure[k]
     if branched(rod.walls.law):
-        relax_branches(state.branch_factors, state.branch_strains, y, x)
+        relax_branches(rod.line, state.branch_factors, state.branch_strains, y, x)
     _update_history(state.coefficients, y, x, past_states, workspace.history)
-    interpolate_midpoints(workspace.history, x.size // 2, rod.length / n)
+    interpolate_midpoints(workspace.history, x.size // 2, rod.line)
     if branched(rod.walls.law):
-        compute_past_strains(state.branch_factors, state.branch_strains, x, workspace.history, workspace.walls_past)
-        interpolate_midpoints(workspace.walls_past, x.size // 2, rod.length / n)
+        compute_past_strains(
+            rod.line, state.branch_factors, state.branch_strains, x, workspace.history, workspace.walls_past
+        )
+        interpolate_midpoints(workspace.walls_past, x.size // 2, rod.line)
     return int(passes)
 
 

@@ -182,7 +182,7 @@ class PaperRod:
             raise ValueError(
                 "the paper's formulation has the tip's force at the end of the axis: leave tip_point_m out"
             )
-        load = loads.along(self._steps + 1)
+        load = loads.along(np.linspace(0.0, 1.0, self._steps + 1))
         gravity = np.asarray(arm.gravity_m_s2)
         if arm.rod_weight:
             load[:, :3] += arm.line_density_kg_m * gravity

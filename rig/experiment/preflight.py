@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from model.units import PA_PER_BAR
-from protocols import Problem, Protocol, Segment, SetPointTrajectory
+from protocols import Problem, Protocol, SetPointTrajectory, TrajectorySegment
 from rig.config.schema import RigConfig
 
 JUMP_PA = 500.0
@@ -81,7 +81,9 @@ class _PreflightCheck:
                     expected = f"also actuator {lacking[0]}: valves #{number}{self.rig} drives it with another one"
                     yield Problem(self.trajectory.source, interval.line, column, where, found, expected)
 
-    def _violations(self, segment: Segment, before: tuple[float, ...]) -> Iterator[tuple[str, float, Problem]]:
+    def _violations(
+        self, segment: TrajectorySegment, before: tuple[float, ...]
+    ) -> Iterator[tuple[str, float, Problem]]:
         """Yield each violated rule, the excess, and the problem."""
         limits = self.config.limits
         highest, lowest = limits.pressure_bar * PA_PER_BAR, limits.lowest_pressure_bar * PA_PER_BAR
@@ -116,7 +118,7 @@ class _PreflightCheck:
                 yield "jump", jump, self._problem(segment, found, expected)
         yield from self._shared(segment)
 
-    def _shared(self, segment: Segment) -> Iterator[tuple[str, float, Problem]]:
+    def _shared(self, segment: TrajectorySegment) -> Iterator[tuple[str, float, Problem]]:
         """Check that the set-points of actuators on one valve are equal."""
         for number, valve in enumerate(self.config.valves, start=1):
             if len(valve.actuators) < 2 or not set(valve.actuators) & set(segment.actuators):
@@ -131,21 +133,21 @@ class _PreflightCheck:
                     expected = f"the same pressure: valves #{number}{self.rig} drives them together"
                     yield f"valve {number}", apart, self._problem(segment, found, expected)
 
-    def _problem(self, segment: Segment, value: str, expected: str) -> Problem:
+    def _problem(self, segment: TrajectorySegment, value: str, expected: str) -> Problem:
         where, column = self.protocol.step_at(segment.line) if self.protocol else (segment.kind, 0)
         if not where.endswith(segment.label):
             where += f" ({segment.label})"
         return Problem(self.trajectory.source, segment.line, column, where, value, expected)
 
 
-def _knots(segment: Segment) -> tuple[float, ...]:
+def _knots(segment: TrajectorySegment) -> tuple[float, ...]:
     """Return the times from the segment's start at which levels and rates are extreme."""
     duration_s = segment.stop_s - segment.start_s
     times = {t_s for _, wave in segment.waves for t_s in wave.knots(duration_s)}
     return tuple(sorted(times | {0.0, duration_s}))
 
 
-def _extremes(segment: Segment) -> list[tuple[float, float, float]]:
+def _extremes(segment: TrajectorySegment) -> list[tuple[float, float, float]]:
     """Return the lowest and highest level [Pa] and the steepest slope [Pa/s] of each actuator."""
     found = [(level, level, 0.0) for level in segment.level_pa]
     for index, wave in segment.waves:

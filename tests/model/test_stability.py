@@ -13,7 +13,7 @@ from model.arrays import Array
 from model.dynamics import Dynamics
 from model.kernel_arguments import KernelArguments
 from model.kernels.layout import LANES, OFFSET
-from model.kernels.stability import negative_directions
+from model.kernels.stability import count_negative_directions
 from model.statics import statics
 from tests.support.rod_energy import smallest_variation
 
@@ -44,14 +44,16 @@ def critical_force(geometry: Geometry, material: Material, about_x: bool, half_w
 
 def index_of_the_straight_arm(arm: Arm, force_n: float, nodes: int = 20) -> int:
     """Negative directions of the arm that a force presses together without bending it."""
-    problem = KernelArguments.of(arm, np.zeros((1, arm.geometry.actuators)))
+    problem = KernelArguments.of(arm, np.zeros((1, arm.actuators)))
     axial = stiffnesses(arm.geometry, arm.material)[0]
     x = np.zeros((2 * nodes + 2, 16))
     x[: nodes + 1, 2], x[: nodes + 1, 12] = 1 - force_n / axial, 1.0
     work = problem.work()
-    work.reshape(-1, LANES)[OFFSET : OFFSET + 6] = problem.rest[0][:, None]
-    tip = problem.tip(Loads(tip_force_n=(0.0, 0.0, -force_n)))
-    return int(negative_directions(work, problem.walls, x, problem.length_m, tip))
+    work.reshape(-1, LANES)[OFFSET : OFFSET + 6] = problem.rest[0, 0][:, None]
+    ends = problem.ends_with(Loads(tip_force_n=(0.0, 0.0, -force_n)))
+    first = problem.first_nodes(nodes)
+    arguments = problem.arm(work, ends, *problem.load(arm, None, first), first)
+    return int(count_negative_directions(problem.walls, tuple(arguments), x))
 
 
 @pytest.mark.parametrize(("about_x", "half_waves", "before"), [(True, 1, 0), (True, 2, 1)])

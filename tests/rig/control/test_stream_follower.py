@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from protocols.trajectory import Segment, SetPointTrajectory, StreamInterval
+from protocols.trajectory import SetPointTrajectory, StreamInterval, TrajectorySegment
 from rig.config.loader import load
 from rig.control.interlocks.base import Sample
 from rig.control.interlocks.conditions import SilentSource
@@ -22,9 +22,9 @@ LIMIT_PA, RATE_PA_S = CONFIG.limits.pressure_bar * 1e5, CONFIG.limits.rate_bar_p
 LEVEL = (1e4, 2e4, 3e4)
 INTERVAL = StreamInterval(1.0, 3.0, (1, 2, 3), 0.5, 1.0, 4)
 SEGMENTS = (
-    Segment(0.0, 1.0, "hold", "", (), 3, LEVEL),
-    Segment(1.0, 3.0, "stream", "", (1, 2, 3), 4, LEVEL),
-    Segment(3.0, 6.0, "hold", "", (), 5, LEVEL),
+    TrajectorySegment(0.0, 1.0, "hold", "", (), 3, LEVEL),
+    TrajectorySegment(1.0, 3.0, "stream", "", (1, 2, 3), 4, LEVEL),
+    TrajectorySegment(3.0, 6.0, "hold", "", (), 5, LEVEL),
 )
 TRAJECTORY = SetPointTrajectory(6.0, 3, SEGMENTS, (), "test", streams=(INTERVAL,))
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import protocols
-from protocols import Problem, Segment, SetPointTrajectory
+from protocols import Problem, SetPointTrajectory, TrajectorySegment
 from protocols.waveforms import LinearSegment
 from rig.config.loader import load
 from rig.experiment.preflight import check, peak_pa
@@ -75,7 +75,7 @@ def test_a_violation_points_to_the_line_of_its_step(tmp_path: Path, step: str, f
 
 def test_a_set_point_below_the_atmosphere_is_refused_in_every_trajectory() -> None:
     dips = ((0, LinearSegment(0.0, -2000.0, 1.0)),)
-    segment = Segment(0.0, 1.0, "ramp", "down", (1,), 7, (-2000.0, 0.0, 0.0), dips)
+    segment = TrajectorySegment(0.0, 1.0, "ramp", "down", (1,), 7, (-2000.0, 0.0, 0.0), dips)
     (problem,) = check(RIG, SetPointTrajectory(1.0, 3, (segment,), (), "made.py"))
     assert (problem.line, problem.value) == (7, "actuator 1 at -0.02 bar")
     assert problem.expected == "at least 0 bar (limits, lowest_pressure_bar)"
