@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import typer
@@ -95,20 +95,36 @@ LEAST_COLUMNS = 60
 """A narrower terminal has no room for columns side by side."""
 
 
+_GAP = 2
+"""Columns between two cells."""
+
+
 class ColumnTable(Table):
-    """A table without lines; below `LEAST_COLUMNS` each row is its first cell, then a line for each other cell."""
+    """A table without lines, in which no word is broken: a run id can be copied and searched for.
+
+    Where the words need more room than a terminal has, each row is its first cell, then a line for each other cell. In
+    a file the table is as wide as its words need.
+    """
 
     def __init__(self, *heads: str, numbers: Iterable[str] = (), title: str | None = None) -> None:
         """Text columns with the `heads`, then columns of `numbers`; others are added with `add_column`."""
-        super().__init__(box=None, padding=(0, 2, 0, 0), title=title, title_justify="left")
+        super().__init__(box=None, padding=(0, _GAP, 0, 0), title=title, title_justify="left")
         for head in heads:
             self.add_column(head, overflow="fold")
         for head in numbers:
             self.add_column(head, justify="right")
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        if options.max_width >= LEAST_COLUMNS:
-            yield from super().__rich_console__(console, options)
+        texts = [[str(text) for text in (column.header, *column.cells)] for column in self.columns]
+        least = [max(cell_len(word) for text in column for word in (*_glued(text).split(), "")) for column in texts]
+        needed = sum(least) + _GAP * len(least)
+        fits = options.max_width >= needed or not console.is_terminal
+        if fits and options.max_width >= LEAST_COLUMNS:
+            room = max(options.max_width, needed)
+            most = [max(cell_len(line) for text in column for line in (*text.split("\n"), "")) for column in texts]
+            for column, width in zip(self.columns, _widths(least, most, room - _GAP * len(least)), strict=True):
+                column.width = width
+            yield from super().__rich_console__(console, options.update(max_width=room))
             return
         heads = [column.header for column in self.columns]
         for cells in zip(*(column.cells for column in self.columns), strict=True):
@@ -120,6 +136,13 @@ class ColumnTable(Table):
                 yield Text(f"{heads[0]} {first}".strip(), "bold")
             listed = facts_table(filled)
             yield Padding(listed, (0, 0, 0, 2 if len(filled) > 1 else 0))
+
+
+def _widths(least: Sequence[int], most: Sequence[int], room: int) -> list[int]:
+    """The widths of columns that need `least` and would fill `most`; those that lack room share what is left."""
+    spare, wanted = room - sum(least), sum(most) - sum(least)
+    share = 1.0 if wanted <= spare else spare / wanted
+    return [low + int((high - low) * share) for low, high in zip(least, most, strict=True)]
 
 
 def facts_table(facts: Iterable[tuple[RenderableType, RenderableType]] = ()) -> Table:

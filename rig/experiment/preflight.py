@@ -91,10 +91,15 @@ class _PreflightCheck:
         levels = _extremes(segment)
         for index, (low, high, slope) in enumerate(levels):
             who = f"actuator {index + 1}"
-            if high > highest + TINY_PA:
+            # A step that only starts where an earlier one has gone too far is not at fault itself.
+            sets = index + 1 in segment.actuators
+            ends = segment.level_pa[index]
+            too_high = high > (highest if sets and ends > highest else max(highest, before[index])) + TINY_PA
+            too_low = low < (lowest if sets and ends < lowest else min(lowest, before[index])) - TINY_PA
+            if too_high:
                 expected = f"at most {limits.pressure_bar:g} bar (limits, pressure_bar{self.rig})"
                 yield "level", high - highest, self._problem(segment, f"{who} at {_bar(high)}", expected)
-            if low < lowest - TINY_PA:
+            if too_low:
                 expected = f"at least {limits.lowest_pressure_bar:g} bar (limits, lowest_pressure_bar{self.rig})"
                 yield "below", lowest - low, self._problem(segment, f"{who} at {_bar(low)}", expected)
             if slope > fastest * (1 + 1e-9):

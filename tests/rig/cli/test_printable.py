@@ -194,6 +194,19 @@ def test_no_line_ends_between_a_number_and_its_unit(kind: str) -> None:
         assert not [line for line in lines if line.endswith((" 0.4", " 30", "-0.25", "of 1", " 95", "+-"))], width
 
 
+@pytest.mark.parametrize("stream", [io.StringIO, Terminal])
+def test_no_word_of_a_table_is_broken_so_that_run_ids_can_be_copied(stream: type[io.StringIO]) -> None:
+    run, protocol, rig = "20261128-082049-my-protocol-of-many-words", "extension-weights", "my-arm (simulated)"
+    table = ColumnTable("parameter", "value", "run", "protocol", "rig", "operator")
+    for parameter in ("a1_per_n", "shear_ratio"):
+        table.add_row(parameter, "8.49(15) x 10^-3 1/N", run, protocol, rig, "ada")
+    for width in range(60, 131, 5):
+        lines = printed(table, width, stream())
+        for word in (run, protocol, "(simulated)", "shear_ratio"):
+            assert any(word in line.split() for line in lines), (width, word)
+        assert stream is io.StringIO or all(len(line) <= max(width, len(run) + 12) for line in lines)
+
+
 @pytest.mark.parametrize("shown", ["a line of words that is longer", Text("a line of words that is longer")])
 def test_a_terminal_breaks_no_word_and_a_file_gets_the_line_whole(shown: str | Text) -> None:
     assert printed(shown, 18, Terminal(), soft_wrap=True) == ["a line of words", "that is longer"]

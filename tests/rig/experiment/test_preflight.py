@@ -88,6 +88,23 @@ def test_a_step_is_reported_once_for_each_rule_however_often_it_repeats(tmp_path
     assert problem.where == "steps #1, repeat, steps #1, staircase (0.9 bar)"
 
 
+def test_a_step_that_starts_where_another_has_gone_too_far_is_not_reported(tmp_path: Path) -> None:
+    found = checked(
+        tmp_path,
+        "ramp: {actuators: [1], to_bar: 0.9, duration_s: 5}",
+        "hold: {duration_s: 1}",
+        "ramp: {actuators: [1], to_bar: 0, duration_s: 5}",
+        "staircase: {actuators: [2, 3], start_bar: 0.1, stop_bar: 0.9, step_bar: 0.1, dwell_s: 4}",
+        "ramp: {actuators: [2, 3], to_bar: 0.85, duration_s: 5}",
+        "ramp: {actuators: [2, 3], to_bar: 0, duration_s: 5}",
+    )
+    assert [(problem.line, problem.value) for problem in found] == [
+        (3, "actuator 1 at 0.9 bar"),
+        (6, "actuator 2 at 0.9 bar"),
+        (7, "actuator 2 at 0.9 bar"),
+    ]
+
+
 def test_a_step_of_the_set_point_is_accepted(tmp_path: Path) -> None:
     assert checked(tmp_path, "hold: {actuators: [1], level_bar: 0.6, duration_s: 1}") == ()
 
