@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -194,16 +194,15 @@ class _RuleCheck:
         self.check()
 
     def check(self) -> None:
-        entries = archived(self._study)
-        new = [entry for entry in entries if entry.file not in self._before]
-        if reason := stop_reason(self._study.plan.stop, new, entries):
+        new = [entry for entry in archived(self._study) if entry.file not in self._before]
+        if reason := stop_reason(self._study.plan.stop, new):
             raise StudyStoppedError(f"study {self._study.name} is stopped by its plan: {reason}")
 
 
-def stop_reason(rules: StopRules, new: list[Entry], entries: tuple[Entry, ...]) -> str:
-    """Return why a study ends now, by its archives since it was last begun and all of them; empty to go on.
+def stop_reason(rules: StopRules, new: Sequence[Entry]) -> str:
+    """Return why a study ends now, by its archives since it was last begun, newest first; empty to go on.
 
-    Both are newest first. In virtual time runs end in another order than they begin, so that each new one is judged.
+    In virtual time runs end in another order than they begin, so that each new one is judged.
     """
     failed = 0
     for entry in new:
@@ -220,8 +219,4 @@ def stop_reason(rules: StopRules, new: list[Entry], entries: tuple[Entry, ...]) 
             if entry.study_role == StudyRole.RUN and error_mm is not None and error_mm > rules.mean_error_mm:
                 found = f"run {entry.run_id} has a mean error of {error_mm:.3g} mm between measured and modelled tip"
                 return f"{found}; stop.mean_error_mm is {rules.mean_error_mm:g}"
-    cycles = sum(entry.pressure_cycles or 0 for entry in entries)
-    if rules.pressure_cycles is not None and cycles >= rules.pressure_cycles:
-        kind = "simulated " if entries[0].simulated else ""
-        return f"its runs have {cycles} {kind}pressure cycles; stop.pressure_cycles is {rules.pressure_cycles}"
     return ""

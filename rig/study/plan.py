@@ -35,9 +35,6 @@ class StopRules(StepPart):
     mean_error_mm: Positive | SkipJsonSchema[None] = Field(
         default=None, description="a run with a larger mean error between measured and modelled tip"
     )
-    pressure_cycles: Count | SkipJsonSchema[None] = Field(
-        default=None, description="pressure cycles of all runs of the study together"
-    )
 
 
 class StudyPlan(StepPart):

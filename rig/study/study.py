@@ -13,24 +13,21 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
-import yaml
-
 from protocols import BadInputError, Problem, document
 from protocols.library import FOLDER, find
 from protocols.parameters import declared, unit_in
 from protocols.problems import bad_input, closest
 from protocols.source_positions import Document
 from protocols.substitution import KEY
-from rig.config.loader import RigChoice, read
+from rig.config.loader import RigChoice
 from rig.execution.plan import RunPlan
 from rig.experiment import run as experiment
 from rig.experiment.run import RunRequest
 from rig.study.plan import PlannedRun, StudyPlan, planned_runs
 from runs.archive.provenance import USER
 from runs.catalogue import Entry, catalogue
-from runs.records import RecordedFile, RunHeader, Status, StudyRole, StudyRun
+from runs.records import Status, StudyRole, StudyRun
 from runs.recovery import RecoveryOutcome, RecoveryStatus, orphans, recover
-from runs.run import Run
 
 ASSUMED_OVERHEAD_S = 15.0
 """Until two runs of a study have shown how long the start and the end of a run take on this machine."""
@@ -100,7 +97,9 @@ def load(
     metadata = {} if metadata is None else metadata
     source = document.read(file)
     plan = document.validate(StudyPlan, source)
-    _check_plan(file, source, plan, rig, metadata)
+    if not NAME.fullmatch(file.stem):
+        expected = "a file whose name, the name of the study, has letters, digits, _ and - only, at most 60"
+        raise bad_input(str(file), file.stem, expected)
     protocol = _protocol(source, plan.protocol, ("protocol",))
     if problems := list(_setting_problems(source, plan, protocol)):
         raise BadInputError(problems)
@@ -150,18 +149,6 @@ def _checked_runs(
     if found:
         raise BadInputError(_named(problem, where, len(every)) for problem, where in found.items())
     return checked
-
-
-def _check_plan(
-    file: Path, source: Document, plan: StudyPlan, rig: RigChoice, metadata: Mapping[str, str | float]
-) -> None:
-    """Refuse a name that cannot be a study's, and a stop by cycles of a specimen that is not named."""
-    if not NAME.fullmatch(file.stem):
-        expected = "a file whose name, the name of the study, has letters, digits, _ and - only, at most 60"
-        raise bad_input(str(file), file.stem, expected)
-    if plan.stop.pressure_cycles is not None and "specimen" not in read(rig.name).run_metadata(metadata)[0]:
-        expected = "a specimen, whose cycles are counted: metadata of the rig file, or --meta specimen=NAME"
-        raise BadInputError([source.problem(("stop", "pressure_cycles"), expected)])
 
 
 def _named(problem: Problem, where: list[str], combinations: int) -> Problem:
@@ -226,27 +213,13 @@ def archived(study: Study) -> tuple[Entry, ...]:
     """
     recovered(study.folder)
     entries = tuple(entry for entry in catalogue(study.folder) if entry.study == study.name)
-    others = {entry.study_role: entry.file for entry in entries if entry.study_sha256 != study.sha256}
-    if others:
-        raise OtherStudyError(_refusal(study, sorted(others.values())))
+    if others := sorted(entry.file for entry in entries if entry.study_sha256 != study.sha256):
+        raise OtherStudyError(
+            f"{study.folder / others[0]}: this run of study {study.name} was made under other conditions: another "
+            "plan, protocol, rig, specimen, kind of time or version of softrig. Restore them (`rig export --format "
+            "yaml` writes the inputs of this run), or begin another study: copy the plan to a new name"
+        )
     return entries
-
-
-def _refusal(study: Study, files: list[str]) -> str:
-    """Say what is other in a run of each role."""
-    found: list[str] = []
-    for file in files:
-        header = Run(study.folder / file).header
-        assert header.study is not None
-        conditioning = None if study.conditioning is None else study.conditioning[0]
-        request = study.requests[0] if header.study.role is StudyRole.RUN else conditioning
-        found += changes(header, study.text, request)
-    what = "".join(f"\n  {one}" for one in dict.fromkeys(found)) or "\n  the version of softrig"
-    return (
-        f"{study.folder / files[0]}: this run of study {study.name} was made under other conditions:{what}\n"
-        f"Restore them (`rig export --format yaml` writes the inputs of this run), or begin another study: copy the "
-        f"plan to a new name"
-    )
 
 
 def recovered(folder: Path) -> tuple[str, ...]:
@@ -289,69 +262,6 @@ def finished(entries: tuple[Entry, ...]) -> dict[int, Entry]:
     }
 
 
-_LONGEST = 60
-REAL, VIRTUAL = "real time", "virtual time"
-
-
 def specimen_facts(metadata: Mapping[str, str]) -> dict[str, str]:
     """The metadata about the specimen, without those about the operator: another operator may continue a study."""
     return {name: text for name, text in metadata.items() if name not in USER}
-
-
-def changes(header: RunHeader, plan: str, request: RunRequest | None) -> list[str]:
-    """Return a sentence for each item that a run has otherwise than a plan and a request of its role.
-
-    `request` is None where the study has no more runs of this role.
-    """
-    place = header.study
-    assert place is not None
-    found = list(_differences("plan", _flat(place.plan_yaml), _flat(plan)))
-    if request is None:
-        return found
-    kind = "protocol" if place.role is StudyRole.RUN else "protocol of the conditioning"
-    files = {file.name: file.sha256 for file in header.protocol_files}
-    now = {name: RecordedFile.of(name, "csv", text).sha256 for name, text in request.protocol.files.items()}
-    calibrations = {file.name: file.sha256 for file in header.calibrations}
-    for what, old, new in (
-        (kind, _flat(header.protocol_yaml), _flat(request.protocol.text)),
-        (f"file of the {kind}", files, now),
-        ("rig", _flat(header.rig_yaml), _flat(request.rig.text)),
-        ("calibration", calibrations, {file.name: file.sha256 for file in request.rig.calibrations}),
-        ("identified parameters", _flat(header.parameters_yaml), _flat(request.rig.parameters)),
-        ("metadata", specimen_facts(header.metadata), specimen_facts(request.metadata)),
-        ("run", {"model": header.model_variant}, {"model": str(request.variant)}),
-        ("run", {"time": header.executor}, {"time": VIRTUAL if request.fast else REAL}),
-    ):
-        found += _differences(what, old, new)
-    return found
-
-
-def _differences(what: str, old: Mapping[str, object], new: Mapping[str, object]) -> Iterator[str]:
-    for name in (*old, *(name for name in new if name not in old)):
-        was, now = (_short(side[name]) if name in side else "nothing" for side in (old, new))
-        if old.get(name) != new.get(name) or (name in old) != (name in new):
-            yield f"{what}: {name} was {was}, is {now}"
-
-
-def _short(value: object) -> str:
-    text = str(value)
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}.."
-
-
-def _flat(text: str) -> dict[str, object]:
-    """Return the values of a YAML text by their paths, such as `stop.failed_runs` or `steps[0].hold`."""
-    found: dict[str, object] = {}
-
-    def add(path: str, value: object) -> None:
-        if isinstance(value, dict) and value:
-            for key, one in value.items():
-                add(f"{path}.{key}" if path else str(key), one)
-        elif isinstance(value, list) and any(isinstance(one, dict | list) for one in value):
-            for index, one in enumerate(value):
-                add(f"{path}[{index}]", one)
-        else:
-            found[path] = value
-
-    if (data := yaml.safe_load(text)) is not None:
-        add("", data)
-    return found

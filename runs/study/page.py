@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from io import StringIO
@@ -22,13 +22,9 @@ from runs.report.drawing import svg
 from runs.report.html_table import DASH, html_table, significant
 from runs.report.page import html_document
 from runs.run import Run
-from runs.study.linear_model import BLOCK, CROSSED, ORDER, TIME, LinearModel, fit
 from runs.study.responses import RESPONSES, ResponseVariable
 
-# An interaction with a smaller p gets a sentence.
-_SMALL_P = 0.05
-# Blocks that share more of the variance of the order get a sentence.
-_COLLINEAR = 0.5
+ORDER = "order"
 _FACTS = ("number", "run", "block", "combination", "start_utc", "executor", "specimen", "operator")
 
 
@@ -114,21 +110,12 @@ def _body(name: str, title: str, planned: int, table: StudyTable) -> Iterator[st
     factors = {key: values for key, values in table.settings.items() if len(set(values)) > 1}
     shown = []
     for response, values in zip(RESPONSES, table.responses, strict=True):
-        y = np.array(values)
-        if len(y) and np.isfinite(y).all():
-            model = fit(factors, table.blocks, table.order, y)
+        if values and np.isfinite(values).all():
             shown.append(response)
-            yield from _response(response, factors, table, y, model)
+            yield from _response(response, factors, table)
     missing = [response.name for response in RESPONSES if response not in shown]
     if missing:
-        yield f"<p class=small>Not known for every run, and so not analysed: {', '.join(missing)}.</p>"
-    yield (
-        "<p class=small>Method: least squares with factors, their two-factor interactions, blocks and a linear drift "
-        "with the order in which the runs really began; F tests of type II; means of levels without interactions, "
-        "adjusted for the other "
-        "terms, with 95 % intervals by Student's t. Small p: the term is more than the scatter between runs. "
-        "Of terms without any effect, one in twenty has a p below 0.05 all the same.</p>"
-    )
+        yield f"<p class=small>Not known for every run, and so not shown: {', '.join(missing)}.</p>"
     yield "<h2>Runs</h2>"
     heads = [*_FACTS, *table.settings, *(f"{r.name} [{r.unit}]" for r in RESPONSES)]
     rows = [
@@ -140,71 +127,41 @@ def _body(name: str, title: str, planned: int, table: StudyTable) -> Iterator[st
 
 
 def _mixed(table: StudyTable) -> Iterator[str]:
-    """Say which conditions differ between runs that are analysed together."""
+    """Say which conditions differ between runs that are shown together."""
     for name in ("executor", "specimen", "operator"):
         column = _FACTS.index(name)
         counts = Counter(facts[column] for facts in table.facts)
         if len(counts) > 1:
             each = ", ".join(f"{escape(value) or 'none stated'} ({count})" for value, count in sorted(counts.items()))
-            yield f'<p class="note">Runs of more than one {name} are analysed together: {each}.</p>'
+            yield f'<p class="note">Runs of more than one {name} are shown together: {each}.</p>'
 
 
-def _response(
-    response: ResponseVariable,
-    factors: dict[str, tuple[float, ...]],
-    table: StudyTable,
-    y: NDArray[np.float64],
-    model: LinearModel,
-) -> Iterator[str]:
+def _response(response: ResponseVariable, factors: Mapping[str, tuple[float, ...]], table: StudyTable) -> Iterator[str]:
+    """The runs over each factor and over their order, and the mean of each combination."""
+    y = np.array(table.responses[RESPONSES.index(response)])
     yield f"<h2>{response.name.replace('_', ' ').capitalize()} [{response.unit}]</h2>"
-    yield f"<p>{escape(response.about)}; scatter between equal runs {significant(model.residual_std, 2)} "
-    yield f"{response.unit} (one standard deviation, {model.residual_dof} degrees of freedom).</p>"
+    yield f"<p>{escape(response.about)}.</p>"
     # A drawing for each panel: on a narrow page they stand below each other, with the letters still large enough.
     drawings = "".join(
-        svg(_draw, (3.6, 2.6), f"study/{response.name}/{name}", response, name, factors.get(name), table, y, model)
+        svg(_draw, (3.6, 2.6), f"study/{response.name}/{name}", response, name, factors.get(name), table, y)
         for name in (*factors, ORDER)
     )
     coloured = ", coloured by block" if len(set(table.blocks)) > 1 else ""
-    means = "First: means of the levels with 95 % intervals. Last: runs" if factors else "Runs"
-    caption = (
-        f"Points are runs. {means} in the order in which they began{coloured}. "
-        "In the table, \N{PLUS-MINUS SIGN} is half of the 95 % interval."
-    )
+    means = "First: means of the levels with one standard deviation. Last: runs" if factors else "Runs"
+    caption = f"Points are runs. {means} in the order in which they began{coloured}."
     yield f"<figure><div class=panels>{drawings}</div><figcaption>{caption}</figcaption></figure>"
-    references = list({mean.factor: mean for mean in reversed(model.levels)}.values())
-    rows = [
-        [
-            mean.factor,
-            f"{mean.level:.12g}",
-            _with_width(mean.mean, mean.half_width),
-            "reference" if mean in references else _with_width(mean.difference, mean.difference_half_width),
-        ]
-        for mean in model.levels
-    ]
-    drift = [ORDER, "last minus first", "", _with_width(model.drift, model.drift_half_width)]
-    yield _table(["factor", "level", "mean", "effect"], [*rows, drift])
-    tests = [[t.name, str(t.dof), significant(t.f, 3), significant(t.p, 2)] for t in model.tests]
-    yield _table(["term", "degrees of freedom", "F", "p"], tests)
-    if model.shared > _COLLINEAR:
-        yield (
-            f"<p class=small>Blocks share {100 * model.shared:.0f} % of the variance of the order of the runs. The "
-            f"tests of {BLOCK} and of {ORDER} leave the change that both explain to the other, so neither shows it. "
-            f"Whether anything changes with time, the test of {TIME} says.</p>"
-        )
-    for test in model.tests:
-        if CROSSED in test.name and test.p < _SMALL_P:
-            one, other = test.name.split(CROSSED)
-            yield (
-                f"<p class=note>The effect of {escape(one)} depends on {escape(other)} (p = {significant(test.p, 2)}): "
-                "the means and effects above are averages over the levels of the other factor.</p>"
-            )
+    yield _table([*factors, "runs", "mean", "standard deviation", "lowest", "highest"], list(_combinations(factors, y)))
 
 
-def _with_width(value: float, half_width: float) -> str:
-    if not math.isfinite(half_width) or half_width == 0:
-        return significant(value, 4)
-    digits = max(0, 1 - math.floor(math.log10(half_width)))
-    return f"{value:.{digits}f} ± {half_width:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+def _combinations(factors: Mapping[str, tuple[float, ...]], y: NDArray[np.float64]) -> Iterator[list[str]]:
+    """The row of each combination of levels, by level."""
+    settings = list(zip(*factors.values(), strict=True)) or [()] * len(y)
+    for chosen in sorted(set(settings)):
+        own = y[[one == chosen for one in settings]]
+        spread = significant(float(own.std(ddof=1)), 2) if len(own) > 1 else ""
+        numbers = (significant(float(value), 4) for value in (own.mean(), own.min(), own.max()))
+        mean, lowest, highest = numbers
+        yield [*(f"{level:.12g}" for level in chosen), str(len(own)), mean, spread, lowest, highest]
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -218,7 +175,6 @@ def _draw(
     levels: tuple[float, ...] | None,
     table: StudyTable,
     y: NDArray[np.float64],
-    model: LinearModel,
 ) -> None:
     """Responses over a factor with the means of its levels, or, without levels, over the order of the runs."""
     panel = figure.subplots()
@@ -230,17 +186,10 @@ def _draw(
         panel.set_xlabel("run, by its start")
         return
     panel.plot(levels, y, "o", color=MUTED, ms=2.5, alpha=0.6)
-    means = [mean for mean in model.levels if mean.factor == name]
-    widths = [mean.half_width if math.isfinite(mean.half_width) else 0.0 for mean in means]
-    panel.errorbar(
-        [mean.level for mean in means],
-        [mean.mean for mean in means],
-        widths,
-        fmt="o-",
-        color=MEASURED,
-        ms=4,
-        lw=1,
-        capsize=3,
-    )
+    each = sorted(set(levels))
+    at = [y[[level == one for level in levels]] for one in each]
+    spreads = [float(own.std(ddof=1)) if len(own) > 1 else 0.0 for own in at]
+    means = [float(own.mean()) for own in at]
+    panel.errorbar(each, means, spreads, fmt="o-", color=MEASURED, ms=4, lw=1, capsize=3)
     panel.set_xlabel(name)
     panel.margins(x=0.15)

@@ -295,11 +295,11 @@ def test_a_study_with_another_plan_or_by_another_process_is_refused(plan: Path) 
     plan.write_text("# a comment\ntitle: t\nprotocol: step.yaml\n")
     assert archived(loaded(plan)) == before
     plan.write_text("title: another\nprotocol: step.yaml\nrepeats: 2\n")
-    with pytest.raises(OtherStudyError, match="plan: title was t, is another\n  plan: repeats was nothing, is 2\n"):
+    with pytest.raises(OtherStudyError, match="under other conditions"):
         archived(loaded(plan))
     plan.write_text("title: t\nprotocol: step.yaml\n")
     (plan.parent / "step.yaml").write_text(PROTOCOL.replace("highest: 3", "highest: 2"))
-    with pytest.raises(OtherStudyError, match=r"protocol: parameters\.hold_s\.highest was 3, is 2"):
+    with pytest.raises(OtherStudyError, match="under other conditions"):
         archived(loaded(plan))
 
 
@@ -313,9 +313,9 @@ def test_runs_of_another_specimen_or_in_real_time_are_not_pooled(plan: Path) -> 
 
     with locked(of("A")) as scratch:
         run_virtual(of("A"), scratch, workers=1)
-    with pytest.raises(OtherStudyError, match="metadata: specimen was A, is B"):
+    with pytest.raises(OtherStudyError, match="under other conditions"):
         archived(of("B"))
-    with pytest.raises(OtherStudyError, match="run: time was virtual time, is real time"):
+    with pytest.raises(OtherStudyError, match="under other conditions"):
         archived(of("A", fast=False))
     (entry,) = archived(of("A", operator="B. Name"))
     inputs = export(plan.parent / "data" / entry.file, "yaml", plan.parent)
@@ -347,36 +347,33 @@ def test_the_overhead_of_a_run_is_measured_on_the_runs_that_are_done(plan: Path)
     )
 
 
-def ended(number: int, status: Status, error_mm: float | None = 1.0, cycles: int = 0) -> Entry:
+def ended(number: int, status: Status, error_mm: float | None = 1.0) -> Entry:
     return Entry(
         f"{number}.h5",
         f"run-{number}",
         status=status,
         simulated=True,
         mean_error_mm=error_mm,
-        pressure_cycles=cycles,
         study_role=StudyRole.RUN,
     )
 
 
 def test_each_stop_rule_names_the_run_the_value_and_the_key_of_the_plan() -> None:
-    finished_run, failed = ended(1, Status.FINISHED, 3.0, 4), ended(2, Status.ABORTED)
+    finished_run, failed = ended(1, Status.FINISHED, 3.0), ended(2, Status.ABORTED)
     newest_first = (failed, finished_run)
-    said = stop_reason(StopRules(), list(newest_first), newest_first)
+    said = stop_reason(StopRules(), newest_first)
     assert said == "a run did not finish, the last run-2 (aborted); stop.failed_runs is 1"
-    said = stop_reason(StopRules(failed_runs=2), [failed, failed, finished_run], newest_first)
+    said = stop_reason(StopRules(failed_runs=2), [failed, failed, finished_run])
     assert said == "2 runs in succession did not finish, the last run-2 (aborted); stop.failed_runs is 2"
-    said = stop_reason(StopRules(failed_runs=9, mean_error_mm=2.0), list(newest_first), newest_first)
+    said = stop_reason(StopRules(failed_runs=9, mean_error_mm=2.0), newest_first)
     assert said.startswith("run run-1 has a mean error of 3 mm")
     assert said.endswith("stop.mean_error_mm is 2")
-    said = stop_reason(StopRules(pressure_cycles=4), [], newest_first)
-    assert said == "its runs have 4 simulated pressure cycles; stop.pressure_cycles is 4"
-    assert stop_reason(StopRules(failed_runs=2, mean_error_mm=3.0, pressure_cycles=5), [failed], newest_first) == ""
+    assert stop_reason(StopRules(failed_runs=2, mean_error_mm=3.0), [failed]) == ""
 
 
 def test_a_run_that_began_earlier_but_ended_later_is_judged_too() -> None:
     newest_first = (ended(2, Status.FINISHED, 1.0), ended(1, Status.FINISHED, 9.0))
-    assert "run-1" in stop_reason(StopRules(mean_error_mm=2.0), list(newest_first), newest_first)
+    assert "run-1" in stop_reason(StopRules(mean_error_mm=2.0), newest_first)
 
 
 def test_the_dry_plan_has_the_total_time_and_moves_nothing(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
