@@ -6,13 +6,7 @@ import gc
 import os
 import signal
 import sys
-import threading
-import time
-import traceback
-from types import CodeType
 
-_REPEAT_S = 0.01
-"""Delay of a repeated SIGINT, and between two looks whether it may be repeated."""
 _NEW_OBJECTS = 200_000
 """Objects that are allocated between two collections of garbage: more than a start-up leaves."""
 
@@ -32,32 +26,6 @@ def _stand_in_for_closed() -> None:
         sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115
     if sys.stderr is None:
         sys.stderr = open(2, "w", closefd=False)  # noqa: SIM115
-
-
-def _repeat_ignored_interrupts() -> None:
-    """Send SIGINT again when Python ignores its KeyboardInterrupt.
-
-    Python ignores every exception in a destructor and in the callback of a weak reference; the command would go on.
-    """
-    report = sys.unraisablehook
-
-    def hook(ignored: sys.UnraisableHookArgs) -> None:
-        if issubclass(ignored.exc_type, KeyboardInterrupt):
-            # Not at once: that exception would be raised in this hook, and ignored too.
-            threading.Timer(_REPEAT_S, _interrupt_outside, (hook.__code__,)).start()
-        else:
-            report(ignored)
-
-    sys.unraisablehook = hook
-
-
-def _interrupt_outside(function: CodeType) -> None:
-    """Send SIGINT to the main thread once it is not in a function, however long a busy machine keeps it there."""
-    main_thread = threading.main_thread().ident
-    assert main_thread is not None
-    while any(frame.f_code is function for frame, _ in traceback.walk_stack(sys._current_frames()[main_thread])):
-        time.sleep(_REPEAT_S)
-    signal.pthread_kill(main_thread, signal.SIGINT)
 
 
 def vent_first(arguments: list[str]) -> None:
@@ -90,7 +58,6 @@ def main() -> None:
 
     if loud:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        _repeat_ignored_interrupts()
     try:
         cli.main()
     except KeyboardInterrupt:  # before the command line is read; a command reports it itself

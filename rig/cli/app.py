@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.cli import archives, calibrate, design, identify, options, reproduce, rigs, study
-from rig.cli.commands import EstimationCommand, HelpFormatter, NumericalCommand, PlottingCommand
 from rig.cli.completion import DATA
 from rig.cli.exit_status import BAD_INPUT, DONE, FAULT
 from rig.cli.expected_errors import PlainErrors, fail
@@ -19,7 +18,6 @@ from rig.cli.printable_stream import printable_streams
 if TYPE_CHECKING:
     from rich.console import Console
 
-PlainErrors.context_class.formatter_class = HelpFormatter
 app = typer.Typer(
     cls=PlainErrors,
     no_args_is_help=True,
@@ -55,7 +53,7 @@ NoReport = Annotated[bool, typer.Option("--no-report", help="Write no HTML repor
 Adapt = Annotated[bool, typer.Option("--adapt", help="Estimate the arm's parameters online; not used for control.")]
 
 
-@app.command(cls=NumericalCommand)
+@app.command()
 def run(
     ctx: typer.Context,
     protocol: options.ProtocolName,
@@ -192,7 +190,7 @@ def vent(rig: options.VentedRig = None, everything: options.Everything = False) 
     vent_rigs(rig, everything)
 
 
-@app.command(cls=NumericalCommand)
+@app.command()
 def simulate(
     protocol: options.ProtocolName,
     settings: options.Settings = None,
@@ -218,7 +216,7 @@ def simulate(
     typer.echo(run_model(request, experiment.plan(request)))
 
 
-@app.command(cls=NumericalCommand)
+@app.command()
 def live(
     pid: Annotated[int | None, typer.Option(help="Process of the experiment to watch, if several run.")] = None,
     host: Host = LOCAL,
@@ -234,19 +232,19 @@ def live(
 
 for command in (archives.note, archives.tag, archives.runs, archives.show, archives.export, archives.recover):
     app.command()(command)
-app.command(cls=PlottingCommand)(archives.report)
+app.command()(archives.report)
 app.command()(archives.publish)
-app.command(cls=NumericalCommand)(archives.replay)
-app.command("import", cls=NumericalCommand)(archives.import_)
-app.command(cls=NumericalCommand)(reproduce.reproduce)
-app.command(cls=PlottingCommand)(rigs.workspace)
-app.command(cls=PlottingCommand)(rigs.board)
+app.command()(archives.replay)
+app.command("import")(archives.import_)
+app.command()(reproduce.reproduce)
+app.command()(rigs.workspace)
+app.command()(rigs.board)
 app.command()(rigs.init)
 app.command()(rigs.drivers)
 app.command()(rigs.doctor)
 app.command("test-driver")(rigs.check_drivers)
-app.command(cls=EstimationCommand)(design.design)
-app.command(cls=NumericalCommand)(study.study)
+app.command()(design.design)
+app.command()(study.study)
 app.add_typer(identify.app, name="identify")
 app.add_typer(calibrate.app, name="calibrate")
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rig.cli import options
-from rig.cli.commands import HelpGroup, NumericalCommand
+from rig.cli.commands import HelpGroup
 
 app = typer.Typer(
     cls=HelpGroup,
@@ -18,7 +18,7 @@ app = typer.Typer(
 )
 
 
-@app.command(cls=NumericalCommand)
+@app.command()
 def dlt(
     given: Annotated[
         list[str] | None,
@@ -70,7 +70,7 @@ def dlt(
     calibration_output.dlt(done, as_json=json)
 
 
-@app.command(cls=NumericalCommand)
+@app.command()
 def camera(
     views: Annotated[
         list[str] | None,
@@ -113,7 +113,7 @@ def camera(
     calibration_output.cameras(done, of_a_rig=capture or rig is not None, as_json=json)
 
 
-@app.command(cls=NumericalCommand)
+@app.command()
 def tool(
     rig: options.RigName = None,
     camera: options.Camera = None,
@@ -157,7 +157,7 @@ def tool(
     calibration_output.tool(done, as_json=json)
 
 
-@app.command(cls=NumericalCommand)
+@app.command()
 def pressure(
     rig: options.RigName = None,
     readings: Annotated[

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from rig.cli import completion
-from rig.cli.commands import DefaultCommandGroup, EstimationCommand
+from rig.cli.commands import DefaultCommandGroup
 from rig.cli.exit_status import FAULT
 from rig.cli.options import Archives, AsJson, Every, Free, ParametersFile, Replace, Scheduler
 
@@ -88,7 +88,7 @@ IdentifiedRig = Annotated[
 ReportPage = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write a report page (HTML).")]
 
 
-@app.command(cls=EstimationCommand)
+@app.command()
 def fit(
     archives: Archives,
     free: Free = "",
@@ -164,7 +164,7 @@ def _check_bootstrap(refits: int, scheduler: str | None, store: Path | None) -> 
         _refuse("at least two refits are needed", {"--bootstrap": refits})
 
 
-@app.command(cls=EstimationCommand)
+@app.command()
 def compare(
     archives: Archives,
     free: Free = "",

@@ -20,19 +20,6 @@ from rich.text import Text
 
 from runs.printable_text import printable
 
-_UNITS = (
-    "mm mm/s mm2 m m/s s ms us ns min h bar bar/s mbar Pa kPa MPa deg degrees rad px pixels % V mA A Hz kHz "
-    "g kg N mN K ppm kB MB GB /bar /N /N^2 1/bar"
-)
-# Between a number and its unit, and between an uncertainty and what belongs to it.
-_KEPT = re.compile(rf"(?<=\d) (?=(?:{'|'.join(map(re.escape, _UNITS.split()))})(?![\w/^]))|(?<=\+-) (?=\d)")
-_GLUE = "\ue000"
-"""Stands for such a space during the layout: as wide, and no place for the end of a line."""
-
-
-def _glued(text: str) -> str:
-    return _KEPT.sub(_GLUE, text)
-
 
 def _parts(line: Text, width: int) -> list[Text]:
     """The line in parts of at most `width` columns that end between words; a longer word is a part of its own."""
@@ -50,8 +37,8 @@ def _parts(line: Text, width: int) -> list[Text]:
 class PrintableConsole(Console):
     """A console that escapes control characters and bidirectional marks, and interprets no markup or emoji codes.
 
-    No line ends between a number and its unit. What is printed with `soft_wrap` is one line in a file; a terminal,
-    which would break it anywhere, gets lines that end between words.
+    What is printed with `soft_wrap` is one line in a file; a terminal, which would break it anywhere, gets lines that
+    end between words. In a file no line is cut off.
     """
 
     def __init__(self, stderr: bool = False, width: int | None = None) -> None:
@@ -61,28 +48,24 @@ class PrintableConsole(Console):
         """Print; words longer than a terminal's line, as paths, stay whole."""
         if options.get("soft_wrap") and self.is_terminal:
             objects = tuple(self._wrapped(one) for one in objects)
-        super().print(*objects, **options)
+        super().print(*objects, **{"crop": self.is_terminal, **options})
 
     def _wrapped(self, given: Any) -> Any:
         """A text of lines that fit the terminal; anything else as it is."""
         if not isinstance(given, str | Text) or (isinstance(given, Text) and given.no_wrap):
             return given
         text = self.render_str(given) if isinstance(given, str) else given.copy()
-        text.plain = _glued(text.plain)
         lines = [part for line in text.split("\n", allow_blank=True) for part in _parts(line, self.width)]
         return Text("\n").join(lines)
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Escape a string before the layout, so that column widths match the output."""
-        return super().render_str(_glued(printable(text)), **options)
+        return super().render_str(printable(text), **options)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
         """Render anything; control codes of the console itself stay."""
-        if isinstance(renderable, Text):
-            renderable = renderable.copy()
-            renderable.plain = _glued(renderable.plain)
         for part in super().render(renderable, options):
-            yield part if part.control else part._replace(text=printable(part.text.replace(_GLUE, " ")))
+            yield part if part.control else part._replace(text=printable(part.text))
 
 
 def console(stderr: bool = False) -> Console:
@@ -116,7 +99,7 @@ class ColumnTable(Table):
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         texts = [[str(text) for text in (column.header, *column.cells)] for column in self.columns]
-        least = [max(cell_len(word) for text in column for word in (*_glued(text).split(), "")) for column in texts]
+        least = [max(cell_len(word) for text in column for word in (*text.split(), "")) for column in texts]
         needed = sum(least) + _GAP * len(least)
         fits = options.max_width >= needed or not console.is_terminal
         if fits and options.max_width >= LEAST_COLUMNS:

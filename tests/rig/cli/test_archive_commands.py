@@ -99,33 +99,6 @@ def test_a_refusal_needs_no_more_memory_than_the_command(tmp_path: Path) -> None
     assert done.stderr.splitlines() == [f"{tmp_path}/damaged.h5: not an archive of softrig: it is no HDF5 file"]
 
 
-@pytest.mark.parametrize(
-    ("command", "path", "needed"),
-    [
-        (["report"], "rig report", 700),
-        (["replay"], "rig replay", 1200),
-        (["identify"], "rig identify fit", 1500),
-        (["identify", "compare"], "rig identify compare", 1500),
-    ],
-    ids=["report", "replay", "identify", "identify compare"],
-)
-def test_a_command_that_loads_large_libraries_is_refused_where_they_would_crash(
-    short: Path, command: list[str], path: str, needed: int
-) -> None:
-    limit = 450_000 * 1024
-    done = subprocess.run(
-        [sys.executable, "-m", "rig", *command, str(short)],
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 1
-    assert done.stderr == (
-        f"the address space of a process is limited to 461 MB (ulimit -v), {path} needs {needed} MB\n"
-    )
-
-
 def test_a_library_that_finds_no_memory_gives_one_sentence(
     short: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

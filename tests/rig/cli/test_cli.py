@@ -111,36 +111,6 @@ def test_ctrl_c_before_the_command_line_is_read_ends_the_program_silently() -> N
     assert ended_by_ctrl_c(code) == (130, "", "")
 
 
-INTERRUPTED_IN_A_CALLBACK = """
-import sys, time, weakref
-class Thing: pass
-from rig.cli import app
-@app.app.command()
-def wait():
-    thing = Thing()
-    reference = weakref.ref(thing, lambda gone: signal.raise_signal(signal.SIGINT))
-    del thing
-    time.sleep(30)
-    print('the command went on')
-sys.argv = ['rig', 'wait']
-from rig.__main__ import main; main()
-"""
-
-
-def test_ctrl_c_that_falls_into_a_weak_references_callback_still_ends_the_command() -> None:
-    assert ended_by_ctrl_c(INTERRUPTED_IN_A_CALLBACK) == (130, "", "interrupted\n")
-
-
-def test_ctrl_c_in_a_weak_references_callback_ends_the_command_on_a_busy_machine() -> None:
-    """The repeated signal is due while the exception is still being ignored."""
-    slow_start = (
-        "import threading, time\n"
-        "start = threading.Timer.start\n"
-        "threading.Timer.start = lambda timer: (start(timer), time.sleep(0.2))\n"
-    )
-    assert ended_by_ctrl_c(slow_start + INTERRUPTED_IN_A_CALLBACK) == (130, "", "interrupted\n")
-
-
 def test_ctrl_c_while_modules_load_ends_the_program_silently() -> None:
     interrupted_in_an_import = (
         "import os, signal, sys\n"

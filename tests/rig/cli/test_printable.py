@@ -182,18 +182,6 @@ def printed(shown: str | Text | ColumnTable, width: int, stream: io.StringIO, so
     return [line.rstrip() for line in stream.getvalue().splitlines()]
 
 
-@pytest.mark.parametrize("kind", ["text", "styled", "cell"])
-def test_no_line_ends_between_a_number_and_its_unit(kind: str) -> None:
-    words = "the tip is 12.3 +- 0.4 mm away after 30 s at -0.25 bar, a rate of 1 bar/s and 95 % of 1500 frames"
-    table = ColumnTable("name", "found")
-    table.add_row("tip", words)
-    shown = {"text": words, "styled": Text(words), "cell": table}[kind]
-    for width in range(30, 81):
-        lines = printed(shown, width, io.StringIO())
-        assert "1500" in lines[-1] or "frames" in lines[-1]
-        assert not [line for line in lines if line.endswith((" 0.4", " 30", "-0.25", "of 1", " 95", "+-"))], width
-
-
 @pytest.mark.parametrize("stream", [io.StringIO, Terminal])
 def test_no_word_of_a_table_is_broken_so_that_run_ids_can_be_copied(stream: type[io.StringIO]) -> None:
     run, protocol, rig = "20261128-082049-my-protocol-of-many-words", "extension-weights", "my-arm (simulated)"

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import os
-import resource
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -19,24 +16,7 @@ from scripts.faults import environment
 from scripts.faults.environment import UnsupportedFaultError
 from scripts.rig_process import BRIEF, child_of, rig_run
 
-LIMIT_BYTES = 600_000 * 1024
 SIMULATOR = "rig.simulator.plant_process"
-
-
-@pytest.mark.parametrize("how", [(), ("--fast",)], ids=["real time", "virtual time"])
-def test_a_run_with_too_little_address_space_is_refused_in_one_sentence(tmp_path: Path, how: tuple[str, ...]) -> None:
-    (tmp_path / "brief.yaml").write_text(BRIEF)
-    done = subprocess.run(
-        [sys.executable, "-m", "rig", "run", str(tmp_path / "brief.yaml"), "--yes", "--out", str(tmp_path), *how],
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES, LIMIT_BYTES)),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 1
-    assert done.stderr == (
-        "the address space of a process is limited to 614 MB (ulimit -v), rig run needs 1200 MB\n"
-    ), done.stderr
 
 
 def test_a_mock_card_for_which_there_is_no_room_is_refused_and_leaves_nothing(
