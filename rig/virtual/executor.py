@@ -35,7 +35,14 @@ from rig.simulator.mock_tracker import LEAD_S, MockTracker
 from rig.simulator.plant import Plant
 from rig.tip_control.monitor import SOURCE, TipControlMonitor, failure_message
 from rig.virtual import time_limit
-from rig.virtual.frame_pipeline import FramePipeline, FrameProcessError, FrameRequest, FrameStages
+from rig.virtual.frame_pipeline import (
+    FramePipeline,
+    FrameProcessError,
+    FrameRequest,
+    FrameStages,
+    InlineFrames,
+    may_fork,
+)
 from rig.virtual.triggered_exposures import FrameExposures, TriggeredExposures
 from runs.records import Event, Level, RunFooter, Status
 
@@ -60,7 +67,8 @@ def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> 
     virtual = _VirtualRun(plan, operator)
     gc.freeze()  # imported objects are not scanned by the garbage collector
     try:
-        with FramePipeline(virtual.stages()) as pipeline:
+        stages = virtual.stages()
+        with FramePipeline(stages) if may_fork() else InlineFrames(stages) as pipeline:
             return virtual.run(pipeline, open_record)
     finally:
         gc.unfreeze()
@@ -107,7 +115,7 @@ class _VirtualRun:
         """True where the end of the run vents every valve, also those that the rig holds."""
         self._journal: JournalWriter
         self._record: DataRecorder
-        self._pipeline: FramePipeline
+        self._pipeline: FramePipeline | InlineFrames
 
     def _camera(self, name: str) -> MockCamera:
         config, plant = self._plan.config, self._plant
@@ -123,7 +131,7 @@ class _VirtualRun:
         cameras = tuple(self._cameras.values())
         return FrameStages(cameras, observer, PictureRecorder(plan.config), sample_rows(plan.config))
 
-    def run(self, pipeline: FramePipeline, open_record: OpenRecord) -> RunFooter:
+    def run(self, pipeline: FramePipeline | InlineFrames, open_record: OpenRecord) -> RunFooter:
         """Arm, run cycles until the run ends, write the safe state."""
         self._pipeline = pipeline
         unverified = self._bench.arm()

@@ -8,6 +8,7 @@ import signal
 import threading
 import traceback
 import warnings
+from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -191,6 +192,41 @@ class FramePipeline:
         return FrameProcessError(
             f"the process that renders and measures the pictures ended with exit code {self._child.exitcode}"
         )
+
+
+class InlineFrames:
+    """`FramePipeline` without a child process, for a process that may start none."""
+
+    def __init__(self, stages: FrameStages) -> None:
+        self._stages = stages
+        self._results: deque[FrameResult] = deque()
+
+    @property
+    def in_flight(self) -> int:
+        """Frame sets whose results have not been returned."""
+        return len(self._results)
+
+    def __enter__(self) -> InlineFrames:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._results.clear()
+
+    def submit(self, request: FrameRequest) -> None:
+        """Measure the next frame set. Raises FrameProcessError: it failed."""
+        result = _measured(self._stages, request)
+        if isinstance(result, FrameProcessError):
+            raise result
+        self._results.append(result)
+
+    def result(self) -> FrameResult:
+        """Return the result of the oldest frame set in flight."""
+        return self._results.popleft()
+
+
+def may_fork() -> bool:
+    """Whether this process may fork a child: not in a worker of Dask, which is daemonic, nor beside its threads."""
+    return not multiprocessing.current_process().daemon and threading.current_thread() is threading.main_thread()
 
 
 def _measured(stages: FrameStages, request: FrameRequest) -> FrameResult | FrameProcessError:
