@@ -141,8 +141,10 @@ def _status(error: Exception) -> int | None:
     return next((EXPECTED_ERRORS[name] for name in names if name in EXPECTED_ERRORS), None)
 
 
-EXTRAS = {"numba": "rig", "piqp": "rig", "rocrate": "publish"} | dict.fromkeys(
-    ("nicegui", "fastapi", "starlette", "uvicorn"), "live"
+EXTRAS = (
+    dict.fromkeys(("cv2", "daqp", "numba", "piqp", "scipy"), "rig")
+    | {"rocrate": "publish"}
+    | dict.fromkeys(("nicegui", "fastapi", "starlette", "uvicorn"), "live")
 )
 """Extra of the package that brings a library; nicegui brings the servers."""
 

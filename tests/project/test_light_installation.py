@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,7 @@ from tests.support.synthetic_runs import write_journal
 ROOT = Path(__file__).parents[2]
 PATIENCE_S = 300.0
 # What the extras bring; the servers come with nicegui.
-EXTRA = ("numba", "piqp", "nicegui", "fastapi", "starlette", "uvicorn")
+EXTRA = ("cv2", "scipy", "numba", "piqp", "daqp", "rocrate", "nicegui", "fastapi", "starlette", "uvicorn")
 UNIX = ("fcntl", "termios", "tty", "pwd", "grp", "resource")
 ABSENT = (*EXTRA, *UNIX)
 SHORT = "title: Short\nsteps:\n  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 1}\n  - hold: {duration_s: 1}\n"
@@ -35,7 +36,7 @@ from runs.summary import summarise
 assert summarise(run).frames_measured > 0
 from runs.export import exporters
 from pathlib import Path
-for kind in ("csv", "mat"):
+for kind in ("csv", "mat", "mcap", "yaml"):
     exporters.export(Path({archive!r}), kind, Path({archive!r}).with_name("out." + kind))
 print(Path(runs.__file__).parent)
 """
@@ -49,7 +50,7 @@ del signal.SIGHUP, os.getuid, os.sched_getaffinity
 """
 
 
-def commands(*calls: list[str]) -> str:
+def commands(*calls: Sequence[str]) -> str:
     """A program that calls `rig` some times, and ends with the first failure."""
     return f"""
 from rig.cli.app import main
@@ -103,6 +104,25 @@ def test_runs_is_imported_without_the_compiler_and_without_locks(tmp_path: Path)
     """Where they are installed, too: reading an archive does not wait for them."""
     program = "import sys, runs\nprint([name for name in ('numba', 'fcntl', 'rig', 'model') if name in sys.modules])\n"
     assert python(program, tmp_path).stdout.strip() == "[]"
+
+
+WITHOUT_EXTRAS = f"import sys\nfor name in {EXTRA}: sys.modules[name] = None\n"
+
+
+def test_an_archive_is_shown_noted_reported_and_exported_without_vision_compiler_and_scipy(
+    archive: Path, tmp_path: Path
+) -> None:
+    calls = [
+        ["show", "run.h5"], ["show", "run.h5", "--json"], ["runs", "."], ["note", "run.h5", "a note"],
+        *(["export", "run.h5", "--format", to] for to in ("csv", "mat", "mcap", "yaml")),
+        ["report", "run.h5"], ["report", "run.h5", "--figures", "--out", "figures"],
+    ]  # fmt: skip
+    done = python(WITHOUT_EXTRAS + commands(*calls), tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert {"run-tip.csv", "run.mat", "run.foxglove.mcap", "run-inputs", "run.html"} <= {
+        path.name for path in tmp_path.iterdir()
+    }
+    assert "data:image/jpeg" in (tmp_path / "run.html").read_text()
 
 
 @pytest.mark.slow
