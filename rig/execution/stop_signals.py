@@ -11,9 +11,10 @@ VENTED = "vented by `rig vent`"
 _MEANING = {
     signal.SIGINT: "by the operator (Ctrl-C)",
     signal.SIGTERM: "by SIGTERM",
-    signal.SIGHUP: "the terminal was closed (SIGHUP)",
     VENT_SIGNAL: VENTED,
 }
+if hasattr(signal, "SIGHUP"):  # not on Windows, where archives are read
+    _MEANING[signal.SIGHUP] = "the terminal was closed (SIGHUP)"
 
 
 class StopSignals:
