@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from ipaddress import IPv4Address
+
 import numpy as np
 import pytest
 
@@ -94,3 +96,15 @@ def test_steps_of_the_clock_of_a_sender_do_not_fill_the_events() -> None:
     told = [event.message for event in HealthMonitor(config, S).observations(rows) if "clock" in event.message]
     assert len(told) < 5
     assert "10 times from 2.0 s to 11.0 s" in told[1]
+
+
+def test_a_second_sender_of_poses_is_one_warning_with_its_address() -> None:
+    config = rig.config.loader.load("mock-tracker")
+    rows = np.zeros(300, observation_dtype(config.actuators, 0, True))
+    rows["t_ns"], rows["model_ok"] = S + np.arange(300) * S // 100, 1
+    rows["seen"] = DetectionStatus.MEASURED
+    rows["datagrams"][100:, DATAGRAM_COUNTS.index("foreign")] = np.arange(200) + 1
+    rows["foreign_ipv4"][100:] = int(IPv4Address("127.0.0.2"))
+    told = [event.message for event in HealthMonitor(config, S).observations(rows) if "127.0.0.2" in event.message]
+    assert len(told) == 1
+    assert "another program, at 127.0.0.2, sends poses" in told[0]
