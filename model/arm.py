@@ -123,7 +123,7 @@ class Arm:
         """All segments, from the base to the tip."""
         return Segment(self.geometry, self.material, self.variant), *self.beyond
 
-    @property
+    @cached_property
     def actuators(self) -> int:
         """Number of chambers of all segments."""
         return sum(segment.geometry.actuators for segment in self.segments)
@@ -133,7 +133,7 @@ class Arm:
         """Length at rest from the base to the tip, couplings included."""
         return sum((s.geometry.length_m + s.coupling.length_m for s in self.beyond), self.geometry.length_m)
 
-    @property
+    @cached_property
     def slenderness(self) -> float:
         """Sum of the slenderness of all segments."""
         return sum(segment.geometry.slenderness for segment in self.segments)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any
@@ -46,6 +46,9 @@ class KernelArguments:
     centre: Array
     scale: Array
     ends: Array
+    kept_nodes: dict[int, NDArray[np.int64]] = field(default_factory=dict, repr=False)
+    """Results of `first_nodes`, and of `line`, which arms that differ in their loads share."""
+    kept_lines: dict[bytes, tuple[Any, ...]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, arm: Arm, pressure_pa: Array, c0: float = 0.0, dt_s: float = 0.0) -> KernelArguments:
@@ -116,11 +119,16 @@ class KernelArguments:
         Raises:
             ValueError: fewer than two steps for each segment.
         """
-        return _first_nodes(tuple(self.lengths_m.tolist()), nodes)
+        if nodes not in self.kept_nodes:
+            self.kept_nodes[nodes] = _first_nodes(tuple(self.lengths_m.tolist()), nodes)
+        return self.kept_nodes[nodes]
 
     def line(self, first: NDArray[np.int64]) -> tuple[Any, ...]:
         """Fields of `kernels.arguments.Line`."""
-        return first, self.lengths_m / (np.diff(first) - 1), self.joint, self.centre
+        key = first.tobytes()
+        if key not in self.kept_lines:
+            self.kept_lines[key] = first, self.lengths_m / (np.diff(first) - 1), self.joint, self.centre
+        return self.kept_lines[key]
 
     def work(self) -> Array:
         """Work arrays for the kernels to write to."""

@@ -122,9 +122,10 @@ def shape(
     n = len(x) // 2
     p, rotation, v, u = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
     axis(x, arguments.line(first), p, rotation, v, u)
-    nodes = tuple(first.tolist())
+    if not arm.beyond:
+        s = _points((arguments.length_m,), (0.0,), (0, n))
+        return Shape(s, p, rotation, v, u, ok, arm.geometry.positions_m, stable)
+    nodes, chambers = tuple(first.tolist()), tuple(arguments.chambers.tolist())
     s = _points(tuple(arguments.lengths_m.tolist()), tuple(arguments.joint[:, 2].tolist()), nodes)
-    places = arm.geometry.positions_m
-    if arm.beyond:
-        places = np.concatenate([segment.geometry.positions_m for segment in arm.segments])
-    return Shape(s, p, rotation, v, u, ok, places, stable, nodes, tuple(arguments.chambers.tolist()))
+    places = np.concatenate([segment.geometry.positions_m for segment in arm.segments])
+    return Shape(s, p, rotation, v, u, ok, places, stable, nodes, chambers)
