@@ -97,6 +97,7 @@ class RigProcess:
         self.config = loader.load(self.rig_file)
         (folder / "protocol.yaml").write_text(protocol)
         self._log = (folder / "log").open("w+")
+        self._cards: list[Registers] = []
         command = [sys.executable, "-m", "rig", "run", str(folder / "protocol.yaml"), "--rig", str(self.rig_file)]
         self.process = subprocess.Popen(
             [*command, "--out", str(self.out), "--yes", "--no-report", *options],
@@ -107,21 +108,35 @@ class RigProcess:
         )
 
     @property
-    def device(self) -> str:
-        """The mock card's name."""
-        return next(iter(self.config.cards.values())).device
+    def devices(self) -> list[str]:
+        """The names of the run's own mock cards."""
+        return [f"{card.device}-{self.process.pid}" for card in self.config.cards.values()]
 
     @property
     def output(self) -> str:
         """Everything printed so far."""
         return (self.folder / "log").read_text()
 
+    def look(self) -> bool:
+        """Map the cards once the run has made them, and keep the maps: the run removes its cards. True if mapped."""
+        if not self._cards and all(path_of(device).exists() for device in self.devices):
+            self._cards = [Registers.attach(device) for device in self.devices]
+        return bool(self._cards)
+
+    @property
+    def cards(self) -> list[Registers]:
+        """The run's cards, also after the run."""
+        assert self.look(), f"the run has made no card:\n{self.output}"
+        return self._cards
+
+    @property
+    def card(self) -> Registers:
+        """The run's first card, also after the run."""
+        return self.cards[0]
+
     def valve_v(self) -> np.ndarray:  # type: ignore[type-arg]
         """Voltages of the card's outputs, read from outside the run."""
-        registers = Registers.attach(self.device)
-        volts = registers.outputs["value"].copy()
-        registers.close()
-        return volts
+        return self.card.outputs["value"].copy()
 
     def valves_are_safe(self) -> bool:
         """Whether every output has the venting voltage."""
@@ -130,7 +145,7 @@ class RigProcess:
     def wait_until_started(self) -> None:
         """Wait until the run has checked its input and starts its processes."""
         deadline = time.monotonic() + PATIENCE_S
-        while not path_of(self.device).exists():
+        while not self.look():
             assert self.process.poll() is None, self.output
             assert time.monotonic() < deadline, self.output
             time.sleep(0.005)
@@ -140,7 +155,7 @@ class RigProcess:
         deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
             assert self.process.poll() is None, self.output
-            if path_of(self.device).exists() and bool(np.any(self.valve_v() > 4.0)):
+            if self.look() and bool(np.any(self.valve_v() > 4.0)):
                 time.sleep(0.3)
                 return
             time.sleep(0.02)
@@ -163,7 +178,10 @@ class RigProcess:
 
     def end(self) -> int:
         """Wait for the run to end by itself; its exit status."""
-        return self.process.wait(PATIENCE_S)
+        deadline = time.monotonic() + PATIENCE_S
+        while not self.look() and self.process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.005)
+        return self.process.wait(max(0.1, deadline - time.monotonic()))
 
     def close(self) -> None:
         """Close the log."""
@@ -202,4 +220,5 @@ def rig_run(
         run.process.kill()
         run.process.wait()
         run.close()
-        path_of(run.device).unlink(missing_ok=True)
+        for device in run.devices:
+            Registers.remove(device)

@@ -169,7 +169,7 @@ def play(situation: Situation, folder: Path) -> Vented:
     """Begin a run, bring about the situation, call `rig vent`, and watch the card."""
     with running_in(folder, situation) as run:
         call = situation.prepare(run, folder)
-        card = Registers.attach(run.device) if situation.moving else None
+        card = run.card if situation.moving else None
         environment = {key: value for key, value in os.environ.items() if key != "SOFTRIG_RIG"}
         began = time.monotonic()
         with subprocess.Popen(

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import settings
 from hypothesis.internal.conjecture import providers
 
+from rig.hardware.running import records
 from tests.support.budget import register_profiles
 from tests.support.repeated_work import avoid_repeated_work
 
@@ -44,6 +45,14 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     for report in terminalreporter.getreports("rerun"):
         terminalreporter.write_sep("_", f"first failure of {report.nodeid}")
         terminalreporter.write_line(report.longreprtext)
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Tests of `rig vent` end what this user runs."""
+    runs, _ = records()
+    real = [run for run in runs if not run.simulated and run.process.alive]
+    if real and not hasattr(session.config, "workerinput"):
+        pytest.exit(f"the tests would end a running experiment: {real[0].purpose}, process {real[0].process.pid}", 2)
 
 
 def pytest_collection_finish() -> None:

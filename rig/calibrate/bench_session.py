@@ -21,7 +21,6 @@ from rig.execution.plan import RunPlan, StartError
 from rig.hardware import running
 from rig.hardware.bench import Bench, open_bench
 from rig.hardware.cards.base import CardError
-from rig.hardware.lock import cards_locked
 from rig.hardware.vent_verification import VentVerification, real_time
 from rig.realtime.child_process import ChildJob, ended_within, spawn
 from rig.realtime.control_process import GuardedOutputs, NullOutputs
@@ -95,14 +94,14 @@ def virtual(config: RigConfig, seed: int, *, moving_arm: bool = True) -> Iterato
 
 
 @contextmanager
-def real(config: RigConfig, rig_file: Path, purpose: str) -> Iterator[tuple[ValveOutputs, BenchClock]]:
-    """The rig's cards, locked and armed, with the watchdog of a run, which makes safe what this process cannot.
+def real(config: RigConfig, rig_file: Path) -> Iterator[tuple[ValveOutputs, BenchClock]]:
+    """The rig's locked cards, armed, with the watchdog of a run, which makes safe what this process cannot.
 
     Raises:
-        CardError: a card is in use or cannot be opened, or another program has written to it.
+        CardError: a card cannot be opened, or another program has written to it.
         StartError: the watchdog does not start.
     """
-    with cards_locked(config, purpose), _watched(config, rig_file) as (memory, watchdog):
+    with _watched(config, rig_file) as (memory, watchdog):
         bench = open_bench(config)
         memory.card_holder_pid = os.getpid()
         try:

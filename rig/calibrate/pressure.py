@@ -21,9 +21,10 @@ from rig.config.loader import load, path_of
 from rig.config.schema import RigConfig
 from rig.execution.plan import StoppedError, require_mocks
 from rig.execution.stop_signals import StopSignals
+from rig.hardware.lock import cards_locked
 from rig.realtime.scheduling import obtainable
 from rig.realtime.timing_limits import timing_limits
-from rig.simulator.plant_launcher import simulated
+from rig.simulator.plant_launcher import own_devices, simulated
 from rig.valves.metering import MeteringValve
 
 _LARGEST_ML = 1e5
@@ -132,9 +133,11 @@ def _measure(request: PressureCalibrationRequest, config: RigConfig, operator: B
         rig_file = path_of(request.rig)
         timing = timing_limits(config, obtainable())
         with (
+            own_devices(config) as config,
+            cards_locked(config, "rig calibrate pressure"),
             simulated(config, rig_file, request.seed, timing.simulation_waits_ns),
             operator.keys() as keys,
-            real(config, rig_file, "rig calibrate pressure") as (held, clock),
+            real(config, rig_file) as (held, clock),
         ):
             stops_ns = timing.simulator_ns
             driver = BenchDriver(config, held, clock, lambda: _raise_if_stopped(stop), longest_stop_ns=stops_ns)
@@ -143,7 +146,7 @@ def _measure(request: PressureCalibrationRequest, config: RigConfig, operator: B
 
 def _raise_if_stopped(stop: StopSignals) -> None:
     if stop.reason:
-        raise StoppedError(f"stopped {stop.reason}; the valves go to their safe state")
+        raise StoppedError(f"stopped: {stop.reason}; the valves go to their safe state")
 
 
 def _drive(

@@ -6,6 +6,7 @@ keeps the rest from being vented.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -28,6 +29,7 @@ class _Rig:
     bench: BenchConfig
     source: str
     venting: Venting
+    run: RunningRig | None = None
 
 
 def vent(option: str | None, everything: bool = False) -> None:
@@ -51,6 +53,7 @@ def vent(option: str | None, everything: bool = False) -> None:
             problems += [f"rig {rig.bench.name} ({rig.source}): {failure}" for failure in result.failures]
         else:
             typer.echo(f"{_vented(rig.bench, result)}; {rig.source}")
+            _forget(rig)
     for problem in problems:
         typer.echo(problem, err=True)
     if problems:
@@ -66,17 +69,21 @@ def vent(option: str | None, everything: bool = False) -> None:
 def _running(everything: bool) -> tuple[list[_Rig], list[str]]:
     """The running experiments, whose venting begins, and what cannot be read of them."""
     told = signalled(simulated=everything)
+    rigs, problems = _begun_runs(told.runs)
+    problems += [_unread(record.process.pid, f"record {record.file}", record.reason) for record in told.unreadable]
+    return rigs, problems
+
+
+def _begun_runs(runs: Iterable[RunningRig]) -> tuple[list[_Rig], list[str]]:
     rigs, problems = [], []
-    for run in told.runs:
+    for run in runs:
         try:
             bench = VentedBench.model_validate(run.bench)
         except ValidationError as error:
             reason = str(error).replace("\n", " ")
             problems.append(_unread(run.process.pid, f"{run.purpose} on rig {run.rig}", reason))
-            continue
-        rigs.append(_begun(bench, _described(run), of_run=True))
-        _forget(run)
-    problems += [_unread(record.process.pid, f"record {record.file}", record.reason) for record in told.unreadable]
+        else:
+            rigs.append(_begun(bench, _described(run), run))
     return rigs, problems
 
 
@@ -92,17 +99,21 @@ def _described(run: RunningRig) -> str:
     return f"it was held by process {run.process.pid}, {run.purpose}{ended}"
 
 
-def _forget(run: RunningRig) -> None:
-    """Remove the record of a run that was killed."""
-    if not run.process.alive and not any(process.alive for process in run.listeners):
+def _forget(rig: _Rig) -> None:
+    """Remove what a killed run has left, once it is vented: its record, and its simulated cards."""
+    if rig.run is not None and not rig.run.alive:
         with suppress(OSError):
-            run.file.unlink(missing_ok=True)
+            rig.run.file.unlink(missing_ok=True)
+            if rig.run.simulated:
+                from rig.simulator.plant_launcher import remove_cards
+
+                remove_cards(rig.run)
 
 
-def _begun(bench: BenchConfig, source: str, *, of_run: bool = False) -> _Rig:
-    venting = Venting(bench, of_run=of_run)
+def _begun(bench: BenchConfig, source: str, run: RunningRig | None = None) -> _Rig:
+    venting = Venting(bench, of_run=run is not None)
     venting.begin()
-    return _Rig(bench, source, venting)
+    return _Rig(bench, source, venting, run)
 
 
 def _named(option: str | None, running: list[_Rig]) -> tuple[list[_Rig], list[str], str]:

@@ -6,8 +6,8 @@ import platform
 import shutil
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -30,6 +30,7 @@ from rig.hardware.cards.base import CardError
 from rig.hardware.lock import cards_locked
 from rig.realtime.scheduling import obtainable
 from rig.realtime.timing_limits import timing_limits
+from rig.simulator.plant_launcher import own_devices
 from runs.data_folder import free_id
 from runs.journal.append_only_file import JournalError, JournalExistsError
 from runs.records import (
@@ -318,9 +319,9 @@ def _execute(request: RunRequest, decided: RunPlan, operator: OperatorInterface)
             journal.event(Event(t_ns, Level.INFO, "supervisor", message))
         return journal
 
-    with nullcontext() if request.fast else cards_locked(decided.config, f"protocol {request.protocol.name}"):
+    with _bench(request, decided) as prepared:
         try:
-            outcome = execute(decided, armed, operator)
+            outcome = execute(prepared, armed, operator)
         except Exception as error:
             if journal is None:
                 raise
@@ -332,6 +333,16 @@ def _execute(request: RunRequest, decided: RunPlan, operator: OperatorInterface)
                     journal.event(Event(ended_ns, Level.FAULT, "supervisor", traceback.format_exc()))
     assert journal is not None
     return outcome, journal
+
+
+@contextmanager
+def _bench(request: RunRequest, decided: RunPlan) -> Iterator[RunPlan]:
+    """The plan on the cards of this run: real ones are locked, simulated ones its own."""
+    if request.fast:
+        yield decided
+        return
+    with own_devices(decided.config) as config, cards_locked(config, f"protocol {request.protocol.name}"):
+        yield replace(decided, config=config)
 
 
 def _abort_message(error: Exception) -> str:

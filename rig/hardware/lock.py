@@ -1,8 +1,8 @@
-"""Locks of the cards: one run per card; the kernel releases the locks of a dead process.
+"""Locks of real cards: one run per card; the kernel releases the locks of a dead process.
 
-A simulated card belongs to one user; its lock is a file in that user's runtime folder. A real card is shared by the
-users who may open its device node, so the node itself is locked as well: other users cannot forge that lock.
-The holder of a lock is read from the kernel's table, never from the content of a file.
+The lock of a card is a file in its user's runtime folder. A card is shared by the users who may open its device node,
+so the node itself is locked as well: other users cannot forge that lock. The holder of a lock is read from the kernel's
+table, never from the content of a file. A simulated card needs no lock: each run has its own.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import errno
 import fcntl
 import os
 import pwd
+import re
 import stat
 import time
 from collections.abc import Iterator
@@ -22,7 +23,7 @@ from rig.config.bench import BenchConfig, VentedBench
 from rig.config.card_sections import CardConfig
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.cards.kernel_devices import boards_called
-from rig.hardware.running import recorded
+from rig.hardware.running import RunningRig, recorded, records
 from rig.hardware.runtime_folder import open_private, runtime_folder
 
 LOCKS = Path("/proc/locks")
@@ -59,12 +60,38 @@ def device_of(card: CardConfig) -> str:
 
 
 def holders(config: BenchConfig) -> tuple[int, ...]:
-    """Processes, of any user, that hold the lock of a card of the rig, as far as this process can see them."""
+    """Processes that hold the rig: the lock of a real card, by any user, or a simulated card of a run of this user.
+
+    Those that this process can see.
+    """
     files = set()
     for path in (place for card in config.cards.values() for place in _places(card)):
         with suppress(OSError):
             files.add(_identity(path.stat()))
-    return tuple(sorted({pid for pid, file in _locks() if file in files}))
+    pids = {pid for pid, file in _locks() if file in files}
+    if simulated := {card.device for card in config.cards.values() if card.is_mock}:
+        runs, _ = records()
+        pids |= {run.process.pid for run in runs if run.process.alive and simulated & _devices(run)}
+    return tuple(sorted(pids))
+
+
+def runs_of(config: BenchConfig) -> tuple[RunningRig, ...]:
+    """The runs of this user on the simulated cards of a rig file: each has its own."""
+    named = {card.device for card in config.cards.values() if card.is_mock}
+    runs, _ = records()
+    return tuple(run for run in runs if {_in_rig_file(device, run.process.pid) for device in _devices(run)} & named)
+
+
+def _devices(run: RunningRig) -> set[str]:
+    """The simulated cards of a run."""
+    with suppress(AttributeError, KeyError, TypeError):
+        return {card["device"] for card in run.bench["cards"].values() if card["driver"] == "mock"}
+    return set()
+
+
+def _in_rig_file(device: str, pid: int) -> str:
+    """The name of a simulated card in the rig file of a run, which added its process id."""
+    return re.sub(rf"-{pid}(-\d+)?$", "", device)
 
 
 def held_by_unseen(config: BenchConfig) -> bool:
@@ -109,7 +136,7 @@ def described(pid: int) -> str:
 
 @contextmanager
 def cards_locked(config: BenchConfig, purpose: str) -> Iterator[None]:
-    """Lock every card of the rig, and record the run for `rig vent`.
+    """Lock every real card of the rig, and record the run for `rig vent`.
 
     Raises:
         CardError: another run holds a card; the message names the process and its start time.
@@ -117,9 +144,10 @@ def cards_locked(config: BenchConfig, purpose: str) -> Iterator[None]:
     held: list[int] = []
     try:
         for name, card in sorted(config.cards.items()):
-            _lock(name, card, config, held)
+            if not card.is_mock:
+                _lock(name, card, config, held)
         bench = VentedBench.of(config).model_dump(mode="json", exclude_none=True)
-        with recorded(purpose, config.name, simulated=not config.has_real_valves, bench=bench):
+        with recorded(purpose, config.name, simulated=all(card.simulated for card in config.cards.values()), bench=bench):
             yield
     finally:
         for descriptor in held:
@@ -136,12 +164,12 @@ def locked_devices() -> tuple[tuple[Path, int], ...]:
 
 
 def _places(card: CardConfig) -> tuple[Path, ...]:
-    """Files that are locked for a card."""
-    places = []
+    """Files that are locked for a card; a simulated one has none."""
+    if card.is_mock:
+        return ()
+    places = [device_node(card)]
     with suppress(OSError):
         places.append(lock_file(card))
-    if not card.is_mock:
-        places.append(device_node(card))
     return tuple(places)
 
 
@@ -155,7 +183,7 @@ def _lock(name: str, card: CardConfig, config: BenchConfig, held: list[int]) -> 
     _take(held[-1], name, card, config)
     node = device_node(card)
     # A board name that does not identify one card is refused when the card is opened.
-    if card.is_mock or not node.is_absolute():
+    if not node.is_absolute():
         return
     descriptor = _open_node(name, node)
     held.append(descriptor)

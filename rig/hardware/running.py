@@ -73,6 +73,11 @@ class RunningRig:
     listeners: tuple[Process, ...]
     bench: Mapping[str, Any]
 
+    @property
+    def alive(self) -> bool:
+        """True while a process of the run lives that may write to the cards."""
+        return any(process.alive for process in (self.process, *self.listeners))
+
 
 @dataclass(frozen=True)
 class UnreadableRecord:
@@ -130,11 +135,16 @@ def signal_runs(*, simulated: bool = False) -> Signalled:
     runs, unreadable = records()
     told = chosen(runs, simulated=simulated)
     for run in told:
-        for process in run.listeners:
-            process.send(VENT_SIGNAL)
+        signal_run(run)
     for record in unreadable:
         record.process.send(signal.SIGTERM)
     return Signalled(told, unreadable)
+
+
+def signal_run(run: RunningRig) -> None:
+    """Have the processes of one run vent."""
+    for process in run.listeners:
+        process.send(VENT_SIGNAL)
 
 
 _first: list[Signalled] = []

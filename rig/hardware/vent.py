@@ -11,10 +11,11 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
 
-from rig.config.bench import BenchConfig
+from rig.config.bench import BenchConfig, VentedBench
 from rig.hardware.call_limit import LONGEST_CALL_S, awaited, begun, within
 from rig.hardware.cards.base import AbsentCardError, CardBusyError, CardError
-from rig.hardware.lock import described, held_by_unseen, holders
+from rig.hardware.lock import described, held_by_unseen, holders, runs_of
+from rig.hardware.running import signal_run
 from rig.hardware.safe_state import SafeOutputs, cards_with_outputs, open_outputs, safe_outputs
 from rig.hardware.vent_verification import LONGEST_VENTING_S, UNCONFIRMED, verify_venting
 
@@ -46,20 +47,26 @@ class VentResult:
     gone: bool = False
 
 
-def vent(config: BenchConfig) -> VentResult:
-    """Vent a rig; see `Venting`.
+def vent(config: BenchConfig) -> tuple[VentResult, ...]:
+    """Vent a rig, and the runs of a simulated one, of which each has cards of its own; see `Venting`.
 
     Raises:
         CardError: a card cannot be opened or written, an output does not keep its value, a camera trigger cannot be
             set low, the pressures do not confirm it, or a process that holds the rig continues and cannot be signalled;
             the other cards are vented nevertheless.
     """
-    venting = Venting(config)
-    venting.begin()
-    (result,) = results([venting])
-    if result.failures:
-        raise CardError("; ".join(result.failures))
-    return result
+    runs = runs_of(config)
+    for run in runs:
+        signal_run(run)
+    rigs = [Venting(VentedBench.model_validate(run.bench), of_run=True) for run in runs]
+    if not rigs or config.has_real_valves:
+        rigs.append(Venting(config))
+    for rig in rigs:
+        rig.begin()
+    found = results(rigs)
+    if failures := [failure for result in found for failure in result.failures]:
+        raise CardError("; ".join(failures))
+    return tuple(found)
 
 
 def results(rigs: Iterable[Venting]) -> list[VentResult]:

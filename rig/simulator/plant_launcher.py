@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import select
 import subprocess
@@ -15,11 +16,14 @@ from rig.config.bench import BenchConfig
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import holders
+from rig.hardware.running import RunningRig, records
 from rig.simulator.registers import Registers
 
 READY = b"ready\n"
 POLL_S = 0.005
 EXIT_S = 2.0
+LEFT_S = 3600.0
+"""How long the simulated cards of a killed run are kept: nobody vents them or looks at them any more."""
 
 
 class PlantProcess:
@@ -90,6 +94,9 @@ def started(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None =
         yield None
         return
     command = [sys.executable, "-P", "-m", "rig.simulator.plant_process", "--rig", str(rig_file), "--seed", str(seed)]
+    for name, card in config.cards.items():
+        if card.is_mock:
+            command += ["--device", name, card.device]
     if waits_ns is not None:
         command += ["--waits-ms", f"{waits_ns * 1e-6:g}"]
     process = subprocess.Popen(
@@ -118,6 +125,53 @@ def simulated(
 
 
 def is_absent(config: BenchConfig) -> bool:
-    """Return True for a rig of simulated cards that has never run: no device exists, and no process holds it."""
+    """Return True for a rig of simulated cards that do not exist: no simulator runs behind one, and no run has any."""
     absent = (card.is_mock and not Registers.exist(card.device) for card in config.cards.values())
     return all(absent) and not holders(config)
+
+
+_own: set[str] = set()
+"""Names of the simulated benches of this process."""
+
+
+@contextmanager
+def own_devices(config: RigConfig) -> Iterator[RigConfig]:
+    """The rig with simulated cards that only this run has, so that any number of runs of it go on at once.
+
+    A card's name gets the process id, and a number if this process has several benches. The cards are removed at the
+    end; those of killed runs LEFT_S after their start.
+    """
+    if not config.has_mocks:
+        yield config
+        return
+    names = (f"{os.getpid()}-{number}".removesuffix("-1") for number in itertools.count(1))
+    name = next(name for name in names if name not in _own)
+    _own.add(name)
+    _remove_leftovers()
+    cards = {
+        key: card.model_copy(update={"device": f"{card.device}-{name}"}) if card.is_mock else card
+        for key, card in config.cards.items()
+    }
+    try:
+        yield config.model_copy(update={"cards": cards})
+    finally:
+        _own.discard(name)
+        for card in cards.values():
+            if card.is_mock:
+                Registers.remove(card.device)
+
+
+def remove_cards(run: RunningRig) -> None:
+    """Remove the simulated cards of a run that was killed."""
+    for card in run.bench["cards"].values():
+        if card["driver"] == "mock":
+            Registers.remove(card["device"])
+
+
+def _remove_leftovers() -> None:
+    """Remove the records and cards of simulated runs that were killed long ago."""
+    for run in records()[0]:
+        with suppress(OSError, KeyError, TypeError, AttributeError):
+            if run.simulated and not run.alive and time.time() - run.file.stat().st_mtime > LEFT_S:
+                remove_cards(run)
+                run.file.unlink()

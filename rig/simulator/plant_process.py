@@ -1,4 +1,4 @@
-"""The plant in real time: `python -m rig.simulator.plant_process --rig FILE --seed N [--parent PID] [--waits-ms MS]`.
+"""The plant in real time: `python -m rig.simulator.plant_process --rig FILE --seed N`.
 
 One shared file per mock card (see `rig.simulator.registers`). Prints `ready` once scans are being taken. With
 `--parent` it ends some seconds after that process has exited, so that its cards exist until they are made safe;
@@ -16,7 +16,7 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from operator import itemgetter
 
 import numpy as np
@@ -197,6 +197,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rig", required=True, help="name or file of the rig")
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--parent", type=int, help="end some seconds after this process has gone")
+    parser.add_argument(
+        "--device", nargs=2, action="append", default=[], metavar=("CARD", "NAME"), help="another name of a mock card"
+    )
     parser.add_argument("--waits-ms", type=float, help="stop the plant's time while open valves are not written")
     options = parser.parse_args(arguments)
     waits_ns = None if options.waits_ms is None else round(options.waits_ms * 1e6)
@@ -205,7 +208,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Ctrl-C goes to every process of the terminal; the cards must exist until they are made safe.
     signal.signal(signal.SIGINT, _leave if options.parent is None else signal.SIG_IGN)
     try:
-        run(rig.config.loader.load(options.rig), options.seed, options.parent, waits_ns)
+        config = _with_devices(rig.config.loader.load(options.rig), dict(options.device))
+        run(config, options.seed, options.parent, waits_ns)
     except BrokenPipeError:
         # The parent died while the plant loaded.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -214,6 +218,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return 2
     return 0
+
+
+def _with_devices(config: RigConfig, devices: Mapping[str, str]) -> RigConfig:
+    """The rig with other names of its mock cards."""
+    cards = {
+        name: card.model_copy(update={"device": devices.get(name, card.device)}) for name, card in config.cards.items()
+    }
+    return config.model_copy(update={"cards": cards})
 
 
 def _leave(*_: object) -> None:

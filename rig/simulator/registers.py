@@ -174,6 +174,13 @@ class Registers:
         """Return True if the plant of a mock device runs, or has run."""
         return path_of(device).exists()
 
+    @staticmethod
+    def remove(device: str) -> None:
+        """Remove the file of a mock device; a process that has mapped it keeps its map."""
+        path = path_of(device)
+        for file in (path, path.with_suffix(".open")):
+            file.unlink(missing_ok=True)
+
     def write(self, output: int, value: float, t_ns: int) -> None:
         """Set one output register and the time of the write."""
         self.outputs["value"][output] = value

@@ -63,7 +63,6 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
                 fault_ns = time.monotonic_ns()
                 fault_ns = injection.inject_realtime(run) or fault_ns
                 safe_ns = watch.result()
-                registers.close()
                 run.undo.close()
                 time.sleep(0.1)
                 output = run.output

@@ -75,7 +75,6 @@ def _wait(run: TrialRun, fault: TransitionFault, processes: int) -> None:
         registers = run.wait_until_moving()
         while not run.ended(registers):
             time.sleep(0.001)
-        registers.close()
         return
     deadline = time.monotonic() + START_S
     while (
@@ -117,10 +116,8 @@ def _judged(name: str, fault: TransitionFault, at_s: float, run: TrialRun, kille
         wrong.append(f"left behind: {left}")
     with contextlib.suppress(CardError):  # no card was made yet
         registers = run.attached()
-        if registers is not None:
-            if not run.safe(registers):
-                wrong.append(f"THE VALVES ARE NOT SAFE: {registers.outputs['value']}")
-            registers.close()
+        if registers is not None and not run.safe(registers):
+            wrong.append(f"THE VALVES ARE NOT SAFE: {registers.outputs['value']}")
     try:
         with cards_locked(rig.config.loader.load(run.rig_file), "trial"):
             pass

@@ -24,7 +24,7 @@ import rig.config.loader
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import safe_outputs
 from rig.simulator.faults import Faults
-from rig.simulator.registers import Registers, path_of
+from rig.simulator.registers import Registers
 from scripts.rig_process import children, strict
 
 SUPERVISOR, CONTROL, WATCHDOG, OBSERVER, PLANT = "supervisor", "control", "watchdog", "observer", "plant"
@@ -92,11 +92,12 @@ class TrialRun:
         """Start it; `limits` replaces limits of the rig, `edit` changes its text; with `terminal` it runs on one."""
         self.out = folder / "out"
         self.rig_file, self.protocol = folder / "rig.yaml", folder / "protocol.yaml"
-        self.device = f"faults-{os.getpid()}-{threading.get_native_id()}"
+        device = f"faults-{os.getpid()}-{threading.get_native_id()}"
+        self._card: Registers | None = None
         self.faults: Faults
         self.undo = ExitStack()
         """What ends a fault once the run has ended."""
-        self.rig_file.write_text(_limited(edit(rig_text(self.device, bench)), limits or {}))
+        self.rig_file.write_text(_limited(edit(rig_text(device, bench)), limits or {}))
         self.protocol.write_text(protocol)
         self._safe_v = np.array(safe_outputs(rig.config.loader.load(self.rig_file)))
         self._chunks: list[bytes] = []
@@ -116,6 +117,7 @@ class TrialRun:
             preexec_fn=(lambda: os.login_tty(os.dup(inner))) if terminal else None,
             env={**os.environ, **(environment or {})},
         )
+        self.device = f"{device}-{self.process.pid}"
         os.close(inner)
         threading.Thread(target=self._listen, daemon=True).start()
         self.members: dict[str, int] = {}
@@ -142,6 +144,7 @@ class TrialRun:
 
     def _listen(self) -> None:
         while self.screen >= 0:
+            self.attached()
             if not self._listening.is_set():
                 time.sleep(0.02)
                 continue
@@ -160,21 +163,19 @@ class TrialRun:
         deadline = time.monotonic() + START_S
         while time.monotonic() < deadline and self.process.poll() is None:
             registers = self.attached()
-            if registers is not None:
-                if np.any(registers.outputs["value"] > MOVING_V):
-                    self.faults = registers.faults
-                    self.members = {SUPERVISOR: self.process.pid} | run_processes(self.process.pid)
-                    return registers
-                registers.close()
+            if registers is not None and np.any(registers.outputs["value"] > MOVING_V):
+                self.faults = registers.faults
+                self.members = {SUPERVISOR: self.process.pid} | run_processes(self.process.pid)
+                return registers
             time.sleep(0.02)
         raise RuntimeError(f"the run never drove a valve: {self.output}")
 
     def attached(self) -> Registers | None:
-        """The card's registers, None as long as there are none."""
-        try:
-            return Registers.attach(self.device)
-        except CardError:  # not there yet, or not yet complete
-            return None
+        """The card's registers, None as long as there are none; kept, because a run removes its card at its end."""
+        if self._card is None:
+            with contextlib.suppress(CardError):  # not there yet, or not yet complete
+                self._card = Registers.attach(self.device)
+        return self._card
 
     def ended(self, registers: Registers) -> bool:
         """True where the run is over: it has left, or its valves are safe and stay so for longer than they ever do."""
@@ -228,7 +229,9 @@ class TrialRun:
             screen, self.screen = self.screen, -1
             time.sleep(0.1)
             os.close(screen)
-        path_of(self.device).unlink(missing_ok=True)
+        if self._card is not None:
+            self._card.close()
+        Registers.remove(self.device)
 
 
 def run_processes(parent: int) -> dict[str, int]:

@@ -19,7 +19,6 @@ from rig.calibrate import bench_session
 from rig.calibrate.bench_session import RealTimeClock, real
 from rig.execution.plan import StartError
 from rig.hardware.cards.base import CardError
-from rig.hardware.lock import lock_file
 from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.scheduling import Scheduling
 from rig.realtime.shared_state import SharedState
@@ -110,7 +109,7 @@ def test_valves_vented_by_another_program_stay_vented_where_the_session_would_ho
     stood = []
 
     def drive() -> None:
-        with real(config, file, "a test") as (valves, clock):
+        with real(config, file) as (valves, clock):
             stood.append(empty.outputs["value"].tolist())
             valves.write(told)
             clock.next()
@@ -123,5 +122,3 @@ def test_valves_vented_by_another_program_stay_vented_where_the_session_would_ho
         drive()
     assert stood == [pytest.approx([5.0, 5.0], abs=1e-3), pytest.approx(told.tolist(), abs=1e-3)]
     assert empty.outputs["value"].tolist() == [0.0, 0.0]
-    for card in config.cards.values():
-        lock_file(card).unlink(missing_ok=True)

@@ -15,6 +15,7 @@ import pytest
 
 import runs
 from rig.config import loader
+from rig.hardware import runtime_folder
 from rig.simulator.registers import Registers
 from runs.records import DetectionStatus
 from scripts.rig_process import write_rig
@@ -197,7 +198,8 @@ def test_without_yes_and_without_a_terminal_nothing_is_armed(
 def test_vent_names_the_bench_and_states_that_it_is_simulated(
     here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.realtime.scheduling.raise_priority", lambda: None)
+    (here / "shared").mkdir(mode=0o700)
+    monkeypatch.setattr(runtime_folder, "BASE", here / "shared")  # this vents no run of other tests
     bench = write_rig(here)
     registers = Registers.create(loader.load(bench).cards["daq"].device, outputs=2, inputs=16)
     try:

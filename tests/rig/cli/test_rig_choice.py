@@ -152,7 +152,7 @@ def test_vent_of_a_simulated_rig_that_has_never_run_says_so_and_returns_2(
     assert status_of(*arguments) == 2
     said = capsys.readouterr()
     assert "nothing to vent: the simulated rig folder" in said.err
-    assert "has never run" in said.err
+    assert "does not run" in said.err
     assert said.out == ""
 
 

@@ -70,11 +70,8 @@ def registers() -> Iterator[Registers]:
 
 
 @pytest.fixture
-def config(registers: Registers) -> Iterator[RigConfig]:
-    config = rig.config.loader.parse(text(), "rig.yaml")
-    yield config
-    for card in config.cards.values():
-        lock_file(card).unlink(missing_ok=True)
+def config(registers: Registers) -> RigConfig:
+    return rig.config.loader.parse(text(), "rig.yaml")
 
 
 def comedi_card(device: str) -> CardConfig:
@@ -228,5 +225,3 @@ def test_holding_valves_stay_vented_though_the_run_ends_late(registers: Register
         vent(config)
         assert run.wait(20) == 0
     assert registers.outputs["value"].tolist() == [0.0, 0.0]
-    for card in config.cards.values():
-        lock_file(card).unlink(missing_ok=True)

@@ -19,6 +19,7 @@ from rig.execution.plan import RunPlan
 from rig.hardware.bench import open_bench
 from rig.hardware.cards.base import CardBusyError
 from rig.hardware.safe_state import WatchdogOutputs, open_outputs
+from rig.hardware.vent import vent
 from rig.realtime.child_process import ChildJob, ended_within, spawn
 from rig.realtime.failsafe import force_safe_state
 from rig.realtime.shared_state import SharedState, Stage
@@ -128,10 +129,9 @@ def test_the_failsafe_ends_the_process_that_has_the_card(
 
 
 def test_rig_vent_ends_the_process_that_has_the_card(
-    config: RigConfig, device: str, holder: subprocess.Popen[str], tmp_path: Path
+    config: RigConfig, device: str, holder: subprocess.Popen[str]
 ) -> None:
-    command = [sys.executable, "-m", "rig", "vent", "--rig", str(tmp_path / "rig.yaml")]
-    subprocess.run(command, check=True, capture_output=True)
+    vent(config)
     assert volts(device) == [0.0, 0.0]
     assert holder.wait(10) == -signal.SIGKILL
 

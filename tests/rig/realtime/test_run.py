@@ -15,7 +15,7 @@ import pytest
 
 import runs
 from rig.simulator.faults import CameraFault, ValveFault
-from rig.simulator.registers import Registers
+from rig.simulator.registers import path_of
 from runs.records import Status
 from runs.recovery import recover
 from scripts.rig_process import BRIEF, SHORT, RigProcess, rig_run
@@ -134,9 +134,7 @@ def test_the_last_remaining_process_makes_the_valves_safe(tmp_path: Path, how: s
         if how == "only a stop request":
             os.kill(run.process.pid, signal.SIGINT)
         else:
-            registers = Registers.attach(run.device)
-            registers.faults.inject(camera=CameraFault.UNPLUGGED)
-            registers.close()
+            run.card.faults.inject(camera=CameraFault.UNPLUGGED)
         for pid in (*victims, run.process.pid):
             os.kill(pid, signal.SIGKILL)
         run.wait_until_safe()
@@ -166,26 +164,21 @@ def test_a_killed_supervisor_leaves_safe_valves_no_process_and_a_journal_that_ca
     recover_one(run)
 
 
-def test_a_second_run_is_refused_with_the_holder_and_rig_vent_ends_the_first(tmp_path: Path) -> None:
-    with rig_run(tmp_path) as run:
+def test_runs_of_one_simulated_rig_go_on_beside_each_other_and_rig_vent_ends_both(tmp_path: Path) -> None:
+    (tmp_path / "second").mkdir()
+    with rig_run(tmp_path) as run, rig_run(tmp_path / "second") as second:
+        (tmp_path / "second" / "rig.yaml").write_text(run.rig_file.read_text())
         run.wait_until_pressurised()
-        second = subprocess.run(
-            [sys.executable, "-m", "rig", "run", "ramp-a", "--rig", str(run.rig_file), "--yes"],
-            capture_output=True,
-            text=True,
-            cwd=tmp_path,
-            check=False,
-        )
-        assert second.returncode == 1
-        assert f"process {run.process.pid}" in second.stderr
-        assert "Traceback" not in second.stderr
+        second.wait_until_pressurised()
         assert not run.valves_are_safe()
         vent(run)
-        run.wait_until_safe(1.0)
-        assert run.end() == 130, run.output
-    archive = runs.open(run.archive())
-    assert archive.status is Status.INTERRUPTED
-    assert archive.message == "vented by `rig vent`"
+        for one in (run, second):
+            one.wait_until_safe(1.0)
+            assert one.end() == 130, one.output
+            archive = runs.open(one.archive())
+            assert archive.status is Status.INTERRUPTED
+            assert archive.message == "vented by `rig vent`"
+            assert not [device for device in one.devices if path_of(device).exists()]
 
 
 def test_rig_vent_makes_the_valves_safe_while_a_run_hangs(tmp_path: Path) -> None:
@@ -216,9 +209,7 @@ def test_an_over_pressure_stops_the_run(tmp_path: Path) -> None:
     with rig_run(tmp_path, SHORT) as run:
         run.wait_until_pressurised()
         # The valve of actuator 1 sticks as far open as it goes, whatever the command is.
-        registers = Registers.attach(run.device)
-        registers.faults.inject(valve_1=ValveFault.STUCK, valve_value_1=10.0)
-        registers.close()
+        run.card.faults.inject(valve_1=ValveFault.STUCK, valve_value_1=10.0)
         assert run.end() == 1, run.output
         run.wait_until_safe()
     assert "bar" in runs.open(run.archive()).message

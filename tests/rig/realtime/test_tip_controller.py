@@ -16,7 +16,6 @@ from rig.control.plan_follower import MOST_POINTS, StampedPlan, plan_dtype, reco
 from rig.realtime.scheduling import Scheduling, obtainable
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage
 from rig.simulator.faults import CameraFault
-from rig.simulator.registers import Registers
 from runs.records import SolveStatus, Status, blank, tip_control_dtype
 from runs.run import Run
 from scripts.rig_process import RigProcess, rig_run
@@ -164,9 +163,7 @@ def test_a_controller_that_was_late_is_followed_again(tmp_path: Path) -> None:
 def test_a_camera_lost_while_it_steers_makes_the_valves_safe(tmp_path: Path) -> None:
     with rig_run(tmp_path, CIRCLE, like="mock-3") as run:
         run.wait_until_pressurised()
-        registers = Registers.attach(run.device)
-        registers.faults.inject(camera=CameraFault.UNPLUGGED)
-        registers.close()
+        run.card.faults.inject(camera=CameraFault.UNPLUGGED)
         run.wait_until_safe()
         archive = ended(run, 1)
     assert archive.status is Status.ABORTED

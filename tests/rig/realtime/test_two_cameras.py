@@ -15,7 +15,6 @@ from rig.hardware.cameras import synchroniser
 from rig.hardware.cameras.base import CameraError, Frame
 from rig.hardware.cameras.synchroniser import CameraSynchroniser
 from rig.simulator.faults import CameraFault
-from rig.simulator.registers import Registers
 from runs.records import DetectionStatus, Status
 from scripts.rig_process import rig_run
 from tests.support.vision_bench import FRAME_NS
@@ -106,13 +105,11 @@ def test_a_process_that_stalled_does_not_blame_its_cameras(monkeypatch: pytest.M
 def test_a_run_continues_without_either_camera_and_reports_it(tmp_path: Path) -> None:
     with rig_run(tmp_path, HOLD, like="mock-stereo") as run:
         run.wait_until_pressurised()
-        registers = Registers.attach(run.device)
         for number in (1, 2):
-            registers.faults.inject(camera=CameraFault.SILENT, camera_number=number)
+            run.card.faults.inject(camera=CameraFault.SILENT, camera_number=number)
             time.sleep(1.5)
-            registers.faults.clear()
+            run.card.faults.clear()
             time.sleep(2.0)
-        registers.close()
         assert run.end() == 0, run.output
     archive = runs.open(run.archive())
     assert archive.status is Status.FINISHED
