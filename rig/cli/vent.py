@@ -15,8 +15,8 @@ from pydantic import ValidationError
 
 from rig.cli.exit_status import BAD_INPUT, FAULT
 from rig.config.bench import BenchConfig, VentedBench
-from rig.hardware.lock import described, locked_devices, outputs_of
-from rig.hardware.running import RunningRig, signalled
+from rig.hardware.lock import described, locked_devices, outputs_of, runs_of
+from rig.hardware.running import RunningRig, signal_run, signalled
 from rig.hardware.vent import Venting, VentResult, results
 
 NOTHING = "nothing to vent: --rig, SOFTRIG_RIG or softrig.yaml here names no rig, and no experiment of this user runs"
@@ -135,16 +135,20 @@ def _named(option: str | None, running: list[_Rig]) -> tuple[list[_Rig], list[st
     problems = [f"NOT vented: {problem} ({source})" for problem in unread]
     if bench is None:
         return [], problems, ""
-    covered = {output for rig in running for output in outputs_of(rig.bench)}
-    if outputs_of(bench) <= covered:
+    if outputs_of(bench) <= {output for rig in running for output in outputs_of(rig.bench)}:
         return [], problems, ""
-    if is_absent(bench):
-        return (
-            [],
-            problems,
-            f"nothing to vent: the simulated rig {bench.name}, chosen by {choice.source}, has never run",
-        )
-    return [_begun(bench, source)], problems, ""
+    # Each run of a simulated rig has cards of its own.
+    own = runs_of(bench)
+    told = {rig.run.file for rig in running if rig.run is not None}
+    others = [run for run in own if run.file not in told]
+    for run in others:
+        signal_run(run)
+    rigs, unreadable = _begun_runs(others)
+    problems += unreadable
+    if not is_absent(bench):
+        return [*rigs, _begun(bench, source)], problems, ""
+    nothing = f"nothing to vent: the simulated rig {bench.name}, chosen by {choice.source}, does not run"
+    return rigs, problems, "" if own else nothing
 
 
 def _vented(bench: BenchConfig, vented: VentResult) -> str:

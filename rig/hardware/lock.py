@@ -147,7 +147,9 @@ def cards_locked(config: BenchConfig, purpose: str) -> Iterator[None]:
             if not card.is_mock:
                 _lock(name, card, config, held)
         bench = VentedBench.of(config).model_dump(mode="json", exclude_none=True)
-        with recorded(purpose, config.name, simulated=all(card.simulated for card in config.cards.values()), bench=bench):
+        with recorded(
+            purpose, config.name, simulated=all(card.simulated for card in config.cards.values()), bench=bench
+        ):
             yield
     finally:
         for descriptor in held:

@@ -71,9 +71,12 @@ def mock_rig() -> RigConfig:
     return rig.config.loader.parse(rig.config.loader.text("mock"), "rig.yaml")
 
 
+def real_text(node: str = NODE) -> str:
+    return re.sub(r"device: \S*comedi0", f"device: {node}", rig.config.loader.text("pci1716"))
+
+
 def real_rig(node: str = NODE) -> RigConfig:
-    text = rig.config.loader.text("pci1716")
-    return rig.config.loader.parse(re.sub(r"device: \S*comedi0", f"device: {node}", text), "rig.yaml")
+    return rig.config.loader.parse(real_text(node), "rig.yaml")
 
 
 def test_the_runtime_folder_is_one_and_only_its_user_can_enter_it(shared: Path) -> None:
@@ -109,7 +112,7 @@ def test_a_parent_in_which_others_can_replace_files_is_refused(shared: Path) -> 
     shared.chmod(0o777)
     with pytest.raises(PermissionError, match="other users can replace the files"):
         runtime_folder.runtime_folder()
-    with pytest.raises(CardError, match="other users can replace"), cards_locked(mock_rig(), "a test"):
+    with pytest.raises(CardError, match="other users can replace"), cards_locked(real_rig(), "a test"):
         pass
 
 
@@ -126,7 +129,7 @@ def test_another_users_folder_of_that_name_is_not_used(shared: Path) -> None:
 
 
 PLACES: dict[str, tuple[Callable[[], Path], Callable[[], object]]] = {
-    "lock": (lambda: lock_file(mock_rig().cards["daq"]), lambda: cards_locked(mock_rig(), "a test").__enter__()),
+    "lock": (lambda: lock_file(real_rig().cards["daq"]), lambda: cards_locked(real_rig(), "a test").__enter__()),
     "registers made": (lambda: path_of("mock0"), lambda: Registers.create("mock0", 2, 8)),
     "registers used": (lambda: path_of("mock0"), lambda: Registers.attach("mock0")),
     "one opener": (lambda: path_of("mock0").with_suffix(".open"), lambda: _open_alone()),
@@ -180,7 +183,7 @@ def test_a_file_of_another_user_is_not_opened_though_its_mode_is_right(shared: P
 
 def test_text_in_a_lock_file_names_no_holder(shared: Path) -> None:
     """Only the kernel says who holds a lock. Forged text neither adds a holder nor hides one."""
-    config = mock_rig()
+    config = real_rig()
     path = lock_file(config.cards["daq"])
     path.write_text(f"process {os.getpid()}, protocol forged, since 2026-01-01\n")
     path.chmod(0o600)
@@ -219,8 +222,8 @@ def test_a_damaged_record_is_named_with_its_process(shared: Path, forged: str) -
 
 def test_the_message_names_the_holder_that_the_kernel_reports(shared: Path, tmp_path: Path) -> None:
     file = tmp_path / "rig.yaml"
-    file.write_text(rig.config.loader.text("mock"))
-    with holder(file, shared) as process, pytest.raises(CardError) as refused, cards_locked(mock_rig(), "a test"):
+    file.write_text(real_text())
+    with holder(file, shared) as process, pytest.raises(CardError) as refused, cards_locked(real_rig(), "a test"):
         pass
     assert f"in use by another run: process {process.pid} of user" in str(refused.value)
     assert re.search(r"since \d{4}-\d\d-\d\dT", str(refused.value))
