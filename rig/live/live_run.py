@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import threading
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +49,7 @@ WATCH_EVERY_S = 1.0
 IDLE_PACKET_S = 0.2
 """A packet is due after this time even without a new camera frame."""
 FAR = float("-inf")
+LOWEST_NICENESS = 19
 
 
 class LiveRun:
@@ -77,9 +81,11 @@ class LiveRun:
         self.observations: dict[int, tuple[NDArray[np.void], float]] = {}
         self.adaptation: NDArray[np.void] | None = None
         self.missed = self.dropped = self.cycles = 0
-        self.view: tuple[NDArray[np.void], NDArray[np.uint8]] | None = None
+        self.view: tuple[NDArray[np.void], bytes] | None = None
+        """The newest frame that is encoded, with its JPEG; empty without a camera."""
         self._mean = RunningMean()
-        self._picture: tuple[int, bytes] = (-1, b"")
+        self._encoder = ThreadPoolExecutor(1, initializer=_lowest_priority)
+        self._encoding: Future[tuple[NDArray[np.void], bytes]] | None = None
         self._watched = 0.0
         self._journal: Path | None = None
 
@@ -139,8 +145,7 @@ class LiveRun:
         if spare > 0:
             del self.events[:spare]
             self.events_dropped += spare
-        after = -1 if self.view is None else int(self.view[0]["number"])
-        self.view = memory.views.newest(after) or self.view
+        self._encode_newest()
         if self.session.ended:
             message = memory.message("supervisor") if memory.stage("supervisor") is Stage.DONE else ""
             self.aborted = not message or message.startswith(Status.ABORTED)
@@ -181,14 +186,15 @@ class LiveRun:
         """Maximum lateness of the last second."""
         return float(self._lateness.max()) * 1e-3
 
-    def picture(self) -> bytes:
-        """The newest picture, encoded once for all browsers."""
-        if self.view is None or not self.view[1].size:
-            return b""
-        number = int(self.view[0]["number"])
-        if self._picture[0] != number:
-            self._picture = number, jpeg(self.view[1])
-        return self._picture[1]
+    def _encode_newest(self) -> None:
+        """Have the newest frame encoded, once for all browsers; those that come while one is encoded are dropped."""
+        if self._encoding is not None:
+            if not self._encoding.done():
+                return
+            self.view, self._encoding = self._encoding.result(), None
+        after = -1 if self.view is None else int(self.view[0]["number"])
+        if (view := self.session.memory.views.newest(after)) is not None:
+            self._encoding = self._encoder.submit(_encoded, *view)
 
     def _take_samples(self, rows: NDArray[np.void]) -> None:
         for row in rows:
@@ -218,6 +224,15 @@ class LiveRun:
         std_mm = MM_PER_M * np.sqrt(np.diagonal(row["covariance_m2"]))
         measured, model = MM_PER_M * row["measured_m"], MM_PER_M * row["model_m"]
         self.track.add(np.concatenate([[self.seconds(int(row["t_ns"]))], measured, std_mm, model, [error, mean]]))
+
+
+def _lowest_priority() -> None:
+    """Give the calling thread the lowest priority; those that pass on an operator's commands keep theirs."""
+    os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOWEST_NICENESS)
+
+
+def _encoded(view: NDArray[np.void], image: NDArray[np.uint8]) -> tuple[NDArray[np.void], bytes]:
+    return view, jpeg(image) if image.size else b""
 
 
 class LiveRunViewer:
@@ -256,7 +271,7 @@ class LiveRunViewer:
             update.overlay = ViewOverlay(
                 view["corners_px"][: int(view["found"])], view["tip_px"], view["model_px"], MM_PER_M * view["lines_m"]
             )
-            update.picture = source.picture()
+            update.picture = source.view[1]
         self._shown, self._frame, self._sent = number, frame, time.monotonic()
         return update.encoded()
 

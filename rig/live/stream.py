@@ -76,7 +76,9 @@ class Viewer(Protocol):
 
 
 class RunSource(Protocol):
-    """Source of packets."""
+    """Source of packets for so many `viewers`."""
+
+    viewers: int
 
     @property
     def finished(self) -> bool:
@@ -102,7 +104,10 @@ class RunSource(Protocol):
 
 POLL_S = 0.008
 WAIT_S = 0.1
-LEAST_PERIOD_S = 0.02
+PACKETS_PER_S = 10.0
+"""Of all browsers together: what they draw costs the computer of the bench more than the page itself."""
+LONGEST_PERIOD_S = 1.0
+"""Between two packets to one of many browsers."""
 
 
 async def stream(socket: WebSocket, source: RunSource) -> None:
@@ -119,7 +124,7 @@ async def _serve(socket: WebSocket, source: RunSource, visitor: Visitor, about: 
     viewer = source.viewer()
     ready = asyncio.Event()
     lock = asyncio.Lock()
-    sending = asyncio.create_task(_send(socket, viewer, ready, lock))
+    sending = asyncio.create_task(_send(socket, viewer, ready, lock, source))
     try:
         greeting = {**plain(asdict(about)), "who": visitor.who, "operator": visitor.operator}
         async with lock:
@@ -153,7 +158,7 @@ async def _listen(
             await socket.send_text(json.dumps({"answer": answer}))
 
 
-async def _send(socket: WebSocket, viewer: Viewer, ready: asyncio.Event, lock: asyncio.Lock) -> None:
+async def _send(socket: WebSocket, viewer: Viewer, ready: asyncio.Event, lock: asyncio.Lock, source: RunSource) -> None:
     while True:
         await ready.wait()
         packet = viewer.packet()
@@ -163,7 +168,7 @@ async def _send(socket: WebSocket, viewer: Viewer, ready: asyncio.Event, lock: a
         ready.clear()
         async with lock:
             await socket.send_bytes(packet)
-        await asyncio.sleep(LEAST_PERIOD_S)
+        await asyncio.sleep(min(LONGEST_PERIOD_S, source.viewers / PACKETS_PER_S))
 
 
 async def _message(socket: WebSocket) -> Message:

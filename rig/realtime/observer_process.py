@@ -34,6 +34,12 @@ HISTORY_S = 2.0
 """Time before a frame whose control cycles are passed to the model with it."""
 WATCHED_NS = 3_000_000_000
 """A viewer reports its presence about once a second."""
+VIEW_EVERY_NS = 100_000_000
+"""Least time between two frames for viewers; each costs the observer a copy, and a page a JPEG."""
+LATE_VIEW_EVERY_NS = 1_000_000_000
+"""The same while the observer is behind the camera: whoever watches must not cost frames."""
+AT_ONCE_NS = 1_000_000
+"""A frame that is read within this time has waited for the observer."""
 _NO_PICTURE = np.empty((0, 0, 0), np.uint8)
 
 
@@ -74,12 +80,14 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
         previous: int | None = None
         while memory.stop_request == Stop.NONE and not supervisor.exited:
             memory.heartbeat("observer", time.monotonic_ns())
+            asked_ns = time.monotonic_ns()
             try:
                 frame_set = source.read(frame_s)
             except TipSourceError:
                 if memory.stop_request != Stop.NONE:
                     break
                 raise
+            arrived_ns = time.monotonic_ns()
             # Frames from the safe state on show the arm as it vents, which no step of the protocol asks for.
             if not _within_run(memory, frame_set.t_ns):
                 continue
@@ -88,9 +96,9 @@ def _observe(job: ChildJob, memory: SharedState) -> None:
             dropped = 0 if previous is None else max(0, frame_set.index - previous - 1)
             previous = frame_set.index
             _record(job, observer, memory, frame_set, dropped)
-            preview.publish(frame_set, observer)
             for picture in recorder.pictures(frame_set, observer):
                 memory.pictures.push(picture, names.index(picture.camera))
+            preview.publish(frame_set, observer, behind=dropped > 0 or arrived_ns - asked_ns < AT_ONCE_NS)
     finally:
         source.close()
 
@@ -155,21 +163,32 @@ def _record(job: ChildJob, observer: Observer, memory: SharedState, frame_set: F
 
 
 class PreviewPublisher:
-    """Publishes frames with their overlay to viewers; without a viewer nothing is computed or copied."""
+    """Publishes frames with their overlay to viewers: not every frame, and few while the observer is late.
+
+    Without a viewer nothing is computed or copied.
+    """
 
     def __init__(self, config: RigConfig, memory: SharedState) -> None:
         self._config, self._memory = config, memory
+        self._published_ns = self._behind_ns = 0
         self._projectors = [OverlayProjector(config, name) for name in config.cameras]
         self._row = np.zeros((), view_dtype(config))
 
-    def publish(self, frame_set: FrameSet, observer: Observer) -> None:
+    def publish(self, frame_set: FrameSet, observer: Observer, behind: bool) -> None:
         """Publish the leading frame of the frame set that the observer has just observed, if there is a viewer.
 
+        `behind`: frames were lost before this one, or the observer found it waiting.
         Without cameras the picture is empty, and the overlay is the lines of the arm.
         """
-        watched = time.monotonic_ns() - self._memory.viewer_ns <= WATCHED_NS
-        if not watched or observer.measurement is None:
+        now = time.monotonic_ns()
+        watched = now - self._memory.viewer_ns <= WATCHED_NS
+        if behind:
+            self._behind_ns = now
+        late = now - self._behind_ns < LATE_VIEW_EVERY_NS
+        due = now - self._published_ns >= (LATE_VIEW_EVERY_NS if late else VIEW_EVERY_NS)
+        if not (watched and due) or observer.measurement is None:
             return
+        self._published_ns = now
         row = self._row
         row["t_ns"], row["frame"] = frame_set.t_ns, frame_set.index
         row["lines_m"] = arm_lines(self._config, observer.shape, LINE_POINTS)

@@ -70,6 +70,7 @@ class Shown:
 
     finished = awaits_results = False
     results: ClassVar[dict[str, Path]] = {}
+    viewers = 1
 
     def __init__(self, actuators: int, adapt: bool, prompt: str, stalled: bool) -> None:
         self.actuators = actuators
