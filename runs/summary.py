@@ -170,7 +170,7 @@ def summarise(run: ArchiveReader) -> Summary:
     oriented = measured & np.isfinite(tip.orientation_deg).all(axis=1)
     modelled = np.isfinite(tip.model_mm).any()
     plane = plane_of_motion((tip.model_mm if modelled else tip.measured_mm)[measured if measured.any() else ...])
-    difference = tip.measured_mm - tip.model_mm
+    difference = tip.deviation_mm
     steps = _steps(run, measured, plane)
     moving = [step for step in steps if not step.dwell and np.isfinite(step.tracking_rms_bar)]
     moving_s = np.array([step.stop_s - step.start_s for step in moving])
@@ -285,7 +285,7 @@ def _step(
     begin = settled_from if dwell else interval.start_s
     low, high = np.searchsorted(tip.protocol_s, (begin, interval.stop_s))
     frames = low + np.flatnonzero(measured[low:high])
-    difference = tip.measured_mm[frames] - tip.model_mm[frames]
+    difference = tip.deviation_mm[frames]
     where = _vector(tip.measured_mm[frames])
     error = _mean(tip.error_mm[frames])
     travelled = float(np.linalg.norm(np.array(where) - rest))

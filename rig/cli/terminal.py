@@ -20,7 +20,6 @@ from model.units import PA_PER_BAR
 from rig.cli.keyboard import Keyboard
 from rig.cli.nonblocking_writer import NonBlockingWriter
 from rig.execution.plan import Progress
-from runs.columns.tip_control import reference_error_mm
 from runs.printable_text import printable
 from runs.records import DetectionStatus, Event, Level, Quantity
 
@@ -120,16 +119,6 @@ def _clock(seconds: float) -> str:
     return f"{minutes}:{rest:02d}"
 
 
-def _error_mm(progress: Progress) -> float:
-    row = progress.observation
-    return float("nan") if row is None else 1e3 * float(np.linalg.norm(row["measured_m"] - row["model_m"]))
-
-
-def _path_error_mm(row: NDArray[np.void]) -> float:
-    """Distance from the reference; NaN without one."""
-    return float(reference_error_mm(np.array([row]))[0])
-
-
 def _line(progress: Progress) -> str:
     parts = [f"{progress.protocol_s:7.1f} of {progress.duration_s:.1f} s"]
     if progress.sample is not None:
@@ -138,8 +127,8 @@ def _line(progress: Progress) -> str:
         parts += _auxiliary(progress)
     if progress.observation is not None and progress.observation["seen"] == DetectionStatus.MEASURED:
         tip = f"tip{_earlier(progress)} mm {_point(progress.observation['measured_m'])}"
-        parts.append(f"{tip}, error {_error_mm(progress):.2f}")
-        if np.isfinite(path := _path_error_mm(progress.observation)):
+        parts.append(f"{tip}, error {progress.error_mm:.2f}")
+        if np.isfinite(path := progress.path_error_mm):
             parts.append(f"path error {path:.2f}")
     elif progress.observation is not None and progress.observation["seen"] == DetectionStatus.NO_CAMERA:
         parts.append(f"model tip mm {_point(progress.observation['model_m'])}, not measured: no camera")
@@ -224,8 +213,8 @@ def _tip(progress: Progress, observation: NDArray[np.void]) -> list[Text]:
     if seen is not DetectionStatus.MEASURED:
         return [Text(f"tip not measured: {seen.words}", "yellow"), model]
     std_mm = _uncertainty(np.sqrt(np.diagonal(observation["covariance_m2"])))
-    error = f"error {_error_mm(progress):.2f} mm"
-    if np.isfinite(path := _path_error_mm(observation)):
+    error = f"error {progress.error_mm:.2f} mm"
+    if np.isfinite(path := progress.path_error_mm):
         error += f", path error {path:.2f} mm"
     lines = [
         Text(error, "bold cyan"),

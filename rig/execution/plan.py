@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,8 @@ from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig, Variant
 from rig.config.tip_controllers import FEED_FORWARD
 from rig.config.tracker_sections import TrackerConfig
+from runs.columns.observations import model_error_mm
+from runs.columns.tip_control import reference_error_mm
 from runs.records import AuxiliaryChannel, Event, Quantity, observation_dtype, sample_dtype
 
 if TYPE_CHECKING:
@@ -91,6 +94,16 @@ class Progress:
     """The newest row of the recursive estimator, in the order of `adapted`."""
     auxiliary: tuple[AuxiliaryChannel, ...] = ()
     """The auxiliary inputs, in the order of the sample's column `aux`."""
+
+    @property
+    def error_mm(self) -> float:
+        """Distance of the measured tip from the model's; NaN without one."""
+        return math.nan if self.observation is None else float(model_error_mm(np.array([self.observation]))[0])
+
+    @property
+    def path_error_mm(self) -> float:
+        """Distance of the measured tip from its reference; NaN without one."""
+        return math.nan if self.observation is None else float(reference_error_mm(np.array([self.observation]))[0])
 
 
 class OperatorInterface(Protocol):

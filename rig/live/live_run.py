@@ -22,7 +22,6 @@ from rig.live.packets import (
     PressureView,
     ProtocolView,
     RunDescription,
-    RunningMean,
     SectionView,
     TimingView,
     TipView,
@@ -37,6 +36,7 @@ from rig.live.packets import (
     sections,
 )
 from rig.realtime.operator_commands import CommandKind
+from rig.realtime.run_totals import RunTotals
 from rig.realtime.shared_state import Stage
 from runs.columns.tip_control import reference_error_mm
 from runs.records import DetectionStatus, Event, Status
@@ -44,6 +44,8 @@ from runs.records import DetectionStatus, Event, Status
 CHART_DECIMATION = 10
 """Control cycles per row of the pressure chart."""
 EVENTS_KEPT = 500
+OBSERVATIONS_KEPT = 64
+"""A picture is shown with the row of its frame, which is some frames old when the picture is encoded."""
 CONNECT_EVERY_S = 0.1
 WATCH_EVERY_S = 1.0
 IDLE_PACKET_S = 0.2
@@ -72,18 +74,17 @@ class LiveRun:
         self.events_dropped = 0
         self.ended = ""
         self.start_ns = 0
-        self.sample: NDArray[np.void] | None = None
         self.pressures: tuple[float, PressureView] | None = None
         """The newest pressures, with the time since the start."""
         self.aborted = False
         self.results: dict[str, Path] = {}
         """The files that the run has left so far, by what they are."""
-        self.observations: dict[int, tuple[NDArray[np.void], float]] = {}
-        self.adaptation: NDArray[np.void] | None = None
-        self.missed = self.dropped = self.cycles = 0
+        self.observations: dict[int, tuple[NDArray[np.void], float, float]] = {}
+        """The last rows by their frame, each with the model's error and its mean so far [mm]."""
+        self.totals = RunTotals()
+        self._cycles = 0
         self.view: tuple[NDArray[np.void], bytes] | None = None
         """The newest frame that is encoded, with its JPEG; empty without a camera."""
-        self._mean = RunningMean()
         self._encoder = ThreadPoolExecutor(1, initializer=_lowest_priority)
         self._encoding: Future[tuple[NDArray[np.void], bytes]] | None = None
         self._watched = 0.0
@@ -136,10 +137,9 @@ class LiveRun:
         self._take_samples(memory.samples.read())
         for row in memory.venting.read():
             self._take_pressures(int(row["t_ns"]), np.full(len(row["measured_pa"]), np.nan), row["measured_pa"])
-        for row in memory.observations.read():
-            self._take_observation(row)
-        for row in memory.adaptations.read()[-1:]:
-            self.adaptation = row
+        self._take_observations(memory.observations.read())
+        if len(adaptations := memory.adaptations.read()):
+            self.totals.add_adaptations(adaptations)
         self.events += memory.read_events()
         spare = len(self.events) - EVENTS_KEPT
         if spare > 0:
@@ -198,14 +198,13 @@ class LiveRun:
 
     def _take_samples(self, rows: NDArray[np.void]) -> None:
         for row in rows:
-            self._lateness[self.cycles % len(self._lateness)] = row["lateness_ns"]
-            if self.cycles % CHART_DECIMATION == 0:
+            self._lateness[self._cycles % len(self._lateness)] = row["lateness_ns"]
+            if self._cycles % CHART_DECIMATION == 0:
                 self._take_pressures(int(row["t_ns"]), row["setpoint_pa"], row["measured_pa"])
-            self.cycles += 1
+            self._cycles += 1
         if len(rows):
-            self.sample = rows[-1]
+            self.totals.add_samples(rows)
             self.pressures = self._pressures(int(rows["t_ns"][-1]), rows["setpoint_pa"][-1], rows["measured_pa"][-1])
-            self.missed += int(rows["missed"].sum())
 
     def _pressures(self, t_ns: int, setpoint_pa: Array, measured_pa: Array) -> tuple[float, PressureView]:
         return self.seconds(t_ns), PressureView(setpoint_pa / PA_PER_BAR, measured_pa / PA_PER_BAR)
@@ -214,16 +213,17 @@ class LiveRun:
         t_s, view = self.pressures = self._pressures(t_ns, setpoint_pa, measured_pa)
         self.pressure.add(np.concatenate([[t_s], view.setpoint_bar, view.measured_bar]))
 
-    def _take_observation(self, row: NDArray[np.void]) -> None:
-        error = MM_PER_M * float(np.linalg.norm(row["measured_m"] - row["model_m"]))
-        mean = self._mean.add(error)
-        self.dropped += int(row["dropped"])
-        self.observations[int(row["frame"])] = row, mean
-        if len(self.observations) > 16:
-            del self.observations[next(iter(self.observations))]
-        std_mm = MM_PER_M * np.sqrt(np.diagonal(row["covariance_m2"]))
-        measured, model = MM_PER_M * row["measured_m"], MM_PER_M * row["model_m"]
-        self.track.add(np.concatenate([[self.seconds(int(row["t_ns"]))], measured, std_mm, model, [error, mean]]))
+    def _take_observations(self, rows: NDArray[np.void]) -> None:
+        if not len(rows):
+            return
+        for row, error_mm, mean_mm in zip(rows, *self.totals.add_observations(rows), strict=True):
+            self.observations[int(row["frame"])] = row, float(error_mm), float(mean_mm)
+            std_mm = MM_PER_M * np.sqrt(np.diagonal(row["covariance_m2"]))
+            measured, model = MM_PER_M * row["measured_m"], MM_PER_M * row["model_m"]
+            t_s = self.seconds(int(row["t_ns"]))
+            self.track.add(np.concatenate([[t_s], measured, std_mm, model, [error_mm, mean_mm]]))
+        for old in list(self.observations)[:-OBSERVATIONS_KEPT]:
+            del self.observations[old]
 
 
 def _lowest_priority() -> None:
@@ -285,7 +285,7 @@ class LiveRunViewer:
     def _now(self) -> ViewState:
         source = self._source
         memory, plan = source.session.memory, source.session.plan
-        protocol_s, waiting, sample = memory.protocol_s, memory.waiting_prompt, source.sample
+        protocol_s, waiting, sample = memory.protocol_s, memory.waiting_prompt, source.totals.sample
         segment = plan.trajectory.segment_at(protocol_s)
         return ViewState(
             state=self._state(waiting),
@@ -297,8 +297,8 @@ class LiveRunViewer:
                 segment_left_s=max(0.0, segment.stop_s - protocol_s),
             ),
             timing=TimingView(
-                missed=source.missed,
-                dropped=source.dropped if plan.config.measures_tip else None,
+                missed=source.totals.missed,
+                dropped=source.totals.dropped if plan.config.measures_tip else None,
                 lateness_us=None if sample is None else float(sample["lateness_ns"]) * 1e-3,
                 lateness_max_us=source.lateness_max_us,
             ),
@@ -314,32 +314,32 @@ class LiveRunViewer:
         )
 
     def _estimates(self) -> tuple[EstimateView, ...]:
-        row = self._source.adaptation
+        row = self._source.totals.adaptation
         if row is None:
             return ()
         return estimates(self._source.session.plan.adapted, row["value"], np.sqrt(np.diagonal(row["covariance"])))
 
-    def _observation(self) -> tuple[NDArray[np.void], float]:
-        """Row of the frame that is shown, and the mean error up to it."""
+    def _observation(self) -> tuple[NDArray[np.void], float, float]:
+        """Row of the frame that is shown, with the model's error and its mean so far [mm]."""
         source = self._source
         newest = next(reversed(source.observations))
         frame = newest if source.view is None else int(source.view[0]["frame"])
         return source.observations.get(frame, source.observations[newest])
 
     def _sections(self) -> tuple[SectionView, ...]:
-        row, _ = self._observation()
+        row, _, _ = self._observation()
         return sections(
             self._source.session.plan.config.sections, MM_PER_M * row["section_m"], MM_PER_M * row["section_model_m"]
         )
 
     def _tip(self) -> TipView:
-        row, mean = self._observation()
+        row, error_mm, mean_mm = self._observation()
         return TipView(
             frame=int(row["frame"]),
             seen=DetectionStatus(int(row["seen"])).words,
             model_ok=bool(row["model_ok"]),
-            error_mm=MM_PER_M * float(np.linalg.norm(row["measured_m"] - row["model_m"])),
-            mean_error_mm=mean,
+            error_mm=error_mm,
+            mean_error_mm=mean_mm,
             reprojection_px=float(row["reprojection_px"]),
             age_ms=(time.monotonic_ns() - int(row["t_ns"])) * 1e-6,
             sent_ms=time.time() * 1e3,
@@ -350,7 +350,7 @@ class LiveRunViewer:
         memory = self._source.session.memory
         if self._source.finished:
             return "ended"
-        if not memory.start_ns or self._source.sample is None:
+        if not memory.start_ns or self._source.totals.sample is None:
             return "starting"
         if memory.stop_request:
             return "stopping"

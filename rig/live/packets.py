@@ -195,21 +195,6 @@ class History:
         return rows[int(np.searchsorted(rows[:, 0], t_s, side="right")) :]
 
 
-@dataclass
-class RunningMean:
-    """A running mean over finite values."""
-
-    total: float = 0.0
-    count: int = 0
-
-    def add(self, value: float) -> float:
-        """Add a value; return the mean so far, NaN before the first."""
-        if np.isfinite(value):
-            self.total += value
-            self.count += 1
-        return self.total / self.count if self.count else float("nan")
-
-
 @dataclass(frozen=True)
 class ViewOverlay:
     """Overlay of one picture [px] and lines in space [mm]."""

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from rig.execution.plan import UNRECORDED, OperatorInterface, Progress, RunPlan
 from rig.realtime.health_monitor import HealthMonitor
 from rig.realtime.ring import RingBuffer
+from rig.realtime.run_totals import RunTotals
 from rig.realtime.scheduling import suspended_ns
 from rig.realtime.shared_state import SharedState
 from runs.journal.append_only_file import JournalError
 from runs.records import Event, Level, Picture
-from runs.tip_plans import PlanCounts
 
 if TYPE_CHECKING:
     from runs.journal.journal import JournalWriter
@@ -44,20 +44,10 @@ class DataRecorder:
         self._plan, self._config, self._memory = plan, plan.config, memory
         self._journal, self._operator, self._clock = journal, operator, clock
         self._health = HealthMonitor(plan.config, start_ns)
-        self._lost_scans = self._damaged_lines = self._repeated_scans = self._slow_calls = self._missed = (
-            self._dropped
-        ) = self._lost_pulses = 0
+        self._lost_scans = self._damaged_lines = self._repeated_scans = self._slow_calls = self._lost_pulses = 0
         self.failure = ""
         """Why the record could not be written; empty if it could."""
-        self.plan_counts = PlanCounts()
-        self.sample: NDArray[np.void] | None = None
-        self.observation: NDArray[np.void] | None = None
-        self.adaptation: NDArray[np.void] | None = None
-
-    @property
-    def dropped(self) -> int | None:
-        """Camera frames without a row; None without camera and tracker."""
-        return self._dropped if self._config.measures_tip else None
+        self.totals = RunTotals()
 
     def poll(self) -> None:
         """Record what the processes have written since the last call, and check supervisor, computer and disk."""
@@ -73,8 +63,7 @@ class DataRecorder:
         if slow:
             self._health.slow_calls(slow, memory.slow_call, memory.slow_card, memory.slow_call_ns)
         if len(samples := self._read(memory.samples, journal.samples)):
-            self._missed += int(samples["missed"].sum())
-            self.sample = samples[-1]
+            self.totals.add_samples(samples)
             self.report(*self._health.samples(samples))
         lost, self._lost_scans = memory.lost_scans - self._lost_scans, memory.lost_scans
         self.report(*self._health.lost(self._clock(), lost))
@@ -83,13 +72,12 @@ class DataRecorder:
         repeated, self._repeated_scans = memory.repeated_scans - self._repeated_scans, memory.repeated_scans
         self.report(*self._health.repeated(self._clock(), repeated))
         if len(observations := self._read(memory.observations, journal.observations)):
-            self._dropped += int(observations["dropped"].sum())
-            self.observation = observations[-1]
+            self.totals.add_observations(observations)
             self.report(*self._health.observations(observations))
         if len(adaptations := self._read(memory.adaptations, journal.adaptations)):
-            self.adaptation = adaptations[-1]
+            self.totals.add_adaptations(adaptations)
         plans = self._read(memory.plans, journal.plans)
-        self.plan_counts.add(plans["status"])
+        self.totals.plans.add(plans["status"])
         self.report(*self._health.plans(plans))
         self._read(memory.streamed, journal.streamed)
         pulses = memory.pulses.read()
@@ -115,17 +103,18 @@ class DataRecorder:
     def progress(self) -> Progress:
         """What the operator is shown."""
         memory, trajectory, waiting = self._memory, self._plan.trajectory, self._memory.waiting_prompt
+        totals = self.totals
         return Progress(
             protocol_s=memory.protocol_s,
             duration_s=trajectory.duration_s,
-            sample=self.sample,
-            observation=self.observation,
-            missed=self._missed,
-            dropped=self.dropped,
+            sample=totals.sample,
+            observation=totals.observation,
+            missed=totals.missed,
+            dropped=totals.dropped if self._config.measures_tip else None,
             prompt=trajectory.prompts[waiting].message if waiting >= 0 else None,
             paused=memory.paused,
             adapted=self._plan.adapted,
-            adaptation=self.adaptation,
+            adaptation=totals.adaptation,
             auxiliary=self._plan.auxiliary,
         )
 
@@ -133,8 +122,8 @@ class DataRecorder:
         """Losses of the run by name."""
         memory = self._memory
         return {
-            "missed_deadlines": self._missed,
-            **({} if self.dropped is None else {"dropped_frames": self.dropped}),
+            "missed_deadlines": self.totals.missed,
+            **({"dropped_frames": self.totals.dropped} if self._config.measures_tip else {}),
             "lost_scans": self._lost_scans,
             "damaged_lines": self._damaged_lines,
             "repeated_scans": self._repeated_scans,

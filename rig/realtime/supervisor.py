@@ -153,7 +153,7 @@ class Supervisor:
                 return Status.ABORTED, failure
             self.record.report(*self._tip_control_events(time.monotonic_ns()))
             if done:
-                return Status.FINISHED, self._tip_monitor.message(self.record.plan_counts)
+                return Status.FINISHED, self._tip_monitor.message(self.record.totals.plans)
             self._session.update(self.record)
             if self._plant is not None:
                 self._plant.set_tip_weight(self._plan.trajectory.weight_kg(memory.protocol_s))

@@ -213,7 +213,7 @@ class _VirtualRun:
             return Status.ABORTED, "; ".join(filter(None, (trip.message, self._tip_monitor.loss)))
         if self._loop.finished:
             self._record.drain()
-            return Status.FINISHED, self._tip_monitor.message(self._record.plan_counts)
+            return Status.FINISHED, self._tip_monitor.message(self._record.totals.plans)
         if self._loop.position.waiting and self._answered == self._loop.position.prompts_passed:
             message = self._plan.trajectory.prompts[self._answered].message
             self._answered += 1

@@ -48,7 +48,8 @@ def full_matrix(stored: Values) -> Values:
     return stored[..., _FULL]
 
 
-def _error_mm(rows: NDArray[np.void]) -> Values:
+def model_error_mm(rows: NDArray[np.void]) -> Values:
+    """Distance (n,) of the measured tip from the model's in rows (n,); NaN where none was measured."""
     return np.asarray(np.linalg.norm(rows["measured_m"] * MM_PER_M - rows["model_m"] * MM_PER_M, axis=1))
 
 
@@ -146,7 +147,7 @@ class Tip(Table):
         about="tool centre point of the model; where `model_ok` is 0, the last solved one",
         convert=to_mm,
     )
-    error_mm = Column(of=_error_mm, unit="mm", about="distance between measured and model tip")
+    error_mm = Column(of=model_error_mm, unit="mm", about="distance between measured and model tip")
     reprojection_px = Column("reprojection_px", unit="px", about="rms over the board's corners")
     age_us = Column("age_ns", "<i8", unit="us", about="from exposure to result", convert=to_us)
     dropped = Column("dropped", "<i4", about="frames lost before this frame")
@@ -164,6 +165,11 @@ class Tip(Table):
         about="exposure relative to time; NaN where a camera gave no picture",
         convert=lambda seconds: seconds * 1e6,
     )
+
+    @property
+    def deviation_mm(self) -> Values:
+        """The measured tip minus the model's (m, 3); its length is `error_mm`."""
+        return np.asarray(self.measured_mm - self.model_mm)
 
 
 class Backbone(Table):

@@ -283,7 +283,7 @@ def error(figure: Figure, run: Run, summary: Summary) -> None:
     above = stacked[0]
     above.plot(*decimated(tip.time_s, tip.error_mm), color=MEASURED, lw=1.0, label="measured to model, 3-D")
     if np.isfinite(summary.plane_deg):
-        flat = in_plane(tip.measured_mm - tip.model_mm, _plane(summary))
+        flat = in_plane(tip.deviation_mm, _plane(summary))
         above.plot(*decimated(tip.time_s, flat), color=MODEL, lw=1.0, label="in the plane")
     unseen = ~measured & (tip.seen != DetectionStatus.NO_FRAME)
     lost = np.unique(np.round(tip.time_s[unseen], 1 if len(tip.time_s) > POINTS else 3))

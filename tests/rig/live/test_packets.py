@@ -14,7 +14,6 @@ from rig.live.packets import (
     InputView,
     PressureView,
     ProtocolView,
-    RunningMean,
     SectionView,
     TimingView,
     TipView,
@@ -46,14 +45,6 @@ def test_a_trace_gives_only_what_is_later() -> None:
     for n in range(5):
         trace.add([float(n)])
     assert trace.after(2.0).ravel().tolist() == [3.0, 4.0]
-
-
-def test_a_mean_ignores_missing_values() -> None:
-    mean = RunningMean()
-    assert np.isnan(mean.add(float("nan")))
-    assert mean.add(1.0) == 1.0
-    assert mean.add(float("nan")) == 1.0
-    assert mean.add(4.0) == 2.5
 
 
 @given(st.lists(st.floats(allow_infinity=True, allow_nan=True, width=32), min_size=1, max_size=20))
