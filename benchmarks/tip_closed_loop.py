@@ -16,7 +16,9 @@ from model.arrays import Array
 from model.dynamics import Dynamics
 from model.units import PA_PER_BAR
 from rig.arm_effects.base import ArmEffect
+from rig.control.limiter import Limiter
 from rig.control.plan_follower import PlanFollower
+from rig.control.setpoints import Moment, SetPoint
 from rig.tip_control.interface import (
     ControllerMeasurement,
     ReferenceTrajectory,
@@ -96,7 +98,8 @@ def simulate(
     `effects` are advanced with time, in steps of CYCLE_S: an arm of several runs keeps them.
     """
     valve_of, rng = list(settings.valve_of), np.random.default_rng(seed)
-    follower = PlanFollower(settings.valves, settings.pressure_limit_pa, settings.rate_limit_pa_s)
+    follower = PlanFollower(tuple(range(settings.valves)), settings.pressure_limit_pa)
+    limiter = Limiter(0.0, settings.pressure_limit_pa, settings.rate_limit_pa_s)
     dynamics = Dynamics(truth.arm, CYCLE_S)
     loads = model.Loads(tip_force_n=truth.payload_kg * np.array(truth.arm.gravity_m_s2))
     state = controller.start() if controller is not None else None
@@ -114,7 +117,9 @@ def simulate(
     frame, kept = 0, round(_HISTORY_S / CYCLE_S)
     for k in range(cycles):
         now = float(times[k])
-        point = follower.follow(now, CYCLE_S, feed[k], rest)
+        moment, protocol = Moment(now, CYCLE_S, last_pa=limiter.last_pa), SetPoint(feed[k], rest)
+        live = follower.at(moment, protocol)
+        point = limiter.limit(live or protocol, moment, live=live is not None)
         if k:
             pressure = pressure + share * (setpoints[k - 1][valve_of] - pressure)
             hung = loads if truth.payload_kg and now >= truth.payload_at_s else None

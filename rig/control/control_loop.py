@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from model.units import PA_PER_BAR
 from rig.config.schema import RigConfig
 from rig.control import step as control
-from rig.control.interlocks.base import Sample, Silence, Trip
+from rig.control.interlocks.base import Sample, Trip
+from rig.control.limiter import Limiter
 from rig.control.plan_follower import PlanFollower, SetPointSource, StampedPlan
 from rig.control.protocol_position import ProtocolPosition, advance, skip
+from rig.control.setpoints import Moment, RunSetPoints
 from rig.control.stream_follower import StreamFollower
 from rig.execution.plan import RunPlan, sample_rows
 from rig.hardware.bench import BenchScans
@@ -51,20 +53,12 @@ class ControlLoop:
         self._row = blank((), sample_rows(config))
         self._auxiliary = _AuxiliaryMeans(config) if config.inputs else None
         self._stops_closed = (True,) * len(config.emergency_stops)
-        self._follower: PlanFollower | None = None
-        self._first_actuators = config.first_actuators
-        if plan.controls_tip:
-            limits = config.limits
-            self._follower = PlanFollower(
-                len(config.valves),
-                limits.pressure_bar * PA_PER_BAR,
-                limits.rate_bar_per_s * PA_PER_BAR,
-                limits.lowest_pressure_bar * PA_PER_BAR,
-                config.tip_control.no_plan_s,
-            )
+        self._follower = _plan_follower(plan) if plan.controls_tip else None
         self._stream = StreamFollower(config, plan.trajectory) if plan.trajectory.streams else None
+        live = tuple(source for source in (self._stream, self._follower) if source is not None)
+        self._setpoints = RunSetPoints(plan.trajectory, live)
+        self._limiter = Limiter.of(config)
         self._stopped = False
-        self._valve_of = list(self._prepared.valve_of)
         self.lost = 0
         """Scans that the cards have dropped."""
         self.damaged = 0
@@ -94,7 +88,7 @@ class ControlLoop:
         """
         now_s = self.position.protocol_s
         row["late_s"] = now_s - row["start_s"]
-        if self._follower is None or self._trajectory.tip.motion_at(now_s) is None:
+        if self._follower is None:
             row["status"] = SolveStatus.NO_PATH
         elif (reason := self._follower.take(now_s, *plan)) is not None:
             row["status"] = reason
@@ -105,27 +99,10 @@ class ControlLoop:
         assert self._stream is not None
         return self._stream.take(row, now_ns, self.position.protocol_s, stopped=self._stopped)
 
-    def _followed(
-        self, protocol_s: float, periods: int, protocol_pa: NDArray[np.float64], protocol_rate_pa_s: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The set-points and rates (N,) of the plan, or of the protocol where the tip has no reference."""
-        assert self._follower is not None
-        if self._trajectory.tip.motion_at(protocol_s) is None:
-            self._follower.drop()
-        first, dt_s = self._first_actuators, periods * self.period_ns * 1e-9
-        point = self._follower.follow(protocol_s, dt_s, protocol_pa[first], protocol_rate_pa_s[first])
-        return point.pressure_pa[self._valve_of], point.rate_pa_s[self._valve_of]
-
-    def _silences(self) -> tuple[Silence, ...]:
-        """Of the sources from which set-points are due now."""
-        sources = (source for source in (self._stream, self._follower) if source is not None)
-        return tuple(silence for source in sources if (silence := source.silence) is not None)
-
     def skip(self) -> None:
         """Continue with the next segment in the next cycle."""
         self.position = skip(self.position, self._starts_s, self._trajectory.duration_s, self._prompts_s)
-        if self._follower is not None:
-            self._follower.drop()
+        self._setpoints.skip()
 
     def read_scans(self) -> int:
         """Read the scans since the last call; return their number."""
@@ -150,19 +127,14 @@ class ControlLoop:
 
         `periods` is the number of control periods since the last cycle: more than one after a missed deadline.
         """
-        taken = self.read_scans()
+        taken, dt_s = self.read_scans(), periods * self.period_ns * 1e-9
         if number > 0:
-            dt_s = periods * self.period_ns * 1e-9
             self.position = advance(self.position, dt_s, self._prompts_s, prompts_answered, paused)
         protocol_s = min(self.position.protocol_s, self._trajectory.duration_s)
-        stopped = self._stopped = paused or self.position.waiting
-        setpoint_pa = self._trajectory.setpoint_pa(protocol_s)
-        rate_pa_s = np.zeros_like(setpoint_pa) if stopped else self._trajectory.rate_pa_s(protocol_s)
-        if self._stream is not None:
-            dt_s = periods * self.period_ns * 1e-9
-            setpoint_pa, rate_pa_s = self._stream.follow(protocol_s, dt_s, setpoint_pa, rate_pa_s, stopped=stopped)
-        if self._follower is not None:
-            setpoint_pa, rate_pa_s = self._followed(protocol_s, periods, setpoint_pa, rate_pa_s)
+        self._stopped = paused or self.position.waiting
+        now = Moment(protocol_s, dt_s, self._stopped, self._limiter.last_pa)
+        wanted = self._setpoints.at(now)
+        setpoint_pa, rate_pa_s = self._limiter.limit(wanted, now, live=self._setpoints.live)
         late_ns = self._simulator_late_ns if self._time_may_stop else 0
         behind_ns = max(lateness_ns + missed * self.period_ns, late_ns)
         sample = Sample(
@@ -174,7 +146,7 @@ class ControlLoop:
             time_stopped=self._time_may_stop,
             late_ns=late_ns,
             stops_closed=self._stops_closed,
-            silences=self._silences(),
+            silences=self._setpoints.silences,
         )
         self._state, command = control.step(self._prepared, self._state, sample, setpoint_pa, rate_pa_s)
         self._bench.write(command.outputs)
@@ -193,6 +165,17 @@ class ControlLoop:
         row["missed"] = missed
         row["lateness_ns"] = lateness_ns
         return row, command.trip
+
+
+def _plan_follower(plan: RunPlan) -> PlanFollower:
+    """The follower of the plans of a run whose tip a controller steers."""
+    config, tip = plan.config, plan.trajectory.tip
+    return PlanFollower(
+        config.valve_of,
+        config.limits.pressure_bar * PA_PER_BAR,
+        config.tip_control.no_plan_s,
+        lambda protocol_s: tip.motion_at(protocol_s) is not None,
+    )
 
 
 class _AuxiliaryMeans:

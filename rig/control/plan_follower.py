@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from model.arrays import Array
 from rig.control.interlocks.base import Silence
+from rig.control.setpoints import Moment, SetPoint
 from runs.columns import FOLLOWED_S
 from runs.records import SolveStatus, tip_control_dtype
 
@@ -92,37 +94,36 @@ class SetPointSource(IntEnum):
     LOST = 2
 
 
-class SetPoint(NamedTuple):
-    """Set-points (V,) [Pa] and their rates of change (V,) [Pa/s]."""
-
-    pressure_pa: Array
-    rate_pa_s: Array
-
-
 class PlanFollower:
-    """The set-points of the newest plan at a protocol time, inside box and rate limit whatever a plan holds.
+    """The set-points of the newest plan at a protocol time, on the tip paths of a protocol.
 
     Where a plan ends without a newer one, its correction (plan minus feed-forward) goes on, limited and decaying, on
     top of the protocol's set-points. Plans that come again are reached without a jump (bumpless transfer).
     """
 
     def __init__(
-        self, valves: int, limit_pa: float, rate_limit_pa_s: float, lowest_pa: float = 0.0, no_plan_s: float = math.inf
+        self,
+        valve_of: tuple[int, ...],
+        limit_pa: float,
+        no_plan_s: float = math.inf,
+        on_path: Callable[[float], bool] = lambda protocol_s: True,
     ) -> None:
-        """`lowest_pa` is the lowest set-point of the protocol; that of a plan is 0. `no_plan_s`: limit of `silence`."""
-        self._valves, self._limit_pa, self._rate_pa_s = valves, limit_pa, rate_limit_pa_s
-        self._lowest_pa, self._no_plan_s = lowest_pa, no_plan_s
+        """`valve_of` (N,): index of the valve of each actuator; `no_plan_s`: limit of `silence`.
+
+        `on_path`: whether the tip has a reference at a protocol time.
+        """
+        self._valve_of, self._limit_pa, self._no_plan_s = list(valve_of), limit_pa, no_plan_s
+        self._on_path = on_path
         self._times_s: Array = np.empty(0)
-        self._setpoint_pa: Array = np.empty((0, valves))
-        self._last: Array | None = None
+        self._setpoint_pa: Array = np.empty((0, max(valve_of) + 1))
         self._since_s: float | None = None
         self._silent_s = 0.0
-        self._correction_pa: Array = np.zeros(valves)
+        self._correction_pa: Array = np.zeros(len(valve_of))
         """Of the last cycle with a plan, which was at `_corrected_s`: set-points minus those of the protocol."""
         self._corrected_s = 0.0
-        self._slow_pa: Array = np.zeros(valves)
+        self._slow_pa: Array = np.zeros(len(valve_of))
         """The slow part of the correction."""
-        self._return_pa: Array = np.zeros(valves)
+        self._return_pa: Array = np.zeros(len(valve_of))
         """Of the cycle at which plans came again, `_returned_s`: set-points minus those of the plan."""
         self._returned_s = 0.0
         self.source = SetPointSource.PROTOCOL
@@ -140,7 +141,7 @@ class PlanFollower:
         """Follow a plan from now on, or return why it is refused: then the old one is kept.
 
         Times (K,) must ascend and set-points (K, V) be finite and within the pressure limit. The plan must start
-        within FOLLOWED_S of now, and not before the old one.
+        within FOLLOWED_S of now, on a tip path, and not before the old one.
         """
         reason = self._refusal(protocol_s, times_s, setpoint_pa)
         if reason is None:
@@ -148,7 +149,9 @@ class PlanFollower:
         return reason
 
     def _refusal(self, protocol_s: float, times_s: Array, setpoint_pa: Array) -> SolveStatus | None:
-        if times_s.ndim != 1 or not len(times_s) or setpoint_pa.shape != (len(times_s), self._valves):
+        if not self._on_path(protocol_s):
+            return SolveStatus.NO_PATH
+        if times_s.ndim != 1 or not len(times_s) or setpoint_pa.shape != (len(times_s), max(self._valve_of) + 1):
             return SolveStatus.MALFORMED
         if not (np.isfinite(times_s).all() and np.isfinite(setpoint_pa).all()):
             return SolveStatus.NOT_FINITE
@@ -162,20 +165,23 @@ class PlanFollower:
             return SolveStatus.OUTDATED
         return None
 
-    def drop(self) -> None:
+    def skip(self) -> None:
         """Forget plan and correction: the protocol's set-points hold again."""
         self._times_s, self._since_s, self.source = self._times_s[:0], None, SetPointSource.PROTOCOL
-        self._correction_pa, self._return_pa = np.zeros(self._valves), np.zeros(self._valves)
-        self._slow_pa = np.zeros(self._valves)
+        self._correction_pa = self._slow_pa = self._return_pa = np.zeros(len(self._valve_of))
 
-    def follow(self, protocol_s: float, dt_s: float, feed_pa: Array, feed_rate_pa_s: Array) -> SetPoint:
-        """The set-points at a protocol time, `dt_s` after those before; without a plan the protocol's (V,)."""
+    def at(self, now: Moment, below: SetPoint) -> SetPoint | None:
+        """The set-points (N,) of a cycle before any limit; None before the first plan and where there is no path."""
+        protocol_s = now.protocol_s
+        if not self._on_path(protocol_s):
+            self.skip()
+            return None
         if len(self._times_s):
             self._since_s = float(self._times_s[0])
         elif self._since_s is None:
             self._since_s = protocol_s
         self._silent_s = protocol_s - self._since_s
-        passed_s = protocol_s - self._corrected_s
+        passed_s, feed_pa = protocol_s - self._corrected_s, below.pressure_pa
         wanted = feed_pa + self._slow_pa * math.exp(-passed_s / CORRECTION_S)
         wanted = wanted + (self._correction_pa - self._slow_pa) * math.exp(-passed_s / HANDOVER_S)
         planned = self._planned(protocol_s)
@@ -185,20 +191,19 @@ class PlanFollower:
             wanted = planned + self._return_pa * math.exp((self._returned_s - protocol_s) / HANDOVER_S)
             largest = LARGEST_CORRECTION * self._limit_pa
             self._correction_pa, self._corrected_s = np.clip(wanted - feed_pa, -largest, largest), protocol_s
-            self._slow_pa = self._slow_pa + (self._correction_pa - self._slow_pa) * (1 - math.exp(-dt_s / SLOW_S))
+            self._slow_pa = self._slow_pa + (self._correction_pa - self._slow_pa) * (1 - math.exp(-now.dt_s / SLOW_S))
             self.source = SetPointSource.PLAN
         elif self._silent_s > FOLLOWED_S:
             self.source = SetPointSource.LOST
-        last = wanted if self._last is None else self._last
-        room = self._rate_pa_s * dt_s
-        limited = np.clip(np.clip(wanted, self._lowest_pa, self._limit_pa), last - room, last + room)
-        moved = (limited - last) / dt_s if dt_s > 0 else np.zeros(self._valves)
-        rate = moved if planned is not None else np.where(limited == feed_pa, feed_rate_pa_s, moved)
-        self._last = limited
-        return SetPoint(limited, rate)
+        if self.source is SetPointSource.PROTOCOL:
+            return None
+        last = wanted if now.last_pa is None else now.last_pa
+        moved = (wanted - last) / now.dt_s
+        return SetPoint(wanted, moved if planned is not None else np.where(wanted == feed_pa, below.rate_pa_s, moved))
 
     def _planned(self, protocol_s: float) -> Array | None:
-        """The set-points of the plan; None without a plan, and where it has ended."""
+        """The set-points (N,) of the plan; None without a plan, and where it has ended."""
         if not len(self._times_s) or protocol_s > min(self._times_s[-1], self._times_s[0] + FOLLOWED_S):
             return None
-        return np.array([np.interp(protocol_s, self._times_s, column) for column in self._setpoint_pa.T])
+        planned = np.array([np.interp(protocol_s, self._times_s, column) for column in self._setpoint_pa.T])
+        return planned[self._valve_of]

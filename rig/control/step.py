@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.control import regulator, sensor_state
+from rig.control import sensor_state
 from rig.control.interlocks import evaluation
 from rig.control.interlocks.base import Sample, Trip
+from rig.control.limiter import reference_pa
 from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.valves.base import Regulator, RegulatorState
 
@@ -157,8 +158,19 @@ def _step(
         mean = sum(pressure[a] for a in s.actuators) / n
         target = sum(setpoint[a] for a in s.actuators) / n
         slope = sum(rate[a] for a in s.actuators) / n
-        valves.append(regulator.step(s, valve, dt, mean, target, slope))
+        valves.append(regulate(s, valve, dt, mean, target, slope))
     return ControlState(sample.scan_t_ns, tuple(valves), sensors, None, state.restarted_ns)
+
+
+def regulate(
+    s: Regulator, state: RegulatorState, dt_s: float, measured_pa: float, setpoint_pa: float, rate_pa_s: float
+) -> RegulatorState:
+    """The state of one valve after `dt_s`: its type has the law from the reference to the output (`rig.valves`)."""
+    before = state.reference_pa
+    if math.isnan(before):
+        before = max(measured_pa, s.lowest_pa)
+    reference = reference_pa(s, before, setpoint_pa, rate_pa_s, dt_s)
+    return s.command(state.integral_pa_s, dt_s, measured_pa, reference, (reference - before) / dt_s)
 
 
 def _restart_references(

@@ -1,4 +1,4 @@
-"""Follows the set-points of another program in the control loop, always within the limits of the rig."""
+"""The set-points of another program in the control loop: those out of limits are refused."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from protocols import SetPointTrajectory
 from protocols.trajectory import StreamInterval
 from rig.config.schema import RigConfig
 from rig.control.interlocks.base import Silence
+from rig.control.setpoints import Moment, SetPoint
 from runs.columns import StreamStatus
 
 
@@ -67,20 +68,14 @@ def stream_status(
 
 
 class StreamFollower:
-    """The set-points of a protocol with steps in which another program sends them.
-
-    Outside of these steps the set-points are those of the protocol; after such a step they return to them within the
-    rate limit.
-    """
+    """The set-points that another program sends in steps of the protocol."""
 
     def __init__(self, config: RigConfig, trajectory: SetPointTrajectory) -> None:
         self._trajectory = trajectory
         self._limits = StreamLimits.of(config)
-        self._rate_pa_s = config.limits.rate_bar_per_s * PA_PER_BAR
         self._interval: StreamInterval | None = None
         self._newest = StreamPosition()
         self._setpoint_pa: Array | None = None
-        self._last_pa: Array | None = None
         self._silent_s = 0.0
 
     def take(
@@ -96,29 +91,22 @@ class StreamFollower:
             self._setpoint_pa, self._silent_s = row["setpoint_pa"].copy(), 0.0
         return row
 
-    def follow(
-        self, protocol_s: float, dt_s: float, protocol_pa: Array, protocol_rate_pa_s: Array, *, stopped: bool
-    ) -> tuple[Array, Array]:
-        """Set-points and rates (N,) at a protocol time, `dt_s` after those before; `protocol_pa` are the protocol's."""
-        self._enter(self._trajectory.stream_at(protocol_s))
-        if self._interval is None and self._last_pa is None:
-            return protocol_pa, protocol_rate_pa_s
-        if not stopped:
-            self._silent_s += dt_s
-        last = protocol_pa if self._last_pa is None else self._last_pa
-        wanted = protocol_pa
-        if self._interval is not None and self._setpoint_pa is not None:
-            wanted = np.where(np.isfinite(self._setpoint_pa), self._setpoint_pa, protocol_pa)
-        elif self._interval is not None:
-            wanted = last  # no set-point has come: the pressures stay
-        largest_step = 0.0 if stopped else self._rate_pa_s * dt_s
-        given = np.clip(
-            np.clip(wanted, self._limits.lowest_pa, self._limits.pressure_pa), last - largest_step, last + largest_step
-        )
-        returned = self._interval is None and bool((given == protocol_pa).all())
-        self._last_pa = None if returned else given
-        # What comes next is not known, so a streamed set-point has no rate, as a jump.
-        return given, protocol_rate_pa_s if returned else np.zeros_like(given)
+    def at(self, now: Moment, below: SetPoint) -> SetPoint | None:
+        """The set-points (N,) of a cycle before any limit; None outside of the steps."""
+        self._enter(self._trajectory.stream_at(now.protocol_s))
+        if self._interval is None:
+            return None
+        if not now.stopped:
+            self._silent_s += now.dt_s
+        if self._setpoint_pa is None:  # the pressures stay
+            wanted = below.pressure_pa if now.last_pa is None else now.last_pa
+        else:
+            wanted = np.where(np.isfinite(self._setpoint_pa), self._setpoint_pa, below.pressure_pa)
+        # What comes next is not known, so a streamed set-point has no rate, as a step.
+        return SetPoint(wanted, np.zeros_like(wanted))
+
+    def skip(self) -> None:
+        """The next cycle shows where the protocol goes on."""
 
     @property
     def silence(self) -> Silence | None:

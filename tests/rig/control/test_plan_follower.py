@@ -2,18 +2,43 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
+from rig.control.limiter import Limiter
 from rig.control.plan_follower import LARGEST_CORRECTION, PlanFollower, SetPointSource
+from rig.control.setpoints import Moment, SetPoint
 from runs.records import SolveStatus
 from tests.support.tip_control_task import LIMIT_PA, RATE_PA_S
 
 CYCLE_S = 0.005
 
 
+class Follower:
+    """A follower of the plans of one valve with its limiter, in control cycles."""
+
+    def __init__(self, no_plan_s: float = math.inf, on_path: Callable[[float], bool] = lambda protocol_s: True) -> None:
+        self.plans = PlanFollower((0,), LIMIT_PA, no_plan_s, on_path)
+        self.limiter = Limiter(0.0, LIMIT_PA, RATE_PA_S)
+        self.take = self.plans.take
+
+    @property
+    def source(self) -> SetPointSource:
+        """Where the last set-points came from."""
+        return self.plans.source
+
+    def follow(self, protocol_s: float, dt_s: float, feed_pa: np.ndarray, feed_rate_pa_s: np.ndarray) -> SetPoint:
+        """The limited set-points of a cycle over those of a protocol."""
+        now, below = Moment(protocol_s, dt_s, last_pa=self.limiter.last_pa), SetPoint(feed_pa, feed_rate_pa_s)
+        live = self.plans.at(now, below)
+        return self.limiter.limit(live or below, now, live=live is not None)
+
+
 def test_a_plan_never_leaves_the_limits() -> None:
-    follower = PlanFollower(1, LIMIT_PA, RATE_PA_S)
+    follower = Follower()
     feed = np.array([3e4])
     follower.follow(0.0, 0.005, feed, np.zeros(1))
     plan = np.array([0.0, 0.01, 0.1, 0.2]), np.array([[3e4], [LIMIT_PA], [0.0], [LIMIT_PA]])
@@ -31,16 +56,16 @@ def ramp_pa(t_s: float) -> np.ndarray:
     return np.array([3e4 + 5e3 * t_s])
 
 
-def followed(follower: PlanFollower, from_s: float, to_s: float) -> np.ndarray:
+def followed(follower: Follower, from_s: float, to_s: float) -> np.ndarray:
     """Pressures (n,) of the control cycles between two protocol times."""
     times = np.arange(round(from_s / CYCLE_S) + 1, round(to_s / CYCLE_S) + 1) * CYCLE_S
     points = [follower.follow(float(t), CYCLE_S, ramp_pa(t), np.array([5e3])) for t in times]
     return np.array([point.pressure_pa[0] for point in points])
 
 
-def corrected(offset_pa: float) -> PlanFollower:
+def corrected(offset_pa: float) -> Follower:
     """A follower after two seconds of plans that are a constant correction of the protocol; the last begins at 2 s."""
-    follower = PlanFollower(1, LIMIT_PA, RATE_PA_S, no_plan_s=3.0)
+    follower = Follower(no_plan_s=3.0)
     for k in range(61):
         start_s = k / 30
         times = start_s + np.array([0.0, 0.4])
@@ -83,7 +108,7 @@ def test_plans_that_come_again_are_reached_without_a_jump() -> None:
 
 
 def test_where_a_plan_of_one_point_has_ended_its_correction_follows_the_protocol_until_the_next() -> None:
-    follower = PlanFollower(1, LIMIT_PA, RATE_PA_S)
+    follower = Follower()
     assert follower.take(0.0, np.array([0.0]), ramp_pa(0.0)[None] + 1e3) is None
     follower.follow(0.0, CYCLE_S, ramp_pa(0.0), np.array([5e3]))
     assert followed(follower, 0.0, 0.03)[-1] > ramp_pa(0.03)[0] + 100
@@ -91,22 +116,22 @@ def test_where_a_plan_of_one_point_has_ended_its_correction_follows_the_protocol
 
 
 def test_the_silence_counts_from_the_last_plan_or_the_begin_of_the_path_and_ends_with_the_path() -> None:
-    follower = PlanFollower(1, LIMIT_PA, RATE_PA_S, no_plan_s=3.0)
-    assert follower.silence is None
+    follower = Follower(no_plan_s=3.0)
+    assert follower.plans.silence is None
     followed(follower, 0.0, 0.2)
     assert follower.source is SetPointSource.PROTOCOL
     assert follower.take(0.2, np.array([0.2, 0.6]), np.array([[3e4], [3e4]])) is None
     followed(follower, 0.2, 1.2)
-    silence = follower.silence
+    silence = follower.plans.silence
     assert silence is not None
     assert silence.silent_s == pytest.approx(1.0)
     assert silence.limit_s == 3.0
-    follower.drop()
-    assert follower.silence is None
+    follower.plans.skip()
+    assert follower.plans.silence is None
 
 
 def test_a_controller_that_never_sends_a_plan_counts_as_lost_and_the_protocol_is_followed() -> None:
-    follower = PlanFollower(1, LIMIT_PA, RATE_PA_S)
+    follower = Follower()
     for k in range(250):
         assert follower.follow(0.005 * k, 0.005, np.array([3e4]), np.zeros(1)).pressure_pa[0] == 3e4
     assert follower.source is SetPointSource.LOST
@@ -134,7 +159,19 @@ def test_a_controller_that_never_sends_a_plan_counts_as_lost_and_the_protocol_is
 def test_a_plan_that_cannot_be_followed_is_refused_with_its_reason_and_the_one_before_is_kept(
     times: list[float], values: list[list[float]], reason: SolveStatus
 ) -> None:
-    follower = PlanFollower(1, LIMIT_PA, RATE_PA_S)
+    follower = Follower()
     assert follower.take(4.9, np.array([4.9, 5.9]), np.array([[3e4], [3e4]])) is None
     assert follower.take(5.0, np.array(times), np.array(values, dtype=float)) is reason
     assert follower.follow(5.0, 0.005, np.array([2e4]), np.zeros(1)).pressure_pa[0] == 3e4
+
+
+def test_beyond_the_path_a_plan_is_refused_and_the_set_points_return_to_the_protocol_within_the_rate_limit() -> None:
+    follower = Follower(on_path=lambda protocol_s: protocol_s < 1.0)
+    assert follower.take(0.9, np.array([0.9, 1.3]), np.array([[3.4e4], [3.4e4]])) is None
+    follower.follow(0.9, CYCLE_S, np.array([3.4e4]), np.zeros(1))
+    points = [follower.follow(0.9 + CYCLE_S * k, CYCLE_S, np.array([3e4]), np.zeros(1)) for k in range(1, 60)]
+    pressures = np.array([3.4e4, *(point.pressure_pa[0] for point in points)])
+    assert follower.source is SetPointSource.PROTOCOL
+    assert follower.take(1.1, np.array([1.1, 1.5]), np.array([[3.4e4], [3.4e4]])) is SolveStatus.NO_PATH
+    assert np.abs(np.diff(pressures)).max() <= RATE_PA_S * CYCLE_S * (1 + 1e-12)
+    assert pressures[-1] == 3e4

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.control import regulator
+from rig.control.step import regulate
 from rig.valves.base import RegulatorState
 from rig.valves.flow import SOFT_FRACTION, FlowRegulator, FlowValve
 from rig.valves.iso6358 import ANR_PA, ATMOSPHERE_PA, flow_function, sonic_conductance
@@ -51,7 +51,7 @@ def test_the_voltage_lets_exactly_the_asked_rate_through_a_valve_as_stated(bar: 
     s = flow_settings()
     valve = RIG.valves[0]
     assert isinstance(valve, FlowValve)
-    out = regulator.step(s, RegulatorState(bar * 1e5, 0.0, 0.0, 5.0), DT, bar * 1e5, bar * 1e5, rate_bar_s * 1e5)
+    out = regulate(s, RegulatorState(bar * 1e5, 0.0, 0.0, 5.0), DT, bar * 1e5, bar * 1e5, rate_bar_s * 1e5)
     volts, fractions = valve.opening_curve(valve.dead_zone_V)
     offset = out.output - 5.0
     fraction = float(np.interp(abs(offset), volts, fractions))
@@ -68,17 +68,15 @@ def test_the_voltage_lets_exactly_the_asked_rate_through_a_valve_as_stated(bar: 
 @pytest.mark.parametrize(("fills", "sign"), [("above", 1), ("below", -1)])
 def test_filling_uses_the_side_that_the_rig_states(fills: str, sign: int) -> None:
     s = flow_settings(valves__0__fills=fills)
-    filling = regulator.step(s, RegulatorState(), DT, 0.2e5, 0.5e5, 0.0)
-    emptying = regulator.step(s, RegulatorState(), DT, 0.5e5, 0.2e5, 0.0)
+    filling = regulate(s, RegulatorState(), DT, 0.2e5, 0.5e5, 0.0)
+    emptying = regulate(s, RegulatorState(), DT, 0.5e5, 0.2e5, 0.0)
     assert sign * (filling.output - 5.0) > 0.4
     assert sign * (emptying.output - 5.0) < -0.4
 
 
 @pytest.mark.parametrize(("fills", "vent_output"), [("above", 0.0), ("below", 10.0)])
 def test_a_set_point_of_zero_opens_the_chamber_to_the_exhaust(fills: str, vent_output: float) -> None:
-    assert (
-        regulator.step(flow_settings(valves__0__fills=fills), RegulatorState(), DT, 0.0, 0.0, 0.0).output == vent_output
-    )
+    assert regulate(flow_settings(valves__0__fills=fills), RegulatorState(), DT, 0.0, 0.0, 0.0).output == vent_output
 
 
 @given(st.floats(0.05, 0.7), st.floats(0.05, 0.7))
@@ -86,7 +84,7 @@ def test_the_reference_reaches_a_step_within_the_rate_limit_and_never_passes_it(
     s = flow_settings()
     state = RegulatorState(start * 1e5)
     for _ in range(400):
-        after = regulator.step(s, state, DT, state.reference_pa, stop * 1e5, 0.0)
+        after = regulate(s, state, DT, state.reference_pa, stop * 1e5, 0.0)
         assert abs(after.reference_pa - state.reference_pa) <= s.rate_limit_pa_s * DT * (1 + 1e-9)
         assert min(start, stop) * 1e5 - 1e-6 <= after.reference_pa <= max(start, stop) * 1e5 + 1e-6
         state = after
@@ -98,7 +96,7 @@ def test_the_reference_does_not_lag_a_set_point_that_says_how_fast_it_moves() ->
     state = RegulatorState(0.2e5)
     for k in range(1, 100):
         target = 0.2e5 + 0.3e5 * k * DT
-        state = regulator.step(s, state, DT, target, target, 0.3e5)
+        state = regulate(s, state, DT, target, target, 0.3e5)
         assert state.reference_pa == pytest.approx(target, abs=1e-6)
 
 
@@ -106,7 +104,7 @@ def test_the_integral_does_not_wind_up_while_the_valve_saturates() -> None:
     s = flow_settings()
     state = RegulatorState(0.6e5, 0.0, 0.0, 5.0)
     for _ in range(400):
-        state = regulator.step(s, state, DT, 0.0, 0.6e5, 0.0)
+        state = regulate(s, state, DT, 0.0, 0.6e5, 0.0)
     assert state.output == pytest.approx(9.62)
     assert state.integral_pa_s == 0.0
 
@@ -115,6 +113,6 @@ def test_the_integral_holds_no_more_than_a_leaking_valve_could_explain() -> None
     s = flow_settings()
     state = RegulatorState(0.3e5, 0.0, 0.0, 5.0)
     for _ in range(4000):
-        state = regulator.step(s, state, DT, 0.29e5, 0.3e5, 0.0)
+        state = regulate(s, state, DT, 0.29e5, 0.3e5, 0.0)
     supply = 1.5e5 + ATMOSPHERE_PA
     assert state.integral_pa_s == pytest.approx(0.15 * s.conductance * supply * ANR_PA / s.volume_m3)

@@ -12,6 +12,8 @@ from protocols.trajectory import SetPointTrajectory, StreamInterval, TrajectoryS
 from rig.config.loader import load
 from rig.control.interlocks.base import Sample
 from rig.control.interlocks.conditions import SilentSource
+from rig.control.limiter import Limiter
+from rig.control.setpoints import Moment, RunSetPoints
 from rig.control.stream_follower import StreamFollower
 from runs.columns import StreamStatus
 from runs.records import blank, streamed_dtype
@@ -36,10 +38,11 @@ def row(sequence: int, *pressure_pa: float, connection: int = 1) -> NDArray[np.v
 
 
 class Loop:
-    """A follower at a protocol time that advances by control cycles."""
+    """A follower and the limiter at a protocol time that advances by control cycles."""
 
     def __init__(self) -> None:
         self.follower = StreamFollower(CONFIG, TRAJECTORY)
+        self._setpoints, self._limiter = RunSetPoints(TRAJECTORY, (self.follower,)), Limiter.of(CONFIG)
         self.now_s = 0.0
         self.given = np.array(LEVEL)
 
@@ -47,8 +50,9 @@ class Loop:
         while self.now_s < to_s - 1e-9:
             self.now_s += CYCLE_S
             before = self.given
-            protocol_pa = TRAJECTORY.setpoint_pa(self.now_s)
-            self.given, _ = self.follower.follow(self.now_s, CYCLE_S, protocol_pa, np.zeros(3), stopped=stopped)
+            now = Moment(self.now_s, CYCLE_S, stopped, self._limiter.last_pa)
+            self.given, rate_pa_s = self._limiter.limit(self._setpoints.at(now), now, live=self._setpoints.live)
+            assert (np.abs(rate_pa_s) <= RATE_PA_S).all()
             assert (np.abs(self.given - before) <= RATE_PA_S * CYCLE_S * (1 + 1e-9)).all()
             assert ((self.given >= 0) & (self.given <= LIMIT_PA)).all()
 
