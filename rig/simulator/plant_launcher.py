@@ -169,9 +169,10 @@ def remove_cards(run: RunningRig) -> None:
 
 
 def _remove_leftovers() -> None:
-    """Remove the records and cards of simulated runs that were killed long ago."""
+    """Remove the records and cards of simulated runs that were started long ago and killed."""
     for run in records()[0]:
         with suppress(OSError, KeyError, TypeError, AttributeError):
-            if run.simulated and not run.alive and time.time() - run.file.stat().st_mtime > LEFT_S:
+            age_s = time.clock_gettime(time.CLOCK_BOOTTIME) - run.process.start / os.sysconf("SC_CLK_TCK")
+            if run.simulated and not run.alive and age_s > LEFT_S:
                 remove_cards(run)
                 run.file.unlink()

@@ -28,13 +28,15 @@ class Card:
     def __init__(self, outputs: int) -> None:
         self.stands = np.full(outputs, np.nan)
         self._was_read = False
+        self._scans = 0
 
     def start(self) -> None:
         self._was_read = False
 
     def read(self) -> Scans:
         level, self._was_read = 2.0 if self._was_read else 1.0, True
-        return Scans(np.array([1, 2]), np.full((2, 3), level))
+        self._scans += 2
+        return Scans(np.array([self._scans - 1, self._scans]), np.full((2, 3), level))
 
     def write(self, outputs: NDArray[np.float64]) -> None:
         self.stands = outputs.copy()

@@ -9,6 +9,7 @@ import sys
 import threading
 from contextlib import nullcontext
 from dataclasses import replace
+from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
@@ -44,6 +45,7 @@ class Unwritten:
     """A recorder that discards everything."""
 
     stalled_s = 0.0
+    path = Path("run.mcap")
 
     def samples(self, rows: np.ndarray) -> None:  # type: ignore[type-arg]
         """Discard it."""
