@@ -113,7 +113,7 @@ def swapped() -> Fault:
 @pytest.mark.parametrize(
     ("fault", "after_s", "says", "within_s"),
     [
-        (frozen(), 1.0, "frozen", 1.5),
+        (frozen(), 1.0, "or a sensor that hangs", 1.5),
         (scaled(10), 1.0, "(limit 0.750 bar)", 0.1),
         (scaled(0.1), 1.0, "changes by", 0.1),
         (scaled(0.1), None, "while its reference moved by 0.0", 1.5),
