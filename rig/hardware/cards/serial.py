@@ -264,7 +264,9 @@ class SerialCard:
         if isinstance(answer, Identity):
             self._identity = answer
         elif isinstance(answer, Acknowledgement):
-            self._take_acknowledgement(answer)
+            # Before the answer to `Q` it is for a command of the session before, which may still be on its way.
+            if self._identity is not None:
+                self._take_acknowledgement(answer)
         elif self.clock is not None:
             self._take_status(answer, now_ns)
 

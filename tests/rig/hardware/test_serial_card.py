@@ -320,6 +320,12 @@ def test_damaged_lines_in_both_directions_are_counted_from_the_start_on(answers:
         assert card.read().damaged == 0
 
 
+def test_an_acknowledgement_of_an_earlier_session_may_still_be_on_its_way(answers: Callable[..., str]) -> None:
+    device = answers(lambda words: ["A 2 1 20000 0 20000 0", HELLO] if words[0] == "Q" else [])
+    with closing(SerialCard(setup(device))) as card:
+        assert np.isnan(card.readback()).all()
+
+
 @pytest.mark.parametrize(
     ("lies", "says"),
     [
