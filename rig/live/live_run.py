@@ -334,6 +334,9 @@ class LiveRunViewer:
 
     def _tip(self) -> TipView:
         row, error_mm, mean_mm = self._observation()
+        if self._source.ended:
+            # Not every picture is shown: the mean of a run that has ended is that of all its frames.
+            *_, mean_mm = next(reversed(self._source.observations.values()))
         return TipView(
             frame=int(row["frame"]),
             seen=DetectionStatus(int(row["seen"])).words,

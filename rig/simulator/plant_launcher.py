@@ -117,11 +117,16 @@ def started(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None =
 def simulated(
     config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None = None
 ) -> Iterator[PlantProcess | None]:
-    """As `started`, but ready. Raises CardError: the plant did not start."""
-    with started(config, rig_file, seed, waits_ns) as simulation:
-        while simulation is not None and not simulation.ready():
-            time.sleep(POLL_S)
-        yield simulation
+    """As `started`, but ready; its cards are removed at the end. Raises CardError: the plant did not start."""
+    try:
+        with started(config, rig_file, seed, waits_ns) as simulation:
+            while simulation is not None and not simulation.ready():
+                time.sleep(POLL_S)
+            yield simulation
+    finally:
+        for card in config.cards.values():
+            if card.is_mock:
+                Registers.remove(card.device)
 
 
 def is_absent(config: BenchConfig) -> bool:

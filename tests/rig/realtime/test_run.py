@@ -166,8 +166,8 @@ def test_a_killed_supervisor_leaves_safe_valves_no_process_and_a_journal_that_ca
 
 def test_runs_of_one_simulated_rig_go_on_beside_each_other_and_rig_vent_ends_both(tmp_path: Path) -> None:
     (tmp_path / "second").mkdir()
-    with rig_run(tmp_path) as run, rig_run(tmp_path / "second") as second:
-        (tmp_path / "second" / "rig.yaml").write_text(run.rig_file.read_text())
+    with rig_run(tmp_path) as run, rig_run(tmp_path / "second", SHORT, "--rig", str(run.rig_file)) as second:
+        second.config = run.config
         run.wait_until_pressurised()
         second.wait_until_pressurised()
         assert not run.valves_are_safe()
