@@ -177,17 +177,17 @@ def test_one_run_is_not_enough() -> None:
         compare_models(data(model.Arm.paper())[:1], some())
 
 
-def test_the_candidates_are_the_papers_models_and_rules() -> None:
+def test_the_candidates_are_the_papers_models_pushes_and_memories() -> None:
     still = candidates(START)
     assert [(c.inhomogeneous, c.radial) for c in still[:3]] == [(False, False), (False, True), (True, True)]
-    assert len(still) == 12
+    assert len(still) == 8
     pushes = {c.start.arm.actuation.name for c in still if "push_growth_per_bar" in c.free}
     assert pushes == {"own-pressure", "pressure-sum"}
-    assert all(c.start.arm.actuation.name == "proportional" for c in still[:7])
+    assert all(c.start.arm.actuation.name == "proportional" for c in still[:3])
     remembered = [set(c.free) & ALL_NAMES for c in still]
     branch, stop = {"branch_1_modulus", "branch_1_time_s"}, {"stop_1_weight", "stop_1_width_pa"}
-    assert remembered == [set()] * 9 + [branch, stop, branch | stop]
-    assert [c.start.arm.remembers for c in still] == [False] * 9 + [True] * 3
+    assert remembered == [set()] * 5 + [branch, stop, branch | stop]
+    assert [c.start.arm.remembers for c in still] == [False] * 5 + [True] * 3
     assert all("damping_s" not in c.free for c in still)
 
 
