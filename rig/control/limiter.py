@@ -45,16 +45,18 @@ class Limiter:
         return cls(*(PA_PER_BAR * bar for bar in bars))
 
     def limit(self, wanted: SetPoint, now: Moment, *, live: bool) -> SetPoint:
-        """The set-points of a cycle; in a pause live ones stay. One that is limited has no rate, as a step has none."""
+        """The set-points of a cycle; in a pause live ones stay. One that is limited has the rate at which it moves."""
         if self.last_pa is None or not (live or not self._returned):
             self.last_pa = wanted.pressure_pa
             return wanted
         largest_step = 0.0 if now.stopped else self._rate_pa_s * now.dt_s
-        steps = zip(wanted.pressure_pa.tolist(), self.last_pa.tolist(), strict=True)
+        before = self.last_pa
+        steps = zip(wanted.pressure_pa.tolist(), before.tolist(), strict=True)
         self.last_pa = np.array([limited(pressure, last, largest_step, *self._box_pa) for pressure, last in steps])
         kept = self.last_pa == wanted.pressure_pa
         self._returned = not live and bool(kept.all())
-        return SetPoint(self.last_pa, np.where(kept, wanted.rate_pa_s, 0.0))
+        moved_pa_s = (self.last_pa - before) / now.dt_s if now.dt_s > 0 else np.zeros(len(before))
+        return SetPoint(self.last_pa, np.where(kept, wanted.rate_pa_s, moved_pa_s))
 
 
 def reference_pa(settings: Regulator, before_pa: float, setpoint_pa: float, rate_pa_s: float, dt_s: float) -> float:

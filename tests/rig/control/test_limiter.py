@@ -35,7 +35,7 @@ def test_a_step_of_the_protocol_passes_and_live_set_points_do_not_until_the_prot
     paused = kept.limit(SetPoint(np.array([9e4]), still), now._replace(stopped=True), live=True)
     assert paused.pressure_pa[0] == 5.05e4
     back = SetPoint(np.array([4.97e4]), np.array([2e3]))
-    assert kept.limit(back, now, live=False) == (5.0e4, 0.0)
+    assert kept.limit(back, now, live=False) == (5.0e4, -1e5)
     assert kept.limit(back, now, live=False) == (4.97e4, 2e3)
     assert kept.limit(SetPoint(np.array([0.0]), still), now, live=False).pressure_pa[0] == 0.0
 
