@@ -94,6 +94,9 @@ def _convincing(problem: LeastSquaresProblem, solution: Solution, start_rms_m: f
 
 
 def _worse(problem: LeastSquaresProblem, solution: Solution, start_rms_m: float, start_likelihood: float) -> bool:
+    # Each likelihood takes a model discrepancy of its own, so that far from the data they do not compare.
+    if problem.rms_m(solution.z) < _CLEARLY_BETTER * start_rms_m:
+        return False
     if 2 * (start_likelihood - problem.log_likelihood(solution.z)) > _WORSE_LIKELIHOOD:
         return True
     return solution.discrepancy_m > 0 and not problem.rms_m(solution.z) <= _WORSE_RMS * start_rms_m

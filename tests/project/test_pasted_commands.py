@@ -31,6 +31,7 @@ LEFT_OUT = {
     r"rig identify (compare|ramp-a ramp-b|ramp-a --(split-s|quasi|start))": "takes minutes; it has its own tests",
     r"rig (design|reproduce) ": "takes minutes; it has its own tests",
     r"rig run (laws|designed)\.yaml": "needs the protocol of rig design",
+    r"python -m scripts\.goldens ": "needs a second checkout and takes minutes; it has its own test",
     r"python docs/examples/": "sends poses until it is stopped; it has its own test",
     r"rig-file: rig run ramp-a$": "needs the bench of its rig file",
     r"(sudo|git|cd linux-comedi|\./|make|modinfo|export)": "changes the computer",

@@ -17,6 +17,7 @@ import pytest
 from runs.catalogue import catalogue
 
 PATIENCE_S = 300.0
+WORKERS = 3
 DASK = Path(sys.executable).with_name("dask")
 PROTOCOL = """\
 title: One step
@@ -78,12 +79,16 @@ def ended(process: subprocess.Popen[str]) -> str:
 
 
 def worker_of(address: str) -> int:
-    """The process of a worker."""
+    """The process of a worker, once all have joined the scheduler."""
     program = (
         "import distributed, os, sys\n"
-        "with distributed.Client(sys.argv[1]) as client: print(max(client.run(os.getpid).values()))"
+        "with distributed.Client(sys.argv[1]) as client:\n"
+        "    client.wait_for_workers(int(sys.argv[2]))\n"
+        "    print(max(client.run(os.getpid).values()))"
     )
-    said = subprocess.run([sys.executable, "-c", program, address], check=True, capture_output=True, text=True).stdout
+    said = subprocess.run(
+        [sys.executable, "-c", program, address, str(WORKERS)], check=True, capture_output=True, text=True
+    ).stdout
     return int(said)
 
 
