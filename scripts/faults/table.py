@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,8 +11,6 @@ from scripts.faults.fault import Fault, FaultTrial
 from scripts.faults.fault_trial import worst
 
 BEGIN, END = "<!-- campaign: written by `make faults` -->", "<!-- end of campaign -->"
-
-_TEMPORARY = re.compile(r"/\S*softrig-faults-\S*")
 
 
 def write(page: Path, faults: Sequence[Fault], trials: Sequence[FaultTrial]) -> None:
@@ -25,7 +22,7 @@ def write(page: Path, faults: Sequence[Fault], trials: Sequence[FaultTrial]) -> 
 
 
 def table(faults: Sequence[Fault], trials: Sequence[FaultTrial]) -> str:
-    """One row per fault and executor, and a summary."""
+    """One row per fault, and a summary."""
     tried = [trial for trial in trials if not trial.skipped]
     bad = sum(bool(trial.wrong) for trial in tried)
     unsafe = sum("NOT SAFE" in trial.wrong for trial in tried)
@@ -35,31 +32,29 @@ def table(faults: Sequence[Fault], trials: Sequence[FaultTrial]) -> str:
         f"**{unsafe} left unsafe where a program can help, {silent} not reported, {bad} failed**; "
         f"at most {1e3 * worst([t.lost_s for t in tried]):.0f} ms of samples lost.",
         "",
-        "| fault | executor | trials | safe after, median (worst) | samples lost | archive | passed | "
-        "message to the operator |",
-        "|---|---|---|---|---|---|---|---|",
+        "| fault | trials | safe after, median (worst) | archive |",
+        "|---|---|---|---|",
     ]
     for fault in faults:
-        for executor in ("real", "virtual"):
-            mine = [t for t in trials if (t.fault, t.executor) == (fault.name, executor)]
-            if mine:
-                lines.append(_row(fault, executor, mine))
+        mine = [trial for trial in trials if trial.fault == fault.name]
+        if mine:
+            lines.append(_row(fault, mine))
     return "\n".join(lines) + "\n"
 
 
-def _row(fault: Fault, executor: str, trials: Sequence[FaultTrial]) -> str:
-    tried = [t for t in trials if not t.skipped]
-    name = fault.name + (f" ({fault.remark})" if fault.remark else "")
-    if not tried:
-        return f"| {name} | {executor} | 0 | | | | | not tried here: {trials[0].skipped} |"
-    good = sum(not t.wrong for t in tried)
-    message = max((t.message for t in tried), key=len).replace("|", "\\|")
-    message = _TEMPORARY.sub("...", message)
-    statuses = ", ".join(sorted({t.status for t in tried}))
-    lost = 1e3 * worst([t.lost_s for t in tried])
-    as_it_must = f"{good} of {len(tried)}" if good < len(tried) else "all"
-    cells = (name, executor, len(tried), _times(fault, tried), f"{lost:.0f} ms", statuses, as_it_must, message)
-    return f"| {' | '.join(map(str, cells))} |"
+def _row(fault: Fault, trials: Sequence[FaultTrial]) -> str:
+    """A fault in both executors; figures of the real one stand before those of the virtual one."""
+    by_executor = [[t for t in trials if t.executor == executor and not t.skipped] for executor in ("real", "virtual")]
+    there = [tried for tried in by_executor if tried]
+    if not there:
+        return f"| {fault.name} | not tried: {trials[0].skipped} | | |"
+    good = sum(not t.wrong for tried in there for t in tried)
+    count = sum(len(tried) for tried in there)
+    counts = str(count) if good == count else f"{count}, {count - good} failed"
+    # Both executors may state the same, such as that the valves are safe at the end of the run.
+    times = " / ".join(dict.fromkeys(_times(fault, tried) for tried in there))
+    statuses = ", ".join(sorted({t.status for tried in there for t in tried}))
+    return f"| {fault.name} | {counts} | {times} | {statuses} |"
 
 
 def _times(fault: Fault, trials: Sequence[FaultTrial]) -> str:
