@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from rig.cli.exit_status import BAD_INPUT, FAULT
 from rig.config.bench import BenchConfig, VentedBench
 from rig.hardware.lock import described, locked_devices, outputs_of, runs_of
-from rig.hardware.running import RunningRig, signal_run, signalled
+from rig.hardware.running import RunningRig, UnreadableRecord, signal_run, signalled
 from rig.hardware.vent import Venting, VentResult, results
 
 NOTHING = "nothing to vent: --rig, SOFTRIG_RIG or softrig.yaml here names no rig, and no experiment of this user runs"
@@ -70,7 +70,7 @@ def _running(everything: bool) -> tuple[list[_Rig], list[str]]:
     """The running experiments, whose venting begins, and what cannot be read of them."""
     told = signalled(simulated=everything)
     rigs, problems = _begun_runs(told.runs)
-    problems += [_unread(record.process.pid, f"record {record.file}", record.reason) for record in told.unreadable]
+    problems += [_unread(record, f"record {record.file}", record.reason) for record in told.unreadable]
     return rigs, problems
 
 
@@ -81,16 +81,20 @@ def _begun_runs(runs: Iterable[RunningRig]) -> tuple[list[_Rig], list[str]]:
             bench = VentedBench.model_validate(run.bench)
         except ValidationError as error:
             reason = str(error).replace("\n", " ")
-            problems.append(_unread(run.process.pid, f"{run.purpose} on rig {run.rig}", reason))
+            problems.append(_unread(run, f"{run.purpose} on rig {run.rig}", reason))
         else:
             rigs.append(_begun(bench, _described(run), run))
     return rigs, problems
 
 
-def _unread(pid: int, what: str, reason: str) -> str:
+def _unread(record: RunningRig | UnreadableRecord, what: str, reason: str) -> str:
+    told = f"NOT vented: {what} of process {record.process.pid} cannot be read ({reason})"
+    if record.alive:
+        return f"{told}; the process was told to end. Look at the gauge, and vent its rig with --rig"
+    # Nobody but the operator can tell whether its valves are safe, so it is listed until the operator says so.
     return (
-        f"NOT vented: {what} of process {pid} cannot be read ({reason}); the process was told to end. "
-        "Look at the gauge, and vent its rig with --rig"
+        f"{told}; the process has ended. Look at the gauge, vent its rig with --rig, and then remove {record.file}, "
+        "or rig vent lists it again"
     )
 
 

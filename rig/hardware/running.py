@@ -87,6 +87,11 @@ class UnreadableRecord:
     process: Process
     reason: str
 
+    @property
+    def alive(self) -> bool:
+        """True while the process in its name lives."""
+        return self.process.alive
+
 
 def records() -> tuple[tuple[RunningRig, ...], tuple[UnreadableRecord, ...]]:
     """The records of this user: readable ones, and those that are not.

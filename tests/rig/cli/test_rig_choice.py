@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from rig.config.loader import Source, chosen_rig, named_rig
 from rig.config.schema import RigConfig
 from rig.hardware import runtime_folder
 from rig.hardware.lock import cards_locked
+from rig.hardware.running import FOLDER
 from rig.hardware.vent import VentResult
 from rig.simulator.registers import Registers
 from tests.support.command_line import status_of
@@ -184,6 +186,39 @@ def test_vent_without_a_rig_vents_only_the_running_ones(
     assert "protocol ramp-a" in said
     assert first.outputs["value"].tolist() == [0.0, 0.0]
     assert second.outputs["value"].tolist() == [7.0, 7.0]
+
+
+def test_vent_without_a_rig_vents_every_rig_that_runs(
+    two_cards: list[tuple[RigConfig, Registers]],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (one, first), (other, second) = two_cards
+    first.outputs["value"] = 7.0
+    monkeypatch.setattr(rig.hardware.vent.os, "kill", lambda pid, number: None)
+    with cards_locked(one, "protocol ramp-a"), cards_locked(other, "protocol sine-1"):
+        assert status_of("vent") == 0
+    said = capsys.readouterr().out
+    assert "every chamber of rig bench1 is open to the exhaust" in said
+    assert "every chamber of rig bench2 is open to the exhaust" in said
+    assert first.outputs["value"].tolist() == [0.0, 0.0]
+    assert second.outputs["value"].tolist() == [0.0, 0.0]
+
+
+def test_an_unreadable_record_of_an_ended_run_is_listed_until_the_operator_removes_it(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with subprocess.Popen(["true"]) as ended:
+        pass
+    file = runtime_folder.subfolder(FOLDER) / f"{ended.pid}-1-0.json"
+    file.write_text("{")
+    for _ in range(2):
+        assert status_of("vent") == 1
+        said = capsys.readouterr().err
+        assert "NOT vented" in said
+        assert f"then remove {file}" in said
+    file.unlink()
+    assert status_of("vent") == 2
 
 
 def test_vent_does_not_claim_what_a_card_without_read_back_cannot_show(
