@@ -1,10 +1,13 @@
 """How fast the live page acts, and what it costs a run: `python benchmarks/live.py`.
 
+`python benchmarks/live.py --browsers 3` instead counts the frames that a run loses beside no, one and six pages in
+Chromium on the same computer, in three rounds.
 Times go from the browser's side (the message is sent) to the card's registers, which are read from outside the run.
 """
 
 from __future__ import annotations
 
+import argparse
 import statistics
 import sys
 import tempfile
@@ -19,6 +22,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import runs
+from scripts.browser import browsing, open_tab
 from scripts.live_client import Stream, printed_link, request
 from scripts.rig_process import RigProcess, rig_run
 
@@ -113,8 +117,52 @@ def _take(stream: Stream, packets: list[int], index: int, over: Callable[[], boo
         packets[index] += 1
 
 
+def frames_lost(browsers: int) -> tuple[int, int, int, float]:
+    """Frames lost and taken, deadlines missed, and pictures a second in each of the pages that watch a run."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        rig_run(Path(folder), HOLDING, "--live", "--port", "0") as run,
+        browsing() as browser,
+    ):
+        page = page_of(run)
+        tabs = [open_tab(browser, page) for _ in range(browsers)]
+        for tab in tabs:
+            tab.size(1440, 900)
+        run.wait_until_pressurised()
+        began_s = time.monotonic()
+        before = [tab.value("window.softrig.latency.length") for tab in tabs]
+        time.sleep(WATCHED_S)
+        shown = [tab.value("window.softrig.latency.length") - old for tab, old in zip(tabs, before, strict=True)]
+        took_s = time.monotonic() - began_s
+        run.process.terminate()
+        run.end()
+        archive = runs.open(run.archive())
+        tip, missed = archive.tip, int(archive.timing.overruns.sum())
+    # The frames of the watched time alone: those of the start are lost with and without pages.
+    watched = tip.time_s > tip.time_s[-1] - WATCHED_S
+    lost = int(tip.dropped[watched].sum())
+    return lost, int(watched.sum()), missed, statistics.mean(shown) / took_s if shown else 0.0
+
+
+def compare_browsers(rounds: int) -> None:
+    """Print the frames lost beside no, one and six pages, in alternation."""
+    for number in range(rounds):
+        for browsers in (0, 1, 6):
+            lost, taken, missed, rate = frames_lost(browsers)
+            print(
+                f"round {number + 1}, {browsers} pages: {lost} of {lost + taken} frames lost, {missed} deadlines, "
+                f"{rate:.1f} pictures/s each",
+                flush=True,
+            )
+
+
 def main() -> None:
     """Measure and print."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--browsers", type=int, default=0, metavar="ROUNDS")
+    if rounds := arguments.parse_args().browsers:
+        compare_browsers(rounds)
+        return
     for action in ("stop", "vent"):
         times = sorted(ended_by(action) for _ in range(ROUNDS))
         print(f"{action}: valves safe after {statistics.median(times):.1f} ms median, {times[-1]:.1f} ms at most")

@@ -11,10 +11,10 @@ import sys
 import tempfile
 from pathlib import Path
 
+from scripts.browser import open_tab
 from scripts.live_client import printed_link
 from scripts.rig_process import write_rig
 from tests.support.browser import browsing
-from tests.support.live_page import open_tab
 
 OPTIONS = ("--yes", "--no-report", "--live", "--port", "0")
 

@@ -13,9 +13,10 @@ from pathlib import Path
 
 import pytest
 
+from scripts.browser import Browser, Tab, open_tab
 from scripts.live_client import printed_link
-from tests.support.browser import Browser, Tab, browsing
-from tests.support.live_page import open_files, open_tab
+from tests.support.browser import browsing
+from tests.support.live_page import open_files
 
 pytestmark = pytest.mark.realtime
 

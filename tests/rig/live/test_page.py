@@ -10,10 +10,10 @@ import pytest
 
 import runs
 from runs.records import Status
+from scripts.browser import Browser, Tab, open_tab
 from scripts.live_client import printed_link
 from scripts.rig_process import RigProcess, rig_run
-from tests.support.browser import Browser, Tab, browsing
-from tests.support.live_page import open_tab
+from tests.support.browser import browsing
 
 pytestmark = pytest.mark.realtime
 
