@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import NoReturn
 
 from rig.execution.plan import RunPlan
@@ -21,6 +22,7 @@ from rig.realtime.process_monitor import ProcessMonitor
 from rig.realtime.shared_state import SharedState, Stop
 
 POLL_S = 0.002
+_LIBRARIES = ("cv2", "numba", "scipy")
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,13 @@ class ChildJob:
     plan: RunPlan
     fd: int
     supervisor_pid: int
+
+
+def require_libraries() -> None:
+    """Raise ModuleNotFoundError if this installation lacks a library that the processes of a run need."""
+    for name in _LIBRARIES:
+        if find_spec(name) is None:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 
 def spawn(module: str, job: ChildJob) -> subprocess.Popen[bytes]:

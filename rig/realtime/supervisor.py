@@ -11,6 +11,7 @@ from rig.execution.stop_signals import VENTED
 from rig.hardware.cards.base import CardError, card_type
 from rig.hardware.safe_state import UNSAFE, armed_sentence
 from rig.hardware.vent_verification import UNCONFIRMED
+from rig.realtime.child_process import require_libraries
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.operator_session import OperatorSession
 from rig.realtime.process_group import PROCESSES, WATCHDOG_TRIPPED, ProcessGroup
@@ -47,7 +48,9 @@ def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> 
 
     Raises:
         CardError, StartError: a device or a process did not start.
+        ModuleNotFoundError: a library of the processes is not installed.
     """
+    require_libraries()
     expected = obtainable()
     waits_ns = timing_limits(plan.config, expected).simulation_waits_ns
     with started(plan.config, plan.rig_file, plan.seed, waits_ns) as plant:

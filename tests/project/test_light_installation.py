@@ -86,7 +86,12 @@ def test_an_archive_is_analysed_without_the_extras_and_without_unix(archive: Pat
 
 
 @pytest.mark.parametrize(
-    ("command", "extra"), [("['run', 'ramp-a', '--fast', '--yes', '--no-report']", "rig"), ("['live']", "live")]
+    ("command", "extra"),
+    [
+        ("['run', 'ramp-a', '--fast', '--yes', '--no-report']", "rig"),
+        ("['run', 'ramp-a', '--yes', '--no-report']", "rig"),
+        ("['live']", "live"),
+    ],
 )
 def test_a_command_that_needs_an_extra_names_it(archive: Path, tmp_path: Path, command: str, extra: str) -> None:
     (tmp_path / "data").mkdir()
@@ -171,7 +176,11 @@ def test_softrig_reads_and_analyses_an_archive(wheel: Path, archive: Path, tmp_p
     assert "finished" in installed(light, "show", "run.h5")
     installed(light, "report", "run.h5")
     installed(light, "export", "run.h5")
-    for words, extra in ((("run", "ramp-a", "--fast", "--yes"), "rig"), (("live",), "live")):
+    for words, extra in (
+        (("run", "ramp-a", "--fast", "--yes"), "rig"),
+        (("run", "ramp-a", "--yes"), "rig"),
+        (("live",), "live"),
+    ):
         assert f"pip install 'softrig[{extra}]'" in installed(light, *words, succeeds=False)
 
 
