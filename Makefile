@@ -64,7 +64,7 @@ lint: $(STAMP)
 # The pages link each other by relative paths; strict mode refuses one without a target.
 docs: $(STAMP)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-docs.lock
-	@$(BIN)/mkdocs build
+	@$(BIN)/python -m mkdocs build
 	@echo "build/site/index.html"
 
 comedi: $(STAMP)
