@@ -34,7 +34,8 @@ from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
 from rig.execution.plan import NullOperator
 from rig.experiment import run as experiment
-from rig.experiment.run import RunRequest
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from rig.identify import identify
 from rig.identify.estimation import rig_uncertainties
 from rig.identify.initial_setup import truth_of
@@ -153,8 +154,8 @@ def run_trial(trial: DefaultTrial) -> Array:
 
 
 def _performed(rig: RigFile, protocol: protocols.Protocol, seed: int, folder: Path) -> Path:
-    request = RunRequest(protocol, rig, True, seed, folder, rig.config.model.variant, report=False)
-    result = experiment.run(request, experiment.plan(request), NullOperator())
+    prepared = prepare(protocol, rig, RunOptions(fast=True, seed=seed, out=folder, report=False))
+    result = experiment.run(prepared, NullOperator())
     if result.archive is None:
         raise RuntimeError("; ".join(result.warnings))
     return result.archive

@@ -23,6 +23,8 @@ import runs
 from rig.config import loader
 from rig.execution.plan import NullOperator
 from rig.experiment import run as experiment
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from runs.archive.digest import checked
 from runs.records import Status
 from runs.recovery import RecoveryStatus, recover
@@ -38,8 +40,8 @@ PATIENCE_S = 60.0
 
 def run_fast(folder: Path, protocol: Path) -> Path:
     """One virtual run; the same arrays every time."""
-    request = experiment.request(str(protocol), "mock", folder=folder, fast=True, seed=1, report=False)
-    archive = experiment.run(request, experiment.plan(request), NullOperator()).archive
+    prepared = prepare(str(protocol), "mock", RunOptions(out=folder, fast=True, seed=1, report=False))
+    archive = experiment.run(prepared, NullOperator()).archive
     assert archive is not None
     return archive
 

@@ -38,7 +38,8 @@ from rig.config.loader import RigFile, read
 from rig.config.schema import RigConfig
 from rig.execution.plan import NullOperator
 from rig.experiment import run as experiment
-from rig.experiment.run import RunRequest
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from rig.identify import identify
 from rig.tip_planning.inverse import RigTipInverse
 
@@ -80,11 +81,10 @@ def rig_of(truth: Truth) -> Row:
 def identified(rig: RigFile, folder: Path, seed: int) -> RigFile:
     """The rig with the parameters that `rig identify` finds in one run of it."""
     protocol = protocols.from_steps("to identify", TO_IDENTIFY, folder)
-    request = RunRequest(
-        protocol, rig, True, seed, folder, rig.config.model.variant, report=False, controller="feed-forward"
-    )
+    options = RunOptions(fast=True, seed=seed, out=folder, report=False, controller="feed-forward")
+    prepared = prepare(protocol, rig, options)
     with in_this_process():
-        done = experiment.run(request, experiment.plan(request), NullOperator())
+        done = experiment.run(prepared, NullOperator())
     if done.archive is None:
         raise RuntimeError("; ".join(done.warnings))
     found = identify([done.archive])

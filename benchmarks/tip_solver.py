@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from rig.execution.plan import NullOperator
 from rig.experiment import run as experiment
-from rig.experiment.run import request
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from rig.tip_control.horizon import HorizonControl
 from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory, SetPointPlan
 from runs.run import Run
@@ -59,16 +60,18 @@ def main() -> None:
     print("load   steps   wall p50 / p99 / max [ms]   processor p50 / p99 / max [ms]   plan late p50 / p99 [ms]")
     for seed in range(args.runs):
         with tempfile.TemporaryDirectory() as folder:
-            asked = request(
+            prepared = prepare(
                 args.protocol,
                 "mock-3",
-                settings={"period_s": args.period_s, "periods": args.periods},
-                folder=Path(folder),
-                seed=seed,
-                report=False,
-                controller="benchmarks.tip_solver:TimedHorizon",
+                RunOptions(
+                    settings={"period_s": args.period_s, "periods": args.periods},
+                    out=Path(folder),
+                    seed=seed,
+                    report=False,
+                    controller="benchmarks.tip_solver:TimedHorizon",
+                ),
             )
-            load, done = os.getloadavg()[0], experiment.run(asked, experiment.plan(asked), NullOperator())
+            load, done = os.getloadavg()[0], experiment.run(prepared, NullOperator())
             if done.archive is None:
                 raise SystemExit("; ".join(done.warnings) or done.outcome.message)
             plans = Run(done.archive).tip_control

@@ -96,6 +96,8 @@ def parts(protocol: str) -> None:
     from rig.execution.plan import NullOperator
     from rig.experiment import report_process
     from rig.experiment import run as experiment
+    from rig.experiment.options import RunOptions
+    from rig.experiment.prepare import prepare
     from rig.observation import picture_recorder
     from rig.observation.camera_estimator import CameraTipEstimator
     from rig.observation.live_model import LiveModel
@@ -123,10 +125,9 @@ def parts(protocol: str) -> None:
     watch.around(writer, "finalise", "archive")
     watch.around(report_process, "write_here", "report")
     with tempfile.TemporaryDirectory() as folder:
-        request = experiment.request(protocol, "mock", folder=Path(folder), fast=True, seed=1, report=False)
-        decided = experiment.plan(request)
+        prepared = prepare(protocol, "mock", RunOptions(out=Path(folder), fast=True, seed=1, report=False))
         begun = time.process_time()
-        left = experiment.run(request, decided, NullOperator())
+        left = experiment.run(prepared, NullOperator())
         assert left.archive is not None
         report_process.write_here(left.archive)
         spent = time.process_time() - begun
@@ -137,7 +138,7 @@ def parts(protocol: str) -> None:
         print(f"{part:24s}{part_s:8.2f}{100 * part_s / (imports_s + spent):10.1f}")
     outside = sum(result[part] for part in ("imports", "start", "archive", "report", "else"))
     loop_s = imports_s + spent - outside
-    print(f"{'the whole loop':24s}{loop_s:8.2f}, {decided.trajectory.duration_s / loop_s:.1f} times real time")
+    print(f"{'the whole loop':24s}{loop_s:8.2f}, {prepared.plan.trajectory.duration_s / loop_s:.1f} times real time")
 
 
 def main() -> None:

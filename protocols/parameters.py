@@ -45,7 +45,7 @@ Unit = Annotated[str, AfterValidator(_known_unit), Field(json_schema_extra={"enu
 
 
 class ProtocolParameter(StepPart):
-    """A number that the steps use by name, and that `rig run --set NAME=VALUE` changes."""
+    """A number that the steps use by name, and that `rig run --set NAME=NUMBER` changes."""
 
     default: Number = Field(description="the value where it is not set")
     unit: Unit | SkipJsonSchema[None] = Field(

@@ -21,6 +21,8 @@ import yaml
 import rig.config.loader
 import runs
 from rig.experiment import run as experiment
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from runs.records import Level
 from runs.run import Run
 from scripts.faults.trial_run import CONTROL, SUPERVISOR, TrialRun, lives
@@ -129,10 +131,10 @@ def virtual(hours: float) -> bool:
         while left_s > 0:
             duration_s = min(left_s, HOUR_S)
             protocol.write_text(PROTOCOL.format(duration_s=duration_s - 1))
-            request = experiment.request(
-                str(protocol), str(rig_file), folder=folder / "out", fast=True, seed=int(left_s), report=False
+            prepared = prepare(
+                str(protocol), str(rig_file), RunOptions(out=folder / "out", fast=True, seed=int(left_s), report=False)
             )
-            result = experiment.run(request, experiment.plan(request), Listener())
+            result = experiment.run(prepared, Listener())
             assert result.archive is not None
             passed &= _report(f"{duration_s:.0f} s in virtual time", [], runs.open(result.archive))
             for left in (folder / "out").iterdir():

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.cli import archives, calibrate, design, identify, options, reproduce, rigs, study
-from rig.cli.completion import DATA
 from rig.cli.exit_status import BAD_INPUT, DONE, FAULT
 from rig.cli.expected_errors import PlainErrors, fail
 from rig.cli.printable_stream import printable_streams
+from rig.cli.run_options import takes_run_options
+from rig.experiment.options import RunOptions
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -49,30 +50,16 @@ LOCAL, LIVE_PORT = "127.0.0.1", 8090
 Host = Annotated[str, typer.Option(metavar="ADDRESS", help="Address of this machine on which to serve the page.")]
 Port = Annotated[int, typer.Option(help="Port of the page; where it is taken, or 0, any free one.", min=0, max=65535)]
 Live = Annotated[bool, typer.Option("--live", help="Also show the run in the browser.")]
-NoReport = Annotated[bool, typer.Option("--no-report", help="Write no HTML report.")]
-Adapt = Annotated[bool, typer.Option("--adapt", help="Estimate the arm's parameters online; not used for control.")]
 
 
 @app.command()
+@takes_run_options()
 def run(
     ctx: typer.Context,
     protocol: options.ProtocolName,
-    settings: options.Settings = None,
+    *,
     rig: options.RigName = None,
-    fast: options.Fast = False,
-    seed: options.Seed = 0,
-    out: options.Folder = DATA,
-    model: options.Variant = None,
-    parameters: options.Parameters = None,
-    operator: options.Operator = "",
-    note: options.Note = "",
-    meta: options.Metadata = None,
-    yes: options.Yes = False,
-    no_report: NoReport = False,
-    adapt: Adapt = False,
-    free: options.Free = "",
-    controller: options.Controller = None,
-    learn_from: options.LearnFrom = None,
+    options: RunOptions,
     live: Live = False,
     host: Host = LOCAL,
     port: Port = LIVE_PORT,
@@ -81,50 +68,32 @@ def run(
     """Run a protocol and leave an archive with a report."""
     from rig.experiment import report_process
 
-    _check_live(live, fast, host, port)
-    if free and not adapt:
-        fail("--free needs --adapt", BAD_INPUT)
-    begin_report = ctx.with_resource(report_process.prepared(fast and not no_report))
+    _check_live(live, options.fast, host, port)
+    begin_report = ctx.with_resource(report_process.prepared(options.fast and options.report))
 
-    from rig.cli import assignments, run_output
+    from rig.cli import run_output
     from rig.cli.output import console, print_json
-    from rig.cli.run_names import report_interrupted, resolve
+    from rig.cli.run_names import report_interrupted
     from rig.cli.terminal import Terminal
     from rig.config.loader import chosen_rig
     from rig.execution.stop_signals import StopSignals
     from rig.experiment import run as experiment
+    from rig.experiment.prepare import prepare
 
-    request = experiment.request(
-        protocol,
-        chosen_rig(rig),
-        settings=assignments.numbers("--set", settings),
-        adapt=assignments.names(free) if adapt else None,
-        folder=out,
-        fast=fast,
-        seed=seed,
-        variant=model,
-        parameters=parameters,
-        operator=operator,
-        notes=note,
-        metadata=assignments.texts("--meta", meta),
-        controller=controller,
-        learn_from=[resolve(name) for name in learn_from or ()],
-        report=not no_report,
-    )
-    decided = experiment.plan(request)
+    prepared = prepare(protocol, chosen_rig(rig), options)
     screen = console(stderr=json)
-    report_interrupted(out)
-    screen.print(run_output.check_screen(request, decided))
-    if decided.trajectory.streams:
+    report_interrupted(prepared.folder)
+    screen.print(run_output.check_screen(prepared))
+    if prepared.plan.trajectory.streams:
         screen.print(run_output.socket_line(), soft_wrap=True)
-    if not yes and not run_output.confirm(screen):
+    if not options.yes and not run_output.confirm(screen):
         fail("not armed", BAD_INPUT)
     with (
         _live_page(host, port, screen) if live else nullcontext(),
         StopSignals() as signals,
-        Terminal(screen, lambda: signals.reason, run_output.title(request)) as terminal,
+        Terminal(screen, lambda: signals.reason, run_output.title(prepared)) as terminal,
     ):
-        result = experiment.run(request, decided, terminal, begin_report)
+        result = experiment.run(prepared, terminal, begin_report)
     run_output.last_screen(screen, result)
     if json:
         print_json(run_output.result_facts(result))
@@ -145,29 +114,26 @@ def _live_page(host: str, port: int, screen: Console) -> AbstractContextManager[
 
 
 @app.command()
+@takes_run_options("settings")
 def check(
-    protocol: options.ProtocolName,
-    settings: options.Settings = None,
-    rig: options.RigName = None,
-    json: options.AsJson = False,
+    protocol: options.ProtocolName, *, rig: options.RigName = None, options: RunOptions, json: options.AsJson = False
 ) -> None:
     """Check a protocol against a rig, without touching hardware."""
-    from rig.cli import assignments, run_output
+    from rig.cli import run_output
     from rig.cli.output import console, print_json
     from rig.config.loader import chosen_rig
-    from rig.experiment import run as experiment
+    from rig.experiment.prepare import prepare
 
-    request = experiment.request(protocol, chosen_rig(rig), settings=assignments.numbers("--set", settings))
-    decided = experiment.plan(request)
+    prepared = prepare(protocol, chosen_rig(rig), options, runs=False)
     if json:
-        print_json(run_output.check_facts(request, decided))
+        print_json(run_output.check_facts(prepared))
     else:
         screen = console()
-        screen.print(run_output.check_screen(request, decided))
-        screen.print(run_output.setpoint_plot(decided, screen.width))
-        if decided.trajectory.tip:
-            screen.print(run_output.tip_paths(decided))
-        screen.print(run_output.verdict(request), soft_wrap=not screen.is_terminal)
+        screen.print(run_output.check_screen(prepared))
+        screen.print(run_output.setpoint_plot(prepared.plan, screen.width))
+        if prepared.plan.trajectory.tip:
+            screen.print(run_output.tip_paths(prepared.plan))
+        screen.print(run_output.verdict(prepared), soft_wrap=not screen.is_terminal)
 
 
 @app.command()
@@ -191,29 +157,14 @@ def vent(rig: options.VentedRig = None, everything: options.Everything = False) 
 
 
 @app.command()
-def simulate(
-    protocol: options.ProtocolName,
-    settings: options.Settings = None,
-    rig: options.RigName = None,
-    model: options.Variant = None,
-    parameters: options.Parameters = None,
-    out: options.Folder = DATA,
-) -> None:
+@takes_run_options("settings", "model", "parameters", "out")
+def simulate(protocol: options.ProtocolName, *, rig: options.RigName = None, options: RunOptions) -> None:
     """Run the model alone, driven by the protocol's set-points; leaves an archive of the same layout."""
-    from rig.cli import assignments
     from rig.config.loader import chosen_rig
-    from rig.experiment import run as experiment
+    from rig.experiment.prepare import prepare
     from rig.experiment.simulate import simulate as run_model
 
-    request = experiment.request(
-        protocol,
-        chosen_rig(rig),
-        settings=assignments.numbers("--set", settings),
-        folder=out,
-        variant=model,
-        parameters=parameters,
-    )
-    typer.echo(run_model(request, experiment.plan(request)))
+    typer.echo(run_model(prepare(protocol, chosen_rig(rig), options, runs=False)))
 
 
 @app.command()

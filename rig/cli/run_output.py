@@ -18,7 +18,8 @@ from rig.cli.output import ColumnTable, facts_table
 from rig.config.schema import RigConfig
 from rig.execution.plan import RunPlan
 from rig.experiment.preflight import peak_pa, trough_pa
-from rig.experiment.run import RunRequest, RunResult
+from rig.experiment.prepare import PreparedRun
+from rig.experiment.run import RunResult
 from rig.hardware.safe_state import safe_outputs
 from rig.realtime.scheduling import obtainable, remedies
 from rig.realtime.timing_limits import timing_sentence
@@ -30,20 +31,21 @@ _STATUS = {Status.FINISHED: "bold green", Status.ABORTED: "bold red", Status.INT
 _PLOT_LINES = 10
 
 
-def title(request: RunRequest) -> str:
+def title(prepared: PreparedRun) -> str:
     """Return a one-line title of a run."""
-    how = "virtual time" if request.fast else "real time"
-    marked = " (simulated)" if request.config.simulated else ""
-    return f"{request.protocol.name} on {request.config.name}{marked}, {how}, model {request.variant}"
+    how = "virtual time" if prepared.options.fast else "real time"
+    marked = " (simulated)" if prepared.config.simulated else ""
+    return f"{prepared.protocol.name} on {prepared.config.name}{marked}, {how}, model {prepared.plan.variant}"
 
 
-def check_screen(request: RunRequest, plan: RunPlan) -> Group:
+def check_screen(prepared: PreparedRun) -> Group:
     """Return the check screen: limits, peak pressure, valves, duration."""
+    plan = prepared.plan
     config, trajectory = plan.config, plan.trajectory
     facts = facts_table()
-    facts.add_row("protocol", f"{request.protocol.name}: {request.protocol.title}")
-    if request.protocol.parameters:
-        facts.add_row("parameters", ", ".join(map(str, request.protocol.parameters)))
+    facts.add_row("protocol", f"{prepared.protocol.name}: {prepared.protocol.title}")
+    if prepared.protocol.parameters:
+        facts.add_row("parameters", ", ".join(map(str, prepared.protocol.parameters)))
     facts.add_row("duration", f"{trajectory.duration_s:.1f} s, {_counted(len(trajectory.segments), 'segment')}")
     if trajectory.prompts:
         facts.add_row("operator", _counted(len(trajectory.prompts), "prompt"))
@@ -57,11 +59,11 @@ def check_screen(request: RunRequest, plan: RunPlan) -> Group:
         stopped_bar = limits.lowest_pressure_bar - limits.pressure_margin_bar
         held += f"; at least {limits.lowest_pressure_bar:g} bar, below {stopped_bar:g} bar the run is aborted"
     facts.add_row("limits", f"{held}; at most {limits.rate_bar_per_s:g} bar/s")
-    facts.add_row("rig", f"{config.name}{_how_simulated(config)}, chosen by {request.rig_source}")
-    facts.add_row("model", f"{request.variant}, {config.model.mode}")
+    facts.add_row("rig", f"{config.name}{_how_simulated(config)}, chosen by {prepared.rig_source}")
+    facts.add_row("model", f"{plan.variant}, {config.model.mode}")
     if not config.measures_tip:
         facts.add_row("tip", "not measured: the rig has no camera; the run has pressures and the model only")
-    if not request.fast:
+    if not prepared.options.fast:
         granted = obtainable()
         facts.add_row("timing", timing_sentence(config, granted))
         if config.has_real_valves and (refused := remedies(granted)):
@@ -105,17 +107,17 @@ def _how_simulated(config: RigConfig) -> str:
     return " (SIMULATED: no hardware is touched)"
 
 
-def verdict(request: RunRequest) -> Text:
-    """Return the verdict on a request that has passed every check, and the metadata that `rig run` needs beside it."""
-    verdict = Text(f"nothing is wrong: rig {request.config.name} can run {request.protocol.name}", "bold green")
-    if missing := _missing_metadata(request):
+def verdict(prepared: PreparedRun) -> Text:
+    """Return the verdict on a run that has passed every check, and the metadata that `rig run` needs beside it."""
+    verdict = Text(f"nothing is wrong: rig {prepared.config.name} can run {prepared.protocol.name}", "bold green")
+    if missing := _missing_metadata(prepared):
         needed = " ".join(f"--meta {name}=VALUE" for name in missing)
         verdict.append(f"\nthe rig file requires metadata: rig run needs {needed}", "yellow")
     return verdict
 
 
-def _missing_metadata(request: RunRequest) -> tuple[str, ...]:
-    return request.config.metadata.missing(request.metadata)
+def _missing_metadata(prepared: PreparedRun) -> tuple[str, ...]:
+    return prepared.config.metadata.missing(prepared.metadata)
 
 
 def peak_bar(plan: RunPlan) -> list[float]:
@@ -123,20 +125,21 @@ def peak_bar(plan: RunPlan) -> list[float]:
     return [pa / PA_PER_BAR for pa in peak_pa(plan.trajectory)]
 
 
-def check_facts(request: RunRequest, plan: RunPlan) -> dict[str, object]:
+def check_facts(prepared: PreparedRun) -> dict[str, object]:
     """Return the check screen for JSON."""
+    plan = prepared.plan
     return {
-        "protocol": request.protocol.name,
-        "parameters": {p.name: p.value for p in request.protocol.parameters},
-        "rig": request.config.name,
-        "rig_source": str(request.rig_source),
-        "simulated": request.config.simulated,
+        "protocol": prepared.protocol.name,
+        "parameters": {p.name: p.value for p in prepared.protocol.parameters},
+        "rig": prepared.config.name,
+        "rig_source": str(prepared.rig_source),
+        "simulated": prepared.config.simulated,
         "duration_s": plan.trajectory.duration_s,
         "segments": len(plan.trajectory.segments),
         "prompts": len(plan.trajectory.prompts),
         "peak_bar": peak_bar(plan),
-        "limit_bar": request.config.limits.pressure_bar,
-        "missing_metadata": _missing_metadata(request),
+        "limit_bar": prepared.config.limits.pressure_bar,
+        "missing_metadata": _missing_metadata(prepared),
         **_tip_paths_json(plan),
     }
 

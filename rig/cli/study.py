@@ -7,23 +7,22 @@ from typing import Annotated
 
 import typer
 
-from rig.cli.completion import DATA
 from rig.cli.exit_status import FAULT
-from rig.cli.options import AsJson, Fast, Folder, Metadata, Operator, RigName, Scheduler, Yes
+from rig.cli.options import AsJson, RigName, Scheduler
+from rig.cli.run_options import takes_run_options
+from rig.experiment.options import RunOptions
 
 PlanFile = Annotated[Path, typer.Argument(metavar="PLAN", help="YAML file of the study.", dir_okay=False)]
 
 
+@takes_run_options("fast", "out", "operator", "meta", "yes")
 def study(
     plan: PlanFile,
+    *,
     rig: RigName = None,
-    fast: Fast = False,
-    out: Folder = DATA,
-    operator: Operator = "",
-    meta: Metadata = None,
+    options: RunOptions,
     dry: Annotated[bool, typer.Option("--dry", help="Check and print the plan only; nothing moves.")] = False,
     scheduler: Scheduler = None,
-    yes: Yes = False,
     json: AsJson = False,
 ) -> None:
     """Run a study, or what is missing of it; write its table and its page.
@@ -31,7 +30,7 @@ def study(
     After any interruption, repeat the command: finished runs are not repeated.
     """
     from protocols.problems import bad_input
-    from rig.cli import assignments, study_output
+    from rig.cli import study_output
     from rig.cli.output import console
     from rig.cli.progress import progress_bar
     from rig.cli.run_output import confirm
@@ -39,15 +38,13 @@ def study(
     from rig.study import execution
     from rig.study.study import archived, finished, load, recovered
 
-    if scheduler and not fast:
+    if scheduler and not options.fast:
         raise bad_input("--scheduler", scheduler, "--fast: only runs in virtual time are spread over a cluster")
-    found = load(
-        plan, chosen_rig(rig), folder=out, fast=fast, operator=operator, metadata=assignments.texts("--meta", meta)
-    )
+    found = load(plan, chosen_rig(rig), options)
     screen = console(stderr=json)
 
     def tell_recovered() -> None:
-        for sentence in recovered(out):
+        for sentence in recovered(found.folder):
             typer.echo(sentence, err=True)
 
     if dry:
@@ -59,10 +56,10 @@ def study(
         done = finished(archived(found))
         if len(done) < len(found.runs):
             study_output.planned(screen, found, archived(found))
-            if not yes and not confirm(screen):
+            if not options.yes and not confirm(screen):
                 raise bad_input("--yes", "", "a confirmation: the study is not armed")
         try:
-            if len(done) < len(found.runs) and fast:
+            if len(done) < len(found.runs) and found.fast:
                 with progress_bar("runs") as progress:
                     execution.run_virtual(found, scratch, scheduler=scheduler, progress=progress)
             elif len(done) < len(found.runs):

@@ -9,10 +9,9 @@ from rich.console import Console
 from rig.cli import run_output
 from rig.cli.output import ColumnTable, print_json
 from rig.cli.terminal import Terminal
-from rig.execution.plan import RunPlan
 from rig.execution.stop_signals import StopSignals
 from rig.experiment import run as experiment
-from rig.experiment.run import RunRequest
+from rig.experiment.prepare import PreparedRun
 from rig.study.execution import StudyResults
 from rig.study.study import ASSUMED_OVERHEAD_S, Study, finished, overhead_s
 from runs.catalogue import Entry
@@ -39,12 +38,12 @@ def planned(screen: Console, study: Study, entries: tuple[Entry, ...], *, as_jso
     table = ColumnTable("combination", *every[0], "duration [s]", "runs, in this order")
     for index, settings in enumerate(every):
         numbers = ", ".join(str(run.number) for run in study.runs if run.combination == index + 1)
-        duration_s = study.plans[index].trajectory.duration_s
+        duration_s = study.prepared[index].plan.trajectory.duration_s
         table.add_row(str(index + 1), *(f"{v:.12g}" for v in settings.values()), f"{duration_s:.1f}", numbers)
     screen.print(table)
-    plan, request = study.plan, study.requests[0]
+    plan, config = study.plan, study.prepared[0].config
     how = "virtual time, without rest, conditioning and prompts" if study.fast else "real time"
-    screen.print(f"rig {request.config.name}{' (simulated)' if request.config.simulated else ''}, {how}")
+    screen.print(f"rig {config.name}{' (simulated)' if config.simulated else ''}, {how}")
     time = "of virtual time " if study.fast else ""
     screen.print(
         f"{len(study.runs)} runs in {plan.blocks} {'block' if plan.blocks == 1 else 'blocks'}, {len(done)} done; "
@@ -79,15 +78,15 @@ class StudyTerminal:
     def __init__(self, screen: Console) -> None:
         self._screen = screen
 
-    def run(self, request: RunRequest, plan: RunPlan) -> Status:
-        place = request.study
+    def run(self, prepared: PreparedRun) -> Status:
+        place = prepared.study
         assert place is not None
         self._screen.print(f"study {place.study}: {place.role} {place.number}, block {place.block}", style="bold")
         with (
             StopSignals(restore=True) as signals,
-            Terminal(self._screen, lambda: signals.reason, run_output.title(request)) as terminal,
+            Terminal(self._screen, lambda: signals.reason, run_output.title(prepared)) as terminal,
         ):
-            result = experiment.run(request, plan, terminal)
+            result = experiment.run(prepared, terminal)
         run_output.last_screen(self._screen, result)
         return result.outcome.status
 

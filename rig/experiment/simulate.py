@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from protocols import arguments
 from rig.config.arm_model import TipLoad, model_arm
 from rig.execution.plan import RunPlan, observation_rows
-from rig.experiment.run import RunRequest, header
+from rig.experiment.prepare import PreparedRun
+from rig.experiment.run import header
 from rig.observation.live_model import LiveModel
 from rig.observation.overlay import backbone
 from rig.observation.sample_interpolator import SampleInterpolator
@@ -19,7 +21,7 @@ from runs.journal.journal import JournalWriter
 from runs.records import MODEL_ALONE, DetectionStatus, RunFooter, Status, blank, sample_dtype
 
 
-def simulate(request: RunRequest, plan: RunPlan) -> Path:
+def simulate(prepared: PreparedRun) -> Path:
     """Simulate the tip for chambers that follow the set-points exactly; return the archive.
 
     Weights of the protocol's prompts load the model. The rows have no measured tip (`DetectionStatus.NO_FRAME`); the
@@ -27,6 +29,7 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
     rig's `model` says whether statics or dynamics are solved. After a step without convergence the model restarts from
     the static solution.
     """
+    folder, plan = arguments.folder("--out", prepared.options.out), prepared.plan
     config, trajectory = plan.config.free_running, plan.trajectory
     rate_hz = config.observation_hz
     dt_s = 1.0 / rate_hz
@@ -49,9 +52,9 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
     rows["tip_motion"], rows["tip_period"] = places.T
     _solve_rows(rows, plan)
 
-    title = f"{request.protocol.title} (model alone, {config.model.mode})"
+    title = f"{prepared.protocol.title} (model alone, {config.model.mode})"
     about = replace(
-        header(request, plan, 0),
+        header(prepared, 0),
         title=title,
         executor=MODEL_ALONE,
         simulated=True,
@@ -60,8 +63,8 @@ def simulate(request: RunRequest, plan: RunPlan) -> Path:
         valve_units=(),
         triggered=False,
     )
-    request.folder.mkdir(parents=True, exist_ok=True)
-    journal = JournalWriter(request.folder / f"{about.run_id}.mcap", about)
+    folder.mkdir(parents=True, exist_ok=True)
+    journal = JournalWriter(folder / f"{about.run_id}.mcap", about)
     journal.samples(samples)
     journal.observations(rows)
     unsolved = int(steps - rows["model_ok"].sum())

@@ -17,6 +17,7 @@ from runs.records import Quantity, RecordedFile, RunHeader
 
 if TYPE_CHECKING:
     from protocols.tip_inverse import TipInverse
+    from runs.run import Run
 
 
 def tip_controller(config: RigConfig, rig_file: Path, chosen: str | None, moves_tip: bool) -> str:
@@ -47,7 +48,7 @@ def tip_controller(config: RigConfig, rig_file: Path, chosen: str | None, moves_
 
 
 def tip_inverse(
-    protocol: Protocol, rig: RigFile, variant: Variant, learn_from: Sequence[Path]
+    protocol: Protocol, rig: RigFile, variant: Variant, learn_from: Sequence[Run | Path | str]
 ) -> tuple[TipInverse | None, tuple[str, ...]]:
     """The inverse solution of the rig, and the ids of the runs that correct it; None without a tip path.
 
@@ -68,12 +69,12 @@ def tip_inverse(
         return inverse, ()
     from rig.tip_control.learned_inverse import EarlierRun, LearnedInverse, NotRepeatedError
     from rig.tip_control.session import settings
-    from runs.run import Run
+    from runs.run import Run, paths_of
 
     parameters = protocol_parameters(protocol)
     wanted = _definition(protocol.text, protocol.files, parameters, rig.text, rig.calibrations, rig.parameters, variant)
     runs = []
-    for archive in learn_from:
+    for archive in paths_of(learn_from):
         run = Run(archive)
         expected = _unlike(run.header, wanted)
         try:

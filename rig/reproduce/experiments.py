@@ -7,6 +7,8 @@ from pathlib import Path
 
 from rig.execution.plan import NullOperator, StartError
 from rig.experiment import run as experiment
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from rig.reproduce.comparison import ResultOrigin
 from runs.archive.writer import ArchiveError
 from runs.records import Status
@@ -53,8 +55,8 @@ def _archives(folder: Path) -> dict[str, Run]:
 
 
 def _simulated(folder: Path, name: str) -> Run:
-    request = experiment.request(name, "mock-ideal", folder=folder, fast=True, report=False)
-    result = experiment.run(request, experiment.plan(request), NullOperator())
+    prepared = prepare(name, "mock-ideal", RunOptions(out=folder, fast=True, report=False))
+    result = experiment.run(prepared, NullOperator())
     if result.archive is None or result.outcome.status is not Status.FINISHED:
         raise StartError(f"{name} could not be simulated: {result.outcome.message}")
     return Run(result.archive)

@@ -6,8 +6,9 @@ import threading
 import time
 from collections.abc import Callable
 
-from rig.execution.plan import NullOperator, Progress, RunPlan
-from rig.experiment.run import RunRequest, RunResult
+from rig.execution.plan import NullOperator, Progress
+from rig.experiment.prepare import PreparedRun
+from rig.experiment.run import RunResult
 from runs.records import Event, Status
 
 Answer = Callable[[str], object]
@@ -57,13 +58,13 @@ class FunctionOperator(NullOperator):
 class FunctionStudyOperator:
     """Performs runs by `perform`, rests by sleeping, and passes each prompt to `answer`."""
 
-    def __init__(self, perform: Callable[[RunRequest, RunPlan], RunResult], answer: Answer | None) -> None:
+    def __init__(self, perform: Callable[[PreparedRun], RunResult], answer: Answer | None) -> None:
         self._perform = perform
         self._answer = answer
 
-    def run(self, request: RunRequest, plan: RunPlan) -> Status:
+    def run(self, prepared: PreparedRun) -> Status:
         """Perform a run; return how it ended."""
-        return self._perform(request, plan).outcome.status
+        return self._perform(prepared).outcome.status
 
     def rest(self, seconds: float) -> None:
         """Wait."""

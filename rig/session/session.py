@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import threading
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from functools import partial
+from dataclasses import dataclass
+from functools import partial, wraps
 from pathlib import Path
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from protocols import Problem, Protocol, arguments
 from protocols.problems import bad_input, raise_all
@@ -18,7 +21,9 @@ from rig.execution.plan import RunPlan
 from rig.execution.stop_signals import StopSignals
 from rig.experiment import report_process
 from rig.experiment import run as experiment
-from rig.experiment.run import RunRequest, RunResult
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import PreparedRun, prepare
+from rig.experiment.run import RunResult
 from rig.experiment.simulate import simulate
 from rig.realtime.control_socket import socket_of
 from rig.session.operators import Answer, FunctionOperator, FunctionStudyOperator
@@ -26,8 +31,7 @@ from rig.study import execution
 from rig.study.study import load as load_study
 from rig.study.study import recovered
 from runs.records import Status
-from runs.run import Run, paths_of
-from runs.run_names import DATA
+from runs.run import Run
 
 
 class RunEndedError(Exception):
@@ -52,6 +56,52 @@ class RunInterruptedError(KeyboardInterrupt):
 def _ending(result: RunResult) -> str:
     outcome = result.outcome
     return "; ".join((f"{outcome.status}: {outcome.message}", f"archive: {result.archive}", *result.warnings))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionOptions(RunOptions):
+    """The options of a run, and what answers its prompts."""
+
+    answer: Answer | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyOptions(SessionOptions):
+    """The options of the runs of a study, and where they take place in virtual time: `rig study --scheduler`.
+
+    `workers` is the number of processes, by default one per core.
+    """
+
+    workers: int | None = None
+    scheduler: str | None = None
+
+
+ByName = ParamSpec("ByName")
+Chosen = TypeVar("Chosen", bound=RunOptions)
+Asked = TypeVar("Asked")
+Result = TypeVar("Result")
+
+
+def _by_name(
+    made: Callable[ByName, Chosen], *names: str
+) -> Callable[[Callable[[Session, Asked, Chosen], Result]], Callable[Concatenate[Session, Asked, ByName], Result]]:
+    """Let a method take, in place of its last parameter, the options of that class by name: `names`, or all."""
+
+    def decorated(method: Callable[[Session, Asked, Chosen], Result]) -> Any:
+        session, asked, _ = inspect.signature(method).parameters.values()
+        options, defaults = inspect.signature(made).parameters, made()  # type: ignore[call-arg]
+        taken = [options[name].replace(default=getattr(defaults, name)) for name in names or options]
+        signature = inspect.Signature([session, asked, *taken])
+
+        @wraps(method)
+        def called(*args: Any, **given: Any) -> Result:
+            bound = signature.bind(*args, **given).arguments
+            return method(bound.pop(session.name), bound.pop(asked.name), made(**bound))  # type: ignore[call-arg]
+
+        called.__signature__ = signature  # type: ignore[attr-defined]
+        return called
+
+    return decorated
 
 
 class Session:
@@ -81,42 +131,25 @@ class Session:
         """
         return socket_of(os.getpid())
 
-    def check(self, protocol: Protocol | Path | str, *, settings: Mapping[str, float] | None = None) -> RunPlan:
+    @_by_name(RunOptions, "settings")
+    def check(self, protocol: Protocol | Path | str, options: RunOptions) -> RunPlan:
         """Check a protocol as `rig check` does; return its plan, which has the set-points over time.
 
-        Metadata that the rig file requires are checked by `run`, which is given them.
+        The option `settings` sets the protocol's parameters. Metadata that the rig file requires are checked by `run`,
+        which is given them.
 
         Raises:
             BadInputError: everything that is wrong with protocol and rig.
         """
-        return experiment.plan(experiment.request(_named(protocol), self._choice, settings=settings))
+        return prepare(protocol, self._choice, options, runs=False).plan
 
-    def run(
-        self,
-        protocol: Protocol | Path | str,
-        *,
-        settings: Mapping[str, float] | None = None,
-        fast: bool = False,
-        seed: int = 0,
-        out: Path | str = DATA,
-        model: str | None = None,
-        parameters: Path | str | None = None,
-        operator: str = "",
-        note: str = "",
-        meta: Mapping[str, str | float] | None = None,
-        yes: bool = False,
-        report: bool = True,
-        adapt: bool | Sequence[str] = False,
-        controller: str | None = None,
-        learn_from: Sequence[Run | Path | str] = (),
-        answer: Answer | None = None,
-    ) -> Run:
+    @_by_name(SessionOptions)
+    def run(self, protocol: Protocol | Path | str, options: SessionOptions) -> Run:
         """Run a protocol as `rig run` does; return its archive.
 
         The protocol is a name, a file, or one that is loaded, as by `protocols.from_steps`. The options are those of
-        the command. A rig with real valves needs `yes=True`, which arms it without a question. `adapt` is True, or the
-        names of the parameters to estimate online. `answer` is called with the message of each prompt in real time; the
-        run continues when it returns.
+        the command, each by its name. A rig with real valves needs `yes=True`, which arms it without a question.
+        `answer` is called with the message of each prompt in real time; the run continues when it returns.
 
         Raises:
             BadInputError: everything that is wrong with protocol, rig and options.
@@ -124,69 +157,28 @@ class Session:
             CardError, CameraError, StartError, JournalError: the run did not start.
         """
         self._require_entered()
-        _check_options(answer, fast=fast, yes=yes, report=report)
-        request = experiment.request(
-            _named(protocol),
-            self._choice,
-            settings=settings,
-            adapt=None if adapt is False else () if adapt is True else arguments.names("--free", adapt),
-            folder=arguments.folder("--out", out),
-            fast=fast,
-            seed=seed,
-            variant=model,
-            parameters=_parameters_file(parameters),
-            operator=operator,
-            notes=note,
-            metadata={} if meta is None else meta,
-            controller=controller,
-            learn_from=paths_of(learn_from),
-            report=report,
-        )
-        plan = experiment.plan(request)
-        _check_arming(request, plan, yes, answer)
-        return _archive(_run(request, plan, answer))
+        _check_answer(options.answer)
+        prepared = prepare(protocol, self._choice, options)
+        _check_arming(prepared, options)
+        return _archive(_run(prepared, options.answer))
 
-    def simulate(
-        self,
-        protocol: Protocol | Path | str,
-        *,
-        settings: Mapping[str, float] | None = None,
-        out: Path | str = DATA,
-        model: str | None = None,
-        parameters: Path | str | None = None,
-    ) -> Run:
+    @_by_name(RunOptions, "settings", "out", "model", "parameters")
+    def simulate(self, protocol: Protocol | Path | str, options: RunOptions) -> Run:
         """Run the model alone as `rig simulate` does; return its archive.
+
+        The options are `settings`, `out`, `model` and `parameters`.
 
         Raises:
             BadInputError: everything that is wrong with protocol, rig and options.
         """
-        request = experiment.request(
-            _named(protocol),
-            self._choice,
-            settings=settings,
-            folder=arguments.folder("--out", out),
-            variant=model,
-            parameters=_parameters_file(parameters),
-        )
-        return Run(simulate(request, experiment.plan(request)))
+        return Run(simulate(prepare(protocol, self._choice, options, runs=False)))
 
-    def study(
-        self,
-        plan: Path | str,
-        *,
-        fast: bool = False,
-        out: Path | str = DATA,
-        operator: str = "",
-        meta: Mapping[str, str | float] | None = None,
-        workers: int | None = None,
-        scheduler: str | None = None,
-        yes: bool = False,
-        answer: Answer | None = None,
-    ) -> tuple[Run, ...]:
+    @_by_name(StudyOptions, "fast", "out", "operator", "meta", "yes", "answer", "workers", "scheduler")
+    def study(self, plan: Path | str, options: StudyOptions) -> tuple[Run, ...]:
         """Run what is missing of a study as `rig study` does; return its finished runs in their order.
 
-        `workers` is the number of processes in virtual time, by default one per core. `yes` and `answer` are those of
-        `run`; a script that studies over several processes needs `if __name__ == "__main__":`.
+        The options are `fast`, `out`, `operator`, `meta`, `yes` and `answer`, as of `run`, and `workers` and
+        `scheduler`. A script that studies over several processes needs `if __name__ == "__main__":`.
 
         Raises:
             BadInputError: everything that is wrong with plan, protocols and rig.
@@ -194,15 +186,15 @@ class Session:
             KeyboardInterrupt: Ctrl-C; repeat the call to go on.
         """
         self._require_entered()
-        _check_options(answer, fast=fast, yes=yes)
-        if workers is not None:
-            raise_all(arguments.whole_number_problems("workers", workers, 1))
-        if scheduler is not None:
-            raise_all(arguments.text_problems({"--scheduler": scheduler}))
-        folder, file = arguments.folder("--out", out), arguments.path("PLAN", plan)
-        study = load_study(file, self._choice, folder=folder, fast=fast, operator=operator, metadata=meta)
+        answer, fast = options.answer, options.fast
+        _check_answer(answer)
+        if options.workers is not None:
+            raise_all(arguments.whole_number_problems("workers", options.workers, 1))
+        if options.scheduler is not None:
+            raise_all(arguments.text_problems({"--scheduler": options.scheduler}))
+        study = load_study(arguments.path("PLAN", plan), self._choice, options)
         for run in study.runs:
-            _check_arming(*study.request(run), yes, answer)
+            _check_arming(study.run(run), options)
         if not fast and study.plan.block_prompt and answer is None:
             expected = "a function for the prompts before the blocks, such as answer=input"
             raise bad_input("answer", "None", expected)
@@ -211,55 +203,45 @@ class Session:
                 warnings.warn(sentence, stacklevel=2)
             try:
                 if fast:
-                    execution.run_virtual(study, scratch, workers, scheduler)
+                    execution.run_virtual(study, scratch, options.workers, options.scheduler)
                 else:
                     execution.run_real(study, FunctionStudyOperator(partial(_run, answer=answer), answer))
             finally:
                 results = execution.write_results(study)
-        return () if results is None else tuple(Run(folder / entry.file) for entry in results.runs.values())
+        return () if results is None else tuple(Run(study.folder / entry.file) for entry in results.runs.values())
 
     def _require_entered(self) -> None:
         if not self._entered:
             raise bad_input("rig.open", "", "open it first: `with rig.open(..) as bench:`")
 
 
-def _named(protocol: Protocol | Path | str) -> Protocol | str:
-    return protocol if isinstance(protocol, Protocol) else str(protocol)
-
-
-def _check_options(answer: object, **flags: bool) -> None:
-    problems = arguments.flag_problems(flags)
+def _check_answer(answer: object) -> None:
     if answer is not None and not callable(answer):
-        problems.append(Problem("answer", 0, 0, "", arguments.shown(answer), "a function, such as answer=input"))
-    raise_all(problems)
+        raise bad_input("answer", arguments.shown(answer), "a function, such as answer=input")
 
 
-def _parameters_file(parameters: Path | str | None) -> Path | None:
-    return None if parameters is None else arguments.path("--parameters", parameters)
-
-
-def _check_arming(request: RunRequest, plan: RunPlan, yes: bool, answer: Answer | None) -> None:
-    problems = []
-    if request.config.has_real_valves and not yes:
-        expected = f"yes=True: rig {request.config.name} has real valves, and this arms them without a question"
+def _check_arming(prepared: PreparedRun, options: SessionOptions) -> None:
+    problems, prompts = [], prepared.plan.trajectory.prompts
+    if prepared.config.has_real_valves and not options.yes:
+        expected = f"yes=True: rig {prepared.config.name} has real valves, and this arms them without a question"
         problems.append(Problem("yes", 0, 0, "", "False", expected))
-    if not request.fast and plan.trajectory.prompts and answer is None:
-        expected = f"a function for the {len(plan.trajectory.prompts)} prompts of the protocol, such as answer=input"
+    if not options.fast and prompts and options.answer is None:
+        expected = f"a function for the {len(prompts)} prompts of the protocol, such as answer=input"
         problems.append(Problem("answer", 0, 0, "", "None", expected))
     raise_all(problems)
 
 
-def _run(request: RunRequest, plan: RunPlan, answer: Answer | None) -> RunResult:
-    """Run a plan. Signals reach only the main thread of Python; a run in another thread leaves them alone."""
+def _run(prepared: PreparedRun, answer: Answer | None) -> RunResult:
+    """Run. Signals reach only the main thread of Python; a run in another thread leaves them alone."""
     in_main_thread = threading.current_thread() is threading.main_thread()
     with ExitStack() as stack:
-        begin_report = stack.enter_context(report_process.prepared(request.fast and request.report))
+        begin_report = stack.enter_context(report_process.prepared(prepared.options.fast and prepared.options.report))
         stopping: AbstractContextManager[StopSignals | None] = (
             StopSignals(restore=True) if in_main_thread else nullcontext()
         )
         signals = stack.enter_context(stopping)
         operator = FunctionOperator(lambda: signals.reason if signals else None, answer)
-        return experiment.run(request, plan, operator, begin_report)
+        return experiment.run(prepared, operator, begin_report)
 
 
 def _archive(result: RunResult) -> Run:

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from calibration.parallel_map import parallel_results
-from rig.execution.plan import NullOperator, RunPlan, StartError
+from rig.execution.plan import NullOperator, StartError
 from rig.experiment import run as experiment
-from rig.experiment.run import RunRequest
+from rig.experiment.prepare import PreparedRun
 from rig.study.plan import StopRules
 from rig.study.study import Study, archived, finished
 from runs.catalogue import Entry
@@ -40,7 +40,7 @@ class StudyStoppedError(Exception):
 class StudyOperator(Protocol):
     """The operator's side of a study in real time. Each method raises `KeyboardInterrupt` when the operator stops."""
 
-    def run(self, request: RunRequest, plan: RunPlan) -> Status:
+    def run(self, prepared: PreparedRun) -> Status:
         """Perform a run; return how it ended."""
 
     def rest(self, seconds: float) -> None:
@@ -106,9 +106,7 @@ def run_virtual(
         WorkerDiedError, NoClusterError: as `parallel_map`.
     """
     done = finished(archived(study))
-    tasks = [
-        _Task(study.request(run)[0], None if scheduler else scratch) for run in study.runs if run.number not in done
-    ]
+    tasks = [_Task(study.run(run), None if scheduler else scratch) for run in study.runs if run.number not in done]
     rules = _RuleCheck(study)
     progress(len(done), len(study.runs))
     with closing(parallel_results(_archive_of, tasks, range(len(tasks)), workers, scheduler)) as results:
@@ -125,7 +123,7 @@ def run_virtual(
 
 @dataclass(frozen=True)
 class _Task:
-    request: RunRequest
+    prepared: PreparedRun
     scratch: Path | None
     """Where the worker writes; None for its own temporary folder."""
 
@@ -142,8 +140,8 @@ def _archive_of(task: _Task) -> _ArchiveFile:
     The folder is removed only after that: until then it may have the only copy of the data.
     """
     folder = Path(tempfile.mkdtemp(dir=task.scratch))
-    request = replace(task.request, folder=folder)
-    result = experiment.run(request, experiment.plan(request), NullOperator())
+    prepared = replace(task.prepared, options=replace(task.prepared.options, out=folder))
+    result = experiment.run(prepared, NullOperator())
     if result.archive is None:
         raise StartError("; ".join(result.warnings))
     made = _ArchiveFile(result.archive.name, result.archive.read_bytes())
@@ -171,17 +169,17 @@ def run_real(study: Study, operator: StudyOperator) -> None:
         if study.plan.block_prompt and run.block not in begun:
             operator.confirm(f"block {run.block} of {study.plan.blocks}: {study.plan.block_prompt}")
         begun.add(run.block)
-        before = study.conditioning_request(run)
+        before = study.conditioning_before(run)
         if before is not None and (study.plan.conditioning_each_run or conditioned != run.block):
-            _performed(operator, *before)
+            _performed(operator, before)
             rules.check()
         conditioned = run.block
-        _performed(operator, *study.request(run))
+        _performed(operator, study.run(run))
         rules.check()
 
 
-def _performed(operator: StudyOperator, request: RunRequest, plan: RunPlan) -> None:
-    if operator.run(request, plan) is Status.INTERRUPTED:
+def _performed(operator: StudyOperator, prepared: PreparedRun) -> None:
+    if operator.run(prepared) is Status.INTERRUPTED:
         raise KeyboardInterrupt
 
 

@@ -1,14 +1,13 @@
-"""A checked study: its plan with a request per combination, the archives of its runs, and what differs in others."""
+"""A checked study: its plan with a prepared run of each combination, and the archives of its runs."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -20,9 +19,8 @@ from protocols.problems import bad_input, closest
 from protocols.source_positions import Document
 from protocols.substitution import KEY
 from rig.config.loader import RigChoice
-from rig.execution.plan import RunPlan
-from rig.experiment import run as experiment
-from rig.experiment.run import RunRequest
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import PreparedRun, prepare
 from rig.study.plan import PlannedRun, StudyPlan, planned_runs
 from runs.archive.provenance import USER
 from runs.catalogue import Entry, catalogue
@@ -36,7 +34,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
 
 @dataclass(frozen=True)
 class Study:
-    """A study that has passed every check; `requests` and `plans` are those of its combinations."""
+    """A study that has passed every check; `prepared` are the runs of its combinations."""
 
     name: str
     plan: StudyPlan
@@ -44,57 +42,48 @@ class Study:
     sha256: str
     folder: Path
     runs: tuple[PlannedRun, ...]
-    requests: tuple[RunRequest, ...]
-    plans: tuple[RunPlan, ...]
-    conditioning: tuple[RunRequest, RunPlan] | None
+    prepared: tuple[PreparedRun, ...]
+    conditioning: PreparedRun | None
 
-    def request(self, run: PlannedRun) -> tuple[RunRequest, RunPlan]:
-        seed = self.plan.seed + run.number
-        request = replace(self.requests[run.combination - 1], seed=seed, study=self._place(run, StudyRole.RUN))
-        return request, replace(self.plans[run.combination - 1], seed=seed)
+    def run(self, run: PlannedRun) -> PreparedRun:
+        """A run of the study."""
+        prepared = self.prepared[run.combination - 1]
+        return prepared.of_study(self._place(run, StudyRole.RUN), self.plan.seed + run.number)
 
-    def conditioning_request(self, run: PlannedRun) -> tuple[RunRequest, RunPlan] | None:
-        """The request and the plan of the conditioning before a run; None without conditioning."""
+    def conditioning_before(self, run: PlannedRun) -> PreparedRun | None:
+        """The conditioning before a run; None without any."""
         if self.conditioning is None:
             return None
-        request, plan = self.conditioning
-        return replace(request, study=self._place(run, StudyRole.CONDITIONING)), plan
+        return self.conditioning.of_study(self._place(run, StudyRole.CONDITIONING), self.conditioning.plan.seed)
 
     @property
     def fast(self) -> bool:
         """Whether the study runs in virtual time, in which a simulated arm begins each run as new."""
-        return self.requests[0].fast
+        return self.prepared[0].options.fast
 
     def duration_s(self, runs: tuple[PlannedRun, ...], overhead_s: float) -> float:
         """Time of these runs [s], with rests, conditioning and the overhead of each run; without prompts."""
-        total = sum(self.plans[run.combination - 1].trajectory.duration_s for run in runs)
+        total = sum(self.prepared[run.combination - 1].plan.trajectory.duration_s for run in runs)
         if self.fast:
             return total
         cycles = 0
         if self.conditioning is not None:
             cycles = len(runs) if self.plan.conditioning_each_run else len({run.block for run in runs})
-            total += cycles * self.conditioning[1].trajectory.duration_s
+            total += cycles * self.conditioning.plan.trajectory.duration_s
         return total + (len(runs) + cycles) * overhead_s + self.plan.rest_s * max(len(runs) - 1, 0)
 
     def _place(self, run: PlannedRun, role: StudyRole) -> StudyRun:
         return StudyRun(self.name, role, run.number, run.combination, run.block, self.text, self.sha256)
 
 
-def load(
-    file: Path,
-    rig: RigChoice,
-    *,
-    folder: Path,
-    fast: bool = False,
-    operator: str = "",
-    metadata: Mapping[str, str | float] | None = None,
-) -> Study:
+def load(file: Path, rig: RigChoice, options: RunOptions) -> Study:
     """Read a plan, and check every combination of its parameters against protocol and rig.
+
+    `options` are those of every run; the plan has its settings and seeds.
 
     Raises:
         BadInputError: every problem of plan, protocols and rig.
     """
-    metadata = {} if metadata is None else metadata
     source = document.read(file)
     plan = document.validate(StudyPlan, source)
     if not NAME.fullmatch(file.stem):
@@ -103,28 +92,23 @@ def load(
     protocol = _protocol(source, plan.protocol, ("protocol",))
     if problems := list(_setting_problems(source, plan, protocol)):
         raise BadInputError(problems)
-    request = partial(
-        experiment.request, rig=rig, folder=folder, fast=fast, operator=operator, metadata=metadata, report=False
-    )
-    checked = _checked_runs(source, plan, protocol, request)
-    requests, plans = zip(*checked[: len(plan.settings())], strict=True)
+    checked = _checked_runs(source, plan, protocol, rig, replace(options, report=False))
     return Study(
         name=file.stem,
         plan=plan,
         text=source.text,
-        sha256=_digest(plan, [request for request, _ in checked]),
-        folder=folder,
+        sha256=_digest(plan, checked),
+        folder=Path(options.out),
         runs=planned_runs(plan),
-        requests=requests,
-        plans=plans,
+        prepared=tuple(checked[: len(plan.settings())]),
         conditioning=checked[-1] if plan.conditioning is not None else None,
     )
 
 
 def _checked_runs(
-    source: Document, plan: StudyPlan, protocol: Path, request: Callable[..., RunRequest]
-) -> list[tuple[RunRequest, RunPlan]]:
-    """The request and plan of every combination, and then those of the conditioning, if there is one.
+    source: Document, plan: StudyPlan, protocol: Path, rig: RigChoice, options: RunOptions
+) -> list[PreparedRun]:
+    """The run of every combination, and then the conditioning, if there is one.
 
     Raises:
         BadInputError: every problem, with the combinations that have it.
@@ -137,12 +121,11 @@ def _checked_runs(
     if plan.conditioning is not None:
         path = _protocol(source, plan.conditioning.protocol, ("conditioning", "protocol"))
         wanted.append((path, plan.conditioning.settings, "conditioning"))
-    checked: list[tuple[RunRequest, RunPlan]] = []
+    checked: list[PreparedRun] = []
     found: dict[Problem, list[str]] = {}
     for name, chosen, what in wanted:
         try:
-            one = request(str(name), settings=chosen)
-            checked.append((one, experiment.plan(one)))
+            checked.append(prepare(name, rig, replace(options, settings=chosen)))
         except BadInputError as bad:
             for problem in bad.problems:
                 found.setdefault(problem, []).append(what)
@@ -189,13 +172,13 @@ def _setting_problems(source: Document, plan: StudyPlan, protocol: Path) -> Iter
             yield source.problem(path, expected)
 
 
-def _digest(plan: StudyPlan, requests: list[RunRequest]) -> str:
+def _digest(plan: StudyPlan, checked: list[PreparedRun]) -> str:
     """SHA-256 of everything that defines the runs; comments and layout of the files do not."""
     parts: list[object] = [plan.model_dump(mode="json")]
-    for request in requests:
-        protocol = document.parse(request.protocol.text, request.protocol.name).data
-        parts += [protocol, sorted(request.protocol.files.items()), dict(request.rig.data), request.variant]
-        parts += [request.fast, sorted(specimen_facts(request.metadata).items())]
+    for one in checked:
+        protocol = document.parse(one.protocol.text, one.protocol.name).data
+        parts += [protocol, sorted(one.protocol.files.items()), dict(one.rig.data), one.plan.variant]
+        parts += [one.options.fast, sorted(specimen_facts(one.metadata).items())]
     return hashlib.sha256(json.dumps(parts, default=str).encode()).hexdigest()
 
 

@@ -15,6 +15,8 @@ import numpy as np
 from rig.config.schema import RigConfig
 from rig.execution.plan import NullOperator
 from rig.experiment import run as experiment
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from rig.hardware.bench import Bench as Cards
 from rig.simulator.faults import Faults
 from rig.simulator.plant import Plant
@@ -97,8 +99,8 @@ def trial(fault: Fault, folder: Path, at_s: float, seed: int) -> FaultTrial:
             return skipped(fault, "virtual", at_s, str(why))
         plant.on_fault = lambda faults: injection.inject(VirtualTarget(faults, out, rig_file, protocol))
         stack.enter_context(patch("rig.virtual.executor.Plant", plant))
-        request = experiment.request(str(protocol), str(rig_file), folder=out, fast=True, seed=seed, report=False)
-        result = experiment.run(request, experiment.plan(request), listener)
+        prepared = prepare(str(protocol), str(rig_file), RunOptions(out=out, fast=True, seed=seed, report=False))
+        result = experiment.run(prepared, listener)
         with contextlib.suppress(FileNotFoundError):
             (out / "filler").unlink()
         output = "\n".join((*listener.output, result.outcome.message, *result.warnings, ""))

@@ -41,7 +41,7 @@ COUNTERPARTS = {
     "run": Counterpart(
         "rig.session.session:Session.run",
         {"no_report": "report"},
-        OPEN | {"free": "rig.session.session:Session.run"},  # the names in `adapt`
+        OPEN,
     ),
     "check": Counterpart("rig.session.session:Session.check", elsewhere=OPEN),
     "simulate": Counterpart("rig.session.session:Session.simulate", elsewhere=OPEN),
@@ -144,7 +144,7 @@ def found(path: str) -> Any:
 
 def plain(value: Any) -> Any:
     """A default without its form: nothing given is the empty tuple, a path its text."""
-    if value is None or value == "" or value == () or value == [] or value is inspect.Parameter.empty:
+    if value is None or value == "" or value in ((), [], {}) or value is inspect.Parameter.empty:
         return ()
     return str(getattr(value, "value", value)) if isinstance(value, Enum) or hasattr(value, "parts") else value
 

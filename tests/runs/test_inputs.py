@@ -143,7 +143,7 @@ def test_metadata_of_rig_and_command_reach_the_archive_and_stay_with_its_replay(
     protocol = tmp_path / "rest.yaml"
     protocol.write_text("title: Rest\nsteps:\n  - hold: {duration_s: 0.2}\n")
     with pytest.raises(BadInputError) as refused:
-        virtual_run(protocol, rig, folder=tmp_path, metadata={"a b": "1", "name": "x"})
+        virtual_run(protocol, rig, folder=tmp_path, meta={"a b": "1", "name": "x"})
     lines = loader.text("mock").count("\n")
     assert [(p.file, p.line, p.column, p.value) for p in refused.value.problems] == [
         ("--meta", 0, 0, "a b=1"),

@@ -11,7 +11,8 @@ import pytest
 import protocols
 import runs
 from rig.config.loader import read
-from rig.experiment import run as experiment
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from rig.experiment.simulate import simulate
 from runs.columns import Reference, Simulated, Tip
 from runs.run import Run
@@ -154,9 +155,9 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Run:
     circle = {"centre_mm": [0, 0, 190], "radius_mm": 15, "period_s": 1, "periods": 2}
     steps = [{"hold": {"duration_s": 0.5}}, {"tip": {"circle": circle, "lead_in_s": 2}}]
     path.write_text(protocols.from_steps("A short circle", steps).text)
-    request = experiment.request(str(path), "mock-3", folder=folder)
+    prepared = prepare(str(path), "mock-3", RunOptions(out=folder))
     assert Path(read("mock-3").file).exists()
-    return runs.open(simulate(request, experiment.plan(request)))
+    return runs.open(simulate(prepared))
 
 
 def test_an_archive_has_reference_prediction_and_place_on_the_path(archive: Run) -> None:
@@ -177,7 +178,7 @@ def test_an_archive_has_reference_prediction_and_place_on_the_path(archive: Run)
 def test_a_run_without_a_tip_path_has_no_reference(tmp_path: Path) -> None:
     path = tmp_path / "still.yaml"
     path.write_text(protocols.from_steps("still", [{"hold": {"duration_s": 0.2}}]).text)
-    request = experiment.request(str(path), "mock-3", folder=tmp_path)
-    still = runs.open(simulate(request, experiment.plan(request)))
+    prepared = prepare(str(path), "mock-3", RunOptions(out=tmp_path))
+    still = runs.open(simulate(prepared))
     assert still.reference is None
     assert tip_error(still) is None

@@ -7,6 +7,8 @@ from typing import Any
 
 from rig.execution.plan import NullOperator, OperatorInterface
 from rig.experiment import run as experiment
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from runs.run import Run
 
 
@@ -20,9 +22,9 @@ def virtual_run(
     interface: OperatorInterface | None = None,
     **more: Any,
 ) -> Run:
-    """Run a protocol with the archive in `folder`; `more` goes to `experiment.request`."""
-    request = experiment.request(str(protocol), str(rig), folder=folder, fast=True, seed=seed, report=report, **more)
-    result = experiment.run(request, experiment.plan(request), interface or NullOperator())
+    """Run a protocol with the archive in `folder`; `more` are options of the run."""
+    prepared = prepare(str(protocol), str(rig), RunOptions(out=folder, fast=True, seed=seed, report=report, **more))
+    result = experiment.run(prepared, interface or NullOperator())
     assert result.archive is not None, result.outcome
     return Run(result.archive)
 

@@ -17,6 +17,8 @@ from rig.cli.terminal import _uncertainty as uncertainty_text
 from rig.config import loader
 from rig.execution.plan import Progress
 from rig.experiment import run as experiment
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from runs.records import DetectionStatus, Quantity, adaptation_dtype, observation_dtype, sample_dtype
 from tests.support.bus_rig import bus_text
 from tests.support.vacuum_rig import vacuum_text
@@ -31,14 +33,12 @@ def drawn(what: RenderableType, columns: int) -> str:
 
 
 def checked(protocol: str | Path, rig: str | Path, columns: int) -> str:
-    request = experiment.request(str(protocol), str(rig))
-    return drawn(run_output.check_screen(request, experiment.plan(request)), columns)
+    prepared = prepare(str(protocol), str(rig))
+    return drawn(run_output.check_screen(prepared), columns)
 
 
 def plotted(protocol: Path, columns: int = 80) -> list[str]:
-    return drawn(
-        run_output.setpoint_plot(experiment.plan(experiment.request(str(protocol), "mock")), columns), columns
-    ).split("\n")
+    return drawn(run_output.setpoint_plot(prepare(str(protocol), "mock").plan, columns), columns).split("\n")
 
 
 def protocol_to(folder: Path, level_bar: float) -> Path:
@@ -112,7 +112,7 @@ def test_the_scale_of_a_plot_with_vacuum_has_both_signs(tmp_path: Path) -> None:
     rig.write_text(vacuum_text())
     steps = "".join(f"  - ramp: {{actuators: [1], to_bar: {level}, duration_s: 2}}\n" for level in (-0.6, 0.4))
     protocol.write_text(f"title: T\nsteps:\n{steps}")
-    lines = drawn(run_output.setpoint_plot(experiment.plan(experiment.request(str(protocol), str(rig))), 80), 80)
+    lines = drawn(run_output.setpoint_plot(prepare(str(protocol), str(rig)).plan, 80), 80)
     labels = [line[:10].strip() for line in lines.split("\n") if "bar" in line]
     assert labels[0] == "0.40 bar"
     assert labels[4] == "0.00 bar"
@@ -270,10 +270,9 @@ def test_a_run_on_an_emulated_board_is_marked_as_simulated_and_has_no_seed(tmp_p
     stated = loader.text("pci1716")
     rig = tmp_path / "emulated.yaml"
     rig.write_text(stated.replace("driver: comedi,", "driver: comedi, emulated: true,"))
-    request = experiment.request(str(protocol_to(tmp_path, 0.2)), str(rig), seed=7)
-    decided = experiment.plan(request)
-    assert "card daq is stated as an emulated board" in drawn(run_output.check_screen(request, decided), 110)
-    header = experiment.header(request, decided, 0)
+    prepared = prepare(str(protocol_to(tmp_path, 0.2)), str(rig), RunOptions(seed=7))
+    assert "card daq is stated as an emulated board" in drawn(run_output.check_screen(prepared), 110)
+    header = experiment.header(prepared, 0)
     # The simulator behind the board is another program, with random numbers of its own.
     assert (header.simulated, header.seed) == (True, None)
-    assert not request.config.cards["daq"].simulated
+    assert not prepared.config.cards["daq"].simulated

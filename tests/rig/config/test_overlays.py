@@ -16,6 +16,8 @@ from rig.config.arm_model import model_arm
 from rig.config.calibration_files import write
 from rig.config.schema import RigConfig
 from rig.experiment import run as experiment
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from tests.rig.config.test_calibration_files import camera_file, tool_file
 
 
@@ -66,19 +68,19 @@ def test_a_rig_with_calibrations_and_parameters_is_validated_once(
 def test_a_request_of_a_run_validates_its_rig_once(
     calibrated: Path, parameters: Path, validations: list[str], tmp_path: Path
 ) -> None:
-    request = experiment.request("ramp-a", str(calibrated), folder=tmp_path, fast=True, parameters=parameters)
+    prepared = prepare("ramp-a", str(calibrated), RunOptions(out=tmp_path, fast=True, parameters=parameters))
     assert len(validations) == 1
-    assert [file.name for file in request.rig.calibrations] == ["c.yaml", "t.yaml"]
-    assert request.rig.parameters == parameters.read_text()
+    assert [file.name for file in prepared.rig.calibrations] == ["c.yaml", "t.yaml"]
+    assert prepared.rig.parameters == parameters.read_text()
 
 
 def test_an_archived_rig_with_its_overlays_is_validated_once_and_is_the_same(
     calibrated: Path, parameters: Path, validations: list[str], tmp_path: Path
 ) -> None:
-    request = experiment.request("ramp-a", str(calibrated), folder=tmp_path, fast=True, parameters=parameters)
-    about = experiment.header(request, experiment.plan(request), 0)
+    prepared = prepare("ramp-a", str(calibrated), RunOptions(out=tmp_path, fast=True, parameters=parameters))
+    about = experiment.header(prepared, 0)
     validations.clear()
-    assert loader.recorded(about, tmp_path / "run.h5").config == request.config
+    assert loader.recorded(about, tmp_path / "run.h5").config == prepared.config
     assert len(validations) == 1
 
 

@@ -27,12 +27,12 @@ from tests.support.virtual_runs import protocol_file, virtual_run
 pytestmark = pytest.mark.slow
 
 
-def recorded(folder: Path, encoding: str, adapt: list[str] | None = None) -> Run:
+def recorded(folder: Path, encoding: str, free: tuple[str, ...] = ()) -> Run:
     rig = folder / "rig.yaml"
     text = loader.text("mock")
     rig.write_text(f"{text}\nrecording: {{keep_every: 1, encoding: {encoding}, jpeg_quality: 95}}\n")
     protocol = protocol_file(folder, "  - ramp: {actuators: [1], to_bar: 0.4, duration_s: 2}\n")
-    return virtual_run(protocol, rig, folder=folder / encoding, seed=3, adapt=adapt, notes="wet day")
+    return virtual_run(protocol, rig, folder=folder / encoding, seed=3, adapt=bool(free), free=free, note="wet day")
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +121,7 @@ def test_a_rig_with_other_actuators_is_refused(lossless: Run, tmp_path: Path) ->
 
 
 def test_jpeg_pictures_give_the_stored_tips_within_two_hundredths_of_a_millimetre(tmp_path: Path) -> None:
-    run = recorded(tmp_path, "jpeg", adapt=["shear_ratio"])
+    run = recorded(tmp_path, "jpeg", free=("shear_ratio",))
     again = runs.open(replay(run, tmp_path))
     # A replay estimates nothing, whatever the run did.
     assert run.adaptation is not None

@@ -11,7 +11,8 @@ import runs
 from model.statics import statics
 from rig.config.arm_model import TipLoad, model_arm
 from rig.config.loader import load, text
-from rig.experiment import run as experiment
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from rig.experiment.simulate import simulate
 from runs.run import Run
 
@@ -27,8 +28,8 @@ steps:
 def simulated(folder: Path, mode: str, rig: str) -> Run:
     (folder / "weight.yaml").write_text(WEIGHED)
     (folder / "rig.yaml").write_text(f"{rig}\nmodel: {{mode: {mode}}}\n")
-    request = experiment.request(str(folder / "weight.yaml"), str(folder / "rig.yaml"), folder=folder)
-    return runs.open(simulate(request, experiment.plan(request)))
+    prepared = prepare(str(folder / "weight.yaml"), str(folder / "rig.yaml"), RunOptions(out=folder))
+    return runs.open(simulate(prepared))
 
 
 def test_a_prompts_weight_stretches_the_arm(tmp_path: Path) -> None:

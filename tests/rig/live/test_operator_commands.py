@@ -19,8 +19,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control.protocol_position import ProtocolPosition, skip
-from rig.execution.plan import NullOperator, StartError
-from rig.experiment import run as experiment
+from rig.execution.plan import NullOperator, RunPlan, StartError
+from rig.experiment.prepare import prepare
 from rig.hardware import runtime_folder
 from rig.live.client_session import ClientSession, connect, running_runs
 from rig.realtime.control_socket import ControlSocket, socket_paths
@@ -62,25 +62,25 @@ def test_a_skip_at_a_prompt_answers_it_and_the_next_one_still_waits() -> None:
 
 
 @pytest.fixture(scope="module")
-def plan() -> experiment.Plan:
+def plan() -> RunPlan:
     """A protocol with prompts, on the mock rig."""
-    return experiment.plan(experiment.request("extension-weights", "mock"))
+    return prepare("extension-weights", "mock").plan
 
 
 @pytest.fixture
-def memory(plan: experiment.Plan) -> SharedState:
+def memory(plan: RunPlan) -> SharedState:
     """The memory of a run that has not begun."""
     return SharedState.create(plan.config)
 
 
-def session(plan: experiment.Plan, memory: SharedState) -> OperatorSession:
+def session(plan: RunPlan, memory: SharedState) -> OperatorSession:
     """The session of a run that has begun."""
     memory.start_ns = 1
     return OperatorSession(plan, memory, NullOperator(), lambda level, source, message: None)
 
 
 def test_pause_and_resume_set_the_flag_that_control_obeys_and_are_refused_twice(
-    plan: experiment.Plan, memory: SharedState
+    plan: RunPlan, memory: SharedState
 ) -> None:
     handler = session(plan, memory)
     assert handler.handle(OperatorCommand(CommandKind.PAUSE, "ada")).accepted
@@ -92,7 +92,7 @@ def test_pause_and_resume_set_the_flag_that_control_obeys_and_are_refused_twice(
     assert not handler.handle(OperatorCommand(CommandKind.RESUME, "ada")).accepted
 
 
-def test_a_paused_run_holds_its_pressures_and_refuses_a_skip(plan: experiment.Plan, memory: SharedState) -> None:
+def test_a_paused_run_holds_its_pressures_and_refuses_a_skip(plan: RunPlan, memory: SharedState) -> None:
     handler = session(plan, memory)
     handler.handle(OperatorCommand(CommandKind.PAUSE, "ada"))
     answer = handler.handle(OperatorCommand(CommandKind.SKIP, "bob"))
@@ -105,7 +105,7 @@ def test_a_paused_run_holds_its_pressures_and_refuses_a_skip(plan: experiment.Pl
 
 @pytest.mark.parametrize(("action", "stop"), [(CommandKind.STOP, Stop.SAFE), (CommandKind.VENT, Stop.VENT)])
 def test_stop_and_vent_end_the_run_and_say_who(
-    plan: experiment.Plan, memory: SharedState, action: CommandKind, stop: Stop
+    plan: RunPlan, memory: SharedState, action: CommandKind, stop: Stop
 ) -> None:
     handler = session(plan, memory)
     handler.handle(OperatorCommand(action, "ada"))
@@ -116,14 +116,14 @@ def test_stop_and_vent_end_the_run_and_say_who(
     assert "ada" in message
 
 
-def test_a_vent_overrides_an_earlier_stop_but_not_the_reverse(plan: experiment.Plan, memory: SharedState) -> None:
+def test_a_vent_overrides_an_earlier_stop_but_not_the_reverse(plan: RunPlan, memory: SharedState) -> None:
     handler = session(plan, memory)
     for action in (CommandKind.STOP, CommandKind.VENT, CommandKind.STOP):
         handler.handle(OperatorCommand(action, "ada"))
     assert memory.stop_request == Stop.VENT
 
 
-def test_an_answer_is_taken_once_and_only_while_a_prompt_waits(plan: experiment.Plan, memory: SharedState) -> None:
+def test_an_answer_is_taken_once_and_only_while_a_prompt_waits(plan: RunPlan, memory: SharedState) -> None:
     handler = session(plan, memory)
     assert not handler.handle(OperatorCommand(CommandKind.ANSWER, "ada")).accepted
     memory.waiting_prompt = 0
@@ -135,7 +135,7 @@ def test_an_answer_is_taken_once_and_only_while_a_prompt_waits(plan: experiment.
 class ServedRun:
     """A door that is attended in a thread, and what came through it."""
 
-    def __init__(self, plan: experiment.Plan, memory: SharedState) -> None:
+    def __init__(self, plan: RunPlan, memory: SharedState) -> None:
         self.socket = ControlSocket(plan, memory, StreamReceiver(plan, memory, lambda *_: None))
         self.asked: list[OperatorCommand] = []
         self._ended = threading.Event()
@@ -158,9 +158,7 @@ class ServedRun:
 
 
 @pytest.fixture
-def served(
-    plan: experiment.Plan, memory: SharedState, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[ServedRun]:
+def served(plan: RunPlan, memory: SharedState, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ServedRun]:
     """A run's door, in a folder of its own."""
     monkeypatch.setattr(runtime_folder, "BASE", tmp_path)
     served = ServedRun(plan, memory)
@@ -302,7 +300,7 @@ def test_a_folder_that_others_can_enter_is_not_used(tmp_path: Path, monkeypatch:
         socket_paths()
 
 
-def test_events_and_views_reach_a_reader_complete(plan: experiment.Plan, memory: SharedState) -> None:
+def test_events_and_views_reach_a_reader_complete(plan: RunPlan, memory: SharedState) -> None:
     event = Event(7, Level.WARNING, "operator", "paused by ada: Grüße")
     memory.push_event(event)
     assert memory.read_events() == [event]

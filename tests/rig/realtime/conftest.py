@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from rig.execution.plan import NullOperator, RunPlan
-from rig.experiment import run as experiment
+from rig.experiment.prepare import prepare
 from rig.realtime import supervisor
 from rig.realtime.process_group import ProcessGroup
 from rig.realtime.shared_state import SharedState
@@ -19,7 +19,7 @@ from tests.support.mock_registers import mock_registers
 
 @pytest.fixture(scope="module")
 def plan() -> RunPlan:
-    return experiment.plan(experiment.request("ramp-a", "mock"))
+    return prepare("ramp-a", "mock").plan
 
 
 @pytest.fixture

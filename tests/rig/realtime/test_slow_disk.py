@@ -13,6 +13,8 @@ import pytest
 import runs
 from rig.execution.plan import NullOperator, OpenRecord, OperatorInterface, RunPlan
 from rig.experiment import run as experiment
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import PreparedRun, prepare
 from rig.realtime import health_monitor, supervisor
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.shared_state import Stage
@@ -50,12 +52,12 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
 
 
 @pytest.fixture
-def request_(tmp_path: Path) -> experiment.RunRequest:
-    return experiment.request("ramp-a", "mock", folder=tmp_path, report=False)
+def prepared(tmp_path: Path) -> PreparedRun:
+    return prepare("ramp-a", "mock", RunOptions(out=tmp_path, report=False))
 
 
 def test_waiting_for_the_disk_is_reported_and_the_archive_is_complete(
-    request_: experiment.RunRequest, disk: threading.Event, monkeypatch: pytest.MonkeyPatch
+    prepared: PreparedRun, disk: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def ended_on_a_stalled_disk(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> RunFooter:
         record = open_record(time.monotonic_ns())
@@ -66,7 +68,7 @@ def test_waiting_for_the_disk_is_reported_and_the_archive_is_complete(
     monkeypatch.setattr(supervisor, "run", ended_on_a_stalled_disk)
     monkeypatch.setattr(experiment, "DISK_WARNING_AFTER_S", 0.0)
     listener = Listener(disk, "waiting for the disk")
-    result = experiment.run(request_, experiment.plan(request_), listener)
+    result = experiment.run(prepared, listener)
     assert result.archive is not None
     assert listener.reported == [f"waiting for the disk to take the rest of {result.archive.with_suffix('.mcap')}"]
     archive = runs.open(result.archive)
@@ -75,7 +77,7 @@ def test_waiting_for_the_disk_is_reported_and_the_archive_is_complete(
 
 
 def test_the_supervisor_warns_of_a_stalled_disk_and_continues(
-    request_: experiment.RunRequest, disk: threading.Event, monkeypatch: pytest.MonkeyPatch
+    prepared: PreparedRun, disk: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(health_monitor, "DISK_S", 0.0)
     listener = Listener(disk, "has not taken the record")
@@ -92,7 +94,7 @@ def test_the_supervisor_warns_of_a_stalled_disk_and_continues(
         return RunFooter(time.monotonic_ns(), status, message)
 
     monkeypatch.setattr(supervisor, "run", supervised)
-    result = experiment.run(request_, experiment.plan(request_), listener)
+    result = experiment.run(prepared, listener)
     assert result.outcome.status is Status.FINISHED
     assert result.archive is not None
     events = runs.open(result.archive).events

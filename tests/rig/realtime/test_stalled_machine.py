@@ -11,7 +11,8 @@ from rig.config import loader
 from rig.control import step as control
 from rig.control.control_loop import ControlLoop
 from rig.execution.plan import RunPlan
-from rig.experiment import run as experiment
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from rig.hardware.bench import Bench
 from rig.realtime import process_group
 from rig.realtime.health_monitor import HealthMonitor
@@ -41,7 +42,7 @@ steps:
 def moving(tmp_path_factory: pytest.TempPathFactory) -> RunPlan:
     folder = tmp_path_factory.mktemp("moving")
     (folder / "moving.yaml").write_text(MOVING)
-    return experiment.plan(experiment.request(str(folder / "moving.yaml"), "mock", folder=folder, fast=True, seed=1))
+    return prepare(str(folder / "moving.yaml"), "mock", RunOptions(out=folder, fast=True, seed=1)).plan
 
 
 @pytest.mark.parametrize("at_s", [0.3, 0.9])

@@ -18,6 +18,7 @@ import pytest
 from rig.control import step as control
 from rig.execution.plan import NullOperator, RunPlan, StartError
 from rig.experiment import run as experiment
+from rig.experiment.prepare import prepare
 from rig.hardware import runtime_folder
 from rig.hardware.bench import BenchScans
 from rig.hardware.cards.base import CardError
@@ -65,9 +66,9 @@ def test_control_warms_up_with_a_cycle_though_the_first_scans_are_late(
     assert len(steps) > 1
 
 
-def test_the_calendar_time_is_anchored_at_the_first_cycle_not_at_the_start_of_the_journal(plan: RunPlan) -> None:
+def test_the_calendar_time_is_anchored_at_the_first_cycle_not_at_the_start_of_the_journal() -> None:
     before_ns = time.time_ns()
-    about = experiment.header(experiment.request("ramp-a", "mock"), plan, t_ns=5, ahead_ns=10**12)
+    about = experiment.header(prepare("ramp-a", "mock"), t_ns=5, ahead_ns=10**12)
     assert about.started_t_ns == 5
     assert before_ns <= about.started_utc_ns - 10**12 <= time.time_ns()
 

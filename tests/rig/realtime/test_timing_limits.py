@@ -18,7 +18,8 @@ from rig.config.schema import RigConfig
 from rig.control import step as control
 from rig.control.control_loop import ControlLoop
 from rig.control.step import Sample
-from rig.experiment import run as experiment
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from rig.hardware.bench import BenchScans
 from rig.realtime.scheduling import REAL_TIME, Scheduling, remedies
 from rig.realtime.timing_limits import TimingLimits, TimingProfile, timing_limits, timing_sentence
@@ -126,7 +127,7 @@ def test_scans_of_a_late_simulator_do_not_stop_a_run(
             pass
 
     (tmp_path / "short.yaml").write_text(BRIEF)
-    plan = experiment.plan(experiment.request(str(tmp_path / "short.yaml"), "mock", folder=tmp_path, fast=True, seed=1))
+    plan = prepare(str(tmp_path / "short.yaml"), "mock", RunOptions(out=tmp_path, fast=True, seed=1)).plan
     config, now = plan.config, 10**10
     for may_stop in (False, True):
         loop, first = ControlLoop(plan, Late(), time_may_stop=may_stop), True
@@ -186,12 +187,11 @@ def test_the_obtainable_scheduling_is_what_a_process_is_granted() -> None:
 def test_missing_promises_of_a_real_bench_are_reported_before_arming(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    request = experiment.request("ramp-a", "pci1716", folder=tmp_path, fast=False, seed=0)
-    decided = experiment.plan(request)
+    prepared = prepare("ramp-a", "pci1716", RunOptions(out=tmp_path))
     for granted, promised in ((Scheduling.NONE, False), (REAL_TIME, True)):
         monkeypatch.setattr(run_output, "obtainable", lambda granted=granted: granted)
         console = Console(width=400, file=StringIO(), markup=False)
-        console.print(run_output.check_screen(request, decided))
+        console.print(run_output.check_screen(prepared))
         said = console.file.getvalue()  # type: ignore[attr-defined]
         assert ("no reaction time can be promised" not in said) is promised
         assert ("rtprio" not in said) is promised

@@ -11,7 +11,8 @@ import pytest
 
 import rig.config.loader
 from rig.control.control_loop import ControlLoop
-from rig.experiment import run as experiment
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from rig.hardware.bench import open_bench
 from rig.simulator.plant import Plant
 from rig.simulator.plant_process import SimulatedCard, advance_while_driven
@@ -69,7 +70,7 @@ def test_pressures_are_regulated_where_control_and_plant_run_seldom(clock: Clock
     protocol.write_text(
         "title: hold\nsteps:\n  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 2}\n  - hold: {duration_s: 60}\n"
     )
-    plan = experiment.plan(experiment.request(str(protocol), str(rig_file), folder=tmp_path, fast=True, seed=1))
+    plan = prepare(str(protocol), str(rig_file), RunOptions(out=tmp_path, fast=True, seed=1)).plan
     plant = Plant(plan.config, 1, clock.now_ns, moving_arm=False)
     card = SimulatedCard(plan.config, next(iter(plan.config.cards)), plant)
     bench = open_bench(plan.config)

@@ -18,9 +18,10 @@ import pytest
 import rig
 from protocols import BadInputError
 from rig.config.loader import RigChoice, Source
-from rig.execution.plan import RunPlan, StartError
+from rig.execution.plan import StartError
 from rig.experiment import run as experiment
-from rig.experiment.run import RunRequest
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import PreparedRun
 from rig.session.operators import FunctionOperator
 from rig.study.execution import StudyBusyError, locked, run_real, run_virtual, stop_reason
 from rig.study.plan import StopRules, StudyPlan, planned_runs
@@ -62,7 +63,7 @@ def plan(tmp_path: Path) -> Path:
 
 
 def loaded(plan: Path, fast: bool = True) -> Study:
-    return load(plan, RigChoice("mock", Source.OPTION), folder=plan.parent / "data", fast=fast)
+    return load(plan, RigChoice("mock", Source.OPTION), RunOptions(out=plan.parent / "data", fast=fast))
 
 
 def test_each_block_has_each_combination_once_in_a_repeatable_random_order() -> None:
@@ -117,6 +118,7 @@ import os, sys
 from pathlib import Path
 from rig.config.loader import RigChoice, Source
 from rig.execution.plan import NullOperator
+from rig.experiment.options import RunOptions
 from rig.study import execution
 from rig.study.study import load
 from runs.journal.journal import JournalWriter
@@ -129,7 +131,7 @@ def killed(self, footer):
     os.kill(os.getpid(), 9)
 JournalWriter.close = killed
 plan = Path(sys.argv[1])
-study = load(plan, RigChoice("mock", Source.OPTION), folder=plan.parent / "data", fast=True)
+study = load(plan, RigChoice("mock", Source.OPTION), RunOptions(out=plan.parent / "data", fast=True))
 with execution.locked(study) as scratch:
     execution.run_virtual(study, scratch, workers=1)
 """
@@ -237,11 +239,11 @@ class ScriptedOperator:
         self.steps: list[str] = []
         self._stop_at = stop_at
 
-    def run(self, request: RunRequest, plan: RunPlan) -> Status:
-        place = request.study
+    def run(self, prepared: PreparedRun) -> Status:
+        place = prepared.study
         assert place is not None
         self._note(f"{place.role} {place.number}")
-        return experiment.run(request, plan, FunctionOperator(lambda: None, None)).outcome.status
+        return experiment.run(prepared, FunctionOperator(lambda: None, None)).outcome.status
 
     def rest(self, seconds: float) -> None:
         self._note(f"rest {seconds:g}")
@@ -309,7 +311,8 @@ def test_runs_of_another_specimen_or_in_real_time_are_not_pooled(plan: Path) -> 
     def of(specimen: str, fast: bool = True, operator: str = "A. Name") -> Study:
         rig = RigChoice("mock", Source.OPTION)
         about = {"specimen": specimen}
-        return load(plan, rig, folder=plan.parent / "data", fast=fast, metadata=about, operator=operator)
+        options = RunOptions(out=plan.parent / "data", fast=fast, meta=about, operator=operator)
+        return load(plan, rig, options)
 
     with locked(of("A")) as scratch:
         run_virtual(of("A"), scratch, workers=1)
@@ -343,7 +346,7 @@ def test_the_overhead_of_a_run_is_measured_on_the_runs_that_are_done(plan: Path)
     assert overhead_s(study, entries) == pytest.approx(9.0)
     assert overhead_s(study, entries[:1]) is None
     assert study.duration_s(study.runs[:2], 9.0) == pytest.approx(
-        sum(study.plans[run.combination - 1].trajectory.duration_s for run in study.runs[:2]) + 10 + 2 * 9.0
+        sum(study.run(run).plan.trajectory.duration_s for run in study.runs[:2]) + 10 + 2 * 9.0
     )
 
 

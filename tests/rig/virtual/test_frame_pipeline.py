@@ -13,6 +13,8 @@ import pytest
 import runs
 from rig.execution.plan import NullOperator
 from rig.experiment import run as experiment
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from rig.hardware.cameras.base import Frame, FrameSet
 from rig.virtual import executor
 from rig.virtual.frame_pipeline import FramePipeline, FrameProcessError, FrameRequest, FrameResult, FrameStages
@@ -161,9 +163,9 @@ def test_a_run_whose_child_is_killed_is_aborted_with_its_valves_safe(
     monkeypatch.setattr(executor, "FramePipeline", Watched)
     protocol = tmp_path / "protocol.yaml"
     protocol.write_text("title: For a test\nsteps:\n  - hold: {duration_s: 600}\n")
-    request = experiment.request(str(protocol), "mock", folder=tmp_path, fast=True, seed=1, report=False)
+    prepared = prepare(str(protocol), "mock", RunOptions(out=tmp_path, fast=True, seed=1, report=False))
     killer = Killer()
-    result = experiment.run(request, experiment.plan(request), killer)
+    result = experiment.run(prepared, killer)
     assert result.outcome.status is Status.ABORTED
     assert "the process that renders and measures the pictures ended with exit code -9" in result.outcome.message
     assert killer.messages[-1].startswith("the valves are in their safe state; the pressures are low ")

@@ -84,7 +84,7 @@ def test_a_board_without_a_camera_is_refused_and_a_camera_without_a_board() -> N
 
 def test_an_online_estimation_without_a_camera_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="a rig with a camera"):
-        virtual_run(protocol_file(tmp_path, STEPS), "mock-no-camera", folder=tmp_path, adapt=[])
+        virtual_run(protocol_file(tmp_path, STEPS), "mock-no-camera", folder=tmp_path, adapt=True)
 
 
 def test_a_camera_calibration_of_a_rig_without_a_camera_is_refused() -> None:

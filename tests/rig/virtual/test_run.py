@@ -14,6 +14,8 @@ import protocols
 from protocols import BadInputError
 from rig.execution.plan import NullOperator
 from rig.experiment import run as experiment
+from rig.experiment.options import RunOptions
+from rig.experiment.prepare import prepare
 from runs.journal.append_only_file import JournalError
 from runs.records import Event, Status
 from runs.run import Run
@@ -144,16 +146,14 @@ def test_a_weight_stretches_both_the_simulated_arm_and_the_model(tmp_path: Path)
 
 def test_a_level_above_the_limit_is_refused_before_anything_starts(tmp_path: Path) -> None:
     protocol = protocol_file(tmp_path, "  - ramp: {actuators: [1], to_bar: 0.8, duration_s: 2}\n")
-    request = experiment.request(str(protocol), "mock", folder=tmp_path / "out", fast=True)
     with pytest.raises(BadInputError, match=r"protocol\.yaml:3"):
-        experiment.plan(request)
+        prepare(str(protocol), "mock", RunOptions(out=tmp_path / "out", fast=True))
     assert not (tmp_path / "out").exists()
 
 
 def test_virtual_time_refuses_a_real_rig(tmp_path: Path) -> None:
-    request = experiment.request("ramp-a", "pci1716", folder=tmp_path, fast=True)
     with pytest.raises(BadInputError, match="simulated bench"):
-        experiment.plan(request)
+        prepare("ramp-a", "pci1716", RunOptions(out=tmp_path, fast=True))
     assert not list(tmp_path.glob("*.h5"))
 
 
@@ -184,18 +184,16 @@ def test_a_run_whose_id_another_run_takes_at_the_last_moment_gets_another(
 
 
 def test_a_record_that_cannot_be_started_is_refused_plainly(tmp_path: Path) -> None:
-    request = experiment.request("sine-1", "mock", folder=tmp_path, fast=True, report=False)
-    decided = experiment.plan(request)
+    prepared = prepare("sine-1", "mock", RunOptions(out=tmp_path, fast=True, report=False))
     with limited_files() as at_most:
         at_most(0)
         with pytest.raises(JournalError, match="is full"):
-            experiment.run(request, decided, NullOperator())
+            experiment.run(prepared, NullOperator())
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_run_ended_by_its_disk_ends_at_its_own_time(tmp_path: Path) -> None:
-    request = experiment.request("sine-1", "mock", folder=tmp_path, fast=True, report=False)
-    decided = experiment.plan(request)
+    prepared = prepare("sine-1", "mock", RunOptions(out=tmp_path, fast=True, report=False))
 
     class Filling(NullOperator):
         def report(self, event: Event) -> None:
@@ -203,8 +201,8 @@ def test_a_run_ended_by_its_disk_ends_at_its_own_time(tmp_path: Path) -> None:
             at_most(journal.stat().st_size + 50_000)
 
     with limited_files() as at_most:
-        result = experiment.run(request, decided, Filling())
+        result = experiment.run(prepared, Filling())
     assert result.outcome.status is Status.ABORTED
     assert "the record could not be written" in result.outcome.message
     assert result.warnings
-    assert 0 < result.outcome.t_ns * 1e-9 < decided.trajectory.duration_s
+    assert 0 < result.outcome.t_ns * 1e-9 < prepared.plan.trajectory.duration_s

@@ -20,7 +20,7 @@ STEPS = "  - ramp: {actuators: [1], to_bar: 0.3, duration_s: 1}\n  - hold: {dura
 TEXT = loader.text("mock-tracker")
 
 
-def run_tracked(folder: Path, tracker: str = "", steps: str = STEPS, adapt: tuple[str, ...] | None = None) -> Run:
+def run_tracked(folder: Path, tracker: str = "", steps: str = STEPS, adapt: bool = False) -> Run:
     """A run of the rig mock-tracker, with more keys of its tracker."""
     folder.mkdir(parents=True, exist_ok=True)
     rig = folder / "rig.yaml"
@@ -141,7 +141,7 @@ def test_silence_is_no_measurement_and_then_ends_the_run(tmp_path: Path) -> None
 
 
 def test_the_online_estimator_uses_the_poses_of_a_tracker(tmp_path: Path) -> None:
-    run = run_tracked(tmp_path, adapt=())
+    run = run_tracked(tmp_path, adapt=True)
     assert run.adaptation is not None
     assert len(run.adaptation.time_s) == len(run.tip.time_s)
     assert np.nanmean(run.tip.error_mm[-50:]) < 0.5
