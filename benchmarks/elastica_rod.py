@@ -20,21 +20,15 @@ LENGTH, RADIUS, DENSITY, MODULUS, RATIO = 0.17, 0.014, 1080.0, 289142.05, 0.4094
 FORCE = (0.25, 0.0, 0.0)
 RAMP_S = 0.1
 # A hair-thin bore, because a tube has one.
-ROD = Arm(
-    Geometry(LENGTH, 1e-6, RADIUS, ((0.0, 0.0),)),
-    Material(MODULUS, 1.0, 0.0, 0.0, RATIO, DENSITY),
-    "homogeneous",
-    cap_mass_kg=0.0,
-    gravity_m_s2=(0.0, 0.0, 0.0),
+_WHOLE = Segment(
+    Geometry(LENGTH, 1e-6, RADIUS, ((0.0, 0.0),)), Material(MODULUS, 1.0, 0.0, 0.0, RATIO, DENSITY), "homogeneous"
 )
+ROD = Arm((_WHOLE,), cap_mass_kg=0.0, gravity_m_s2=(0.0, 0.0, 0.0))
 
 TIP_RADIUS = 0.010
-_HALF = Geometry(0.5 * LENGTH, 1e-6, RADIUS, ((0.0, 0.0),))
-STEPPED = replace(
-    ROD,
-    geometry=_HALF,
-    beyond=(Segment(replace(_HALF, outer_radius_m=TIP_RADIUS), ROD.material, "homogeneous"),),
-)
+_HALF = replace(_WHOLE, geometry=replace(_WHOLE.geometry, length_m=0.5 * LENGTH))
+_THIN_HALF = replace(_HALF, geometry=replace(_HALF.geometry, outer_radius_m=TIP_RADIUS))
+STEPPED = replace(ROD, segments=(_HALF, _THIN_HALF))
 """The same with a thinner half towards the tip."""
 
 

@@ -54,7 +54,7 @@ def experiment() -> tuple[tuple[Poses, ...], Setup, Setup]:
     """The paper's four static experiments, a true arm, and the published one as the start."""
     start = Setup(model.Arm.paper())
     material = replace(start.arm.material, a1_per_n=0.0079, a2_per_n2=0.00034, rpe_per_bar=0.049)
-    arm = replace(start.arm, material=material, cap_mass_kg=0.056)
+    arm = replace(start.arm, cap_mass_kg=0.056).with_segment(material=material)
     truth = Setup(arm, base_translation_m=(1e-3, 0.0, -5e-4), base_rotation_rad=(0.0, 0.01, 0.0))
     ramp = np.linspace(0.15e5, 0.65e5, 11)[:, None]
     weights = np.linspace(0.0, 1.2, 13)
@@ -74,7 +74,7 @@ def motions(trials: int, seed: int) -> list[CoverageTrial]:
     phase = 2 * np.pi * time_s[:, None] * np.array([0.6, 0.9, 0.9]) + np.array([0.0, 1.0, 1.0])
     planned = plan("two sines", 1e5 * (0.35 + 0.2 * np.sin(phase)), period_s=1 / 30)
     material = replace(start.arm.material, damping_s=0.02)
-    start = replace(start, arm=replace(start.arm, material=material))
+    start = replace(start, arm=start.arm.with_segment(material=material))
     tasks = []
     for k in range(trials):
         true = replace(
@@ -83,7 +83,7 @@ def motions(trials: int, seed: int) -> list[CoverageTrial]:
             density_kg_m3=rng.uniform(900.0, 1300.0),
             rpe_per_bar=rng.uniform(0.048, 0.058),
         )
-        truth = replace(start, arm=replace(start.arm, material=true), sensor_lag_s=rng.normal(0.0, LAG_PRIOR.std))
+        truth = replace(start, arm=start.arm.with_segment(material=true), sensor_lag_s=rng.normal(0.0, LAG_PRIOR.std))
         tasks.append(CoverageTrial((planned,), truth, start, FREE_MOVING, MeasurementErrors(), seed * 1_000_003 + k))
     return tasks
 
@@ -103,7 +103,7 @@ def drawn(trials: int, seed: int) -> list[CoverageTrial]:
         plan("sine", sine * np.array([1.0, 0.0, 0.0]), period_s=1 / 30, errors=errors),
     )
     paper = model.Arm.paper()
-    known = replace(paper, rod_weight=True, material=replace(paper.material, damping_s=0.02))
+    known = replace(paper, rod_weight=True).with_segment(material=replace(paper.material, damping_s=0.02))
     tasks = []
     for k in range(trials):
         material = replace(
@@ -116,7 +116,7 @@ def drawn(trials: int, seed: int) -> list[CoverageTrial]:
             damping_s=float(np.exp(rng.uniform(np.log(0.003), np.log(0.05)))),
         )
         truth = Setup(
-            replace(known, material=material, cap_mass_kg=rng.uniform(0.02, 0.15)),
+            replace(known, cap_mass_kg=rng.uniform(0.02, 0.15)).with_segment(material=material),
             base_translation_m=_each(rng, 0.01),
             base_rotation_rad=_each(rng, 0.07),
             tool_offset_m=_each(rng, 0.008),
@@ -146,7 +146,7 @@ def by_default(kind: str, trials: int, seed: int, effects: bool) -> list[Coverag
     start = Setup(model.Arm.paper())
     # A damping that is drawn about zero would often be its bound.
     known_damping = replace(start.arm.material, damping_s=0.02)
-    truth = replace(start, arm=replace(start.arm, material=known_damping))
+    truth = replace(start, arm=start.arm.with_segment(material=known_damping))
     stated = stated_values(truth, {"damping_s": 0.005, "sensor_filter_s": 1e-9})
     # A trial frees the offsets of its sensors by itself.
     shared = [name for name in default_parameters(load("mock-ideal")) if name != "sensor_offsets"]

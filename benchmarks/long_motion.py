@@ -46,7 +46,7 @@ def write_table(file: Path, frames: int, seed: int) -> None:
     """A CSV of times, measured pressures and measured tips of a drawn arm."""
     rng = np.random.default_rng(seed)
     arm = model_arm(load("mock-ideal"))
-    start = Setup(replace(arm, material=replace(arm.material, damping_s=DAMPING_S)))
+    start = Setup(arm.with_segment(material=replace(arm.material, damping_s=DAMPING_S)))
     truth = drawn_setup(start, stated_values(start, {"damping_s": 0.2 * DAMPING_S, "sensor_filter_s": 1e-9}), rng)
     time_s = PERIOD_S * np.arange(frames)
     phase = 2 * np.pi * time_s[:, None] * np.array([0.6, 0.9, 0.9]) + np.array([0.0, 1.0, 1.0])

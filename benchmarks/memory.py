@@ -48,7 +48,9 @@ class Memory:
     def of(self, arm: Arm) -> Arm:
         """The arm with this memory."""
         material = replace(arm.material, branches=(MaxwellBranch(self.modulus, self.time_s),))
-        return replace(arm, material=material, actuation=Proportional(stops=(StopElement(self.weight, self.width_pa),)))
+        return replace(arm, actuation=Proportional(stops=(StopElement(self.weight, self.width_pa),))).with_segment(
+            material=material
+        )
 
     @property
     def values(self) -> tuple[float, ...]:

@@ -194,7 +194,7 @@ def judged(split: Split, runs: Callable[[str], Run]) -> tuple[list[Comparison], 
         data = IdentificationData(OpenedRuns((first,), (), ()), initial_rig(first, None), seen, unseen, True)
         done = from_data(data, free=(), priors={})
         rods = [MethodErrors.of("rod", p.measured_m - p.predicted_m, p.covariance_m2) for p in done.predictions]
-        length_m = done.fit.start.arm.geometry.length_m
+        length_m = done.fit.start.arm.length_m
     else:
         rods, length_m = [], float(np.median(seen[0].tip_m[:, 2]))
     spent_s = time.process_time() - begun

@@ -199,13 +199,13 @@ def twelve(arm: Arm, rows: Array) -> list[Variation]:
     step = 1e-7
     material = ("youngs_modulus_pa", "a1_per_n", "a2_per_n2", "rpe_per_bar", "shear_ratio")
     moved = [
-        replace(arm, material=replace(arm.material, **{n: (1 + step) * getattr(arm.material, n)})) for n in material
+        arm.with_segment(material=replace(arm.material, **{n: (1 + step) * getattr(arm.material, n)})) for n in material
     ]
     geometry = arm.geometry
-    moved += [replace(arm, geometry=replace(geometry, length_m=(1 + step) * geometry.length_m))]
-    moved += [replace(arm, geometry=replace(geometry, inner_radius_m=(1 + step) * geometry.inner_radius_m))]
+    moved += [arm.with_segment(geometry=replace(geometry, length_m=(1 + step) * geometry.length_m))]
+    moved += [arm.with_segment(geometry=replace(geometry, inner_radius_m=(1 + step) * geometry.inner_radius_m))]
     first, *others = geometry.actuator_xy_m
-    moved += [replace(arm, geometry=replace(geometry, actuator_xy_m=(((1 + step) * first[0], first[1]), *others)))]
+    moved += [arm.with_segment(geometry=replace(geometry, actuator_xy_m=(((1 + step) * first[0], first[1]), *others)))]
     moved += [replace(arm, cap_mass_kg=(1 + step) * arm.cap_mass_kg)]
     pressed = [Variation(0.01, arm, rows + shift) for shift in 0.01 * np.eye(3)]
     return [*(Variation(step, one) for one in moved), *pressed]

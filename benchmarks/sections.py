@@ -74,10 +74,10 @@ def planned_runs(task: Trial, length_m: float) -> list[Poses]:
 def trial(task: Trial) -> Array:
     """Error and standard deviation of each parameter, (2, n); NaN where it was not identified."""
     arm = model.Arm.paper()
-    start = Setup(replace(arm, rod_weight=True, material=replace(arm.material, damping_s=0.02)))
+    start = Setup(replace(arm, rod_weight=True).with_segment(material=replace(arm.material, damping_s=0.02)))
     if task.sideways:
         start = replace(start, arm=replace(start.arm, gravity_m_s2=SIDEWAYS_M_S2))
-    planned = planned_runs(task, arm.geometry.length_m)
+    planned = planned_runs(task, arm.length_m)
     stated = stated_values(start, {"damping_s": 0.005, "sensor_filter_s": 1e-9, "sensor_offsets": 300.0})
     stated |= {name: Prior(0.0, PLACED_M if name.endswith("_m") else PLACED_RAD) for name in mount_priors(planned)}
     # The same arm and the same experiments, whatever is measured of them.

@@ -11,7 +11,7 @@ the rule for E_i, d(homogeneous, RPE) within 17.20 +- 5.49.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -115,7 +115,7 @@ def verdict(rows: tuple[Table3Row, ...]) -> str:
 
 
 def _tips(arm: model.Arm, variant: str, rule: str = "pointwise") -> list[Array]:
-    arm = replace(arm, variant=variant)
+    arm = arm.with_segment(variant=variant)
 
     def tip(pressure_pa: Array) -> Array:
         if rule == "pointwise":

@@ -59,7 +59,7 @@ PATHS = {"circle": circle, "eight": eight}
 def published() -> model.Arm:
     """The arm that the controllers know: the paper's parameters, with the damping that mock-3 states."""
     arm = model.Arm.paper()
-    return replace(arm, material=replace(arm.material, damping_s=0.01))
+    return arm.with_segment(material=replace(arm.material, damping_s=0.01))
 
 
 def drawn(rng: np.random.Generator) -> Truth:
@@ -71,8 +71,8 @@ def drawn(rng: np.random.Generator) -> Truth:
         for name in ("a1_per_n", "a2_per_n2", "rpe_per_bar", "shear_ratio", "density_kg_m3")
     }
     damping = material.damping_s * 2 ** rng.uniform(-1, 1)
-    true = replace(
-        arm, material=replace(material, **factor, damping_s=damping), cap_mass_kg=0.05 + 0.002 * rng.standard_normal()
+    true = replace(arm, cap_mass_kg=0.05 + 0.002 * rng.standard_normal()).with_segment(
+        material=replace(material, **factor, damping_s=damping)
     )
     return Truth(true, 1 + 0.03 * rng.standard_normal(3))
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 from model.actuation import ActuationLaw, Proportional
 from model.geometry import Geometry
@@ -33,7 +34,7 @@ class Coupling:
 class Segment:
     """A part of an arm that is the same along its length: its tubes, their material, and the variant of the model.
 
-    Its chambers act on this segment alone. coupling: between the segment before and this one.
+    Its chambers act on this segment alone. coupling: between the segment before and this one; none for the first.
     """
 
     geometry: Geometry
@@ -74,11 +75,12 @@ class Segment:
 class Arm:
     """An arm: its segments from the base to the tip, actuation, cap and gravity.
 
-    geometry, material, variant: of the first segment, the only one of most arms. beyond: the further segments, which
-    may differ in all of these; only one of their laws may be a `TubeLaw`. Pressures are in the order of the segments.
+    segments: they may differ in everything; only one of their laws may be a `TubeLaw`. Pressures are in the order of
+    the segments. The properties `geometry`, `material`, `variant` and what follows from them are those of the only
+    segment; they raise ValueError for an arm of several.
 
-    variant: a name of model/variants.py. Those of the paper are 'homogeneous' (eq 16, no radial pressure effect),
-    'homogeneous+rpe', and 'inhomogeneous+rpe', in which each tube follows eq 32 at every point of the rod.
+    The variants of the paper are 'homogeneous' (eq 16, no radial pressure effect), 'homogeneous+rpe', and
+    'inhomogeneous+rpe', in which each tube follows eq 32 at every point of the rod; model/variants.py has all.
     actuation: the law of the push on the caps (model/actuation.py). Without inertia an arm in motion is always in
     equilibrium, and depends on time by its viscous walls only.
     cap_mass_kg: mass at the tip; with cap_inertia it has inertia too, with the rotational inertia cap_inertia_kg_m2
@@ -86,9 +88,7 @@ class Arm:
     have weight, which the paper neglects.
     """
 
-    geometry: Geometry
-    material: Material
-    variant: str = "inhomogeneous+rpe"
+    segments: tuple[Segment, ...]
     cap_mass_kg: float = 0.05
     gravity_m_s2: Triple = (0.0, 0.0, GRAVITY_M_S2)
     rod_weight: bool = False
@@ -96,11 +96,13 @@ class Arm:
     cap_inertia_kg_m2: Triple = field(default=(0.0, 0.0, 0.0))
     actuation: ActuationLaw = field(default=Proportional())
     inertia: bool = True
-    beyond: tuple[Segment, ...] = ()
 
     def __post_init__(self) -> None:
-        variant_named(self.variant)
-        object.__setattr__(self, "beyond", tuple(self.beyond))
+        object.__setattr__(self, "segments", tuple(self.segments))
+        if not self.segments:
+            raise ValueError("an arm has at least one segment")
+        if self.segments[0].coupling != Coupling():
+            raise ValueError("the first segment of an arm is clamped: a coupling lies between two segments")
         laws = {segment.law.name for segment in self.segments if segment.law.pointwise}
         if len(laws) > 1:
             raise ValueError(f"the segments of an arm may follow one law of the tubes, got {', '.join(sorted(laws))}")
@@ -116,12 +118,13 @@ class Arm:
     @classmethod
     def paper(cls, variant: str = "inhomogeneous+rpe") -> Arm:
         """The paper's arm, hanging, with a 50 g cap and no weight of its own."""
-        return cls(Geometry.paper(), Material.paper(), variant)
+        return cls((Segment(Geometry.paper(), Material.paper(), variant),))
 
-    @cached_property
-    def segments(self) -> tuple[Segment, ...]:
-        """All segments, from the base to the tip."""
-        return Segment(self.geometry, self.material, self.variant), *self.beyond
+    def with_segment(self, k: int = 0, **changes: Any) -> Arm:
+        """The arm with other fields of its segment k, counted from 0 at the base."""
+        segments = list(self.segments)
+        segments[k] = replace(segments[k], **changes)
+        return replace(self, segments=tuple(segments))
 
     @cached_property
     def actuators(self) -> int:
@@ -131,7 +134,7 @@ class Arm:
     @property
     def length_m(self) -> float:
         """Length at rest from the base to the tip, couplings included."""
-        return sum((s.geometry.length_m + s.coupling.length_m for s in self.beyond), self.geometry.length_m)
+        return sum(segment.geometry.length_m + segment.coupling.length_m for segment in self.segments)
 
     @cached_property
     def slenderness(self) -> float:
@@ -142,21 +145,6 @@ class Arm:
     def branches(self) -> int:
         """Largest number of Maxwell branches of a segment."""
         return max(len(segment.material.branches) for segment in self.segments)
-
-    @property
-    def radial_effect(self) -> bool:
-        """Whether the radial pressure effect is part of the variant of the first segment."""
-        return self.segments[0].radial_effect
-
-    @property
-    def rpe_per_bar(self) -> float:
-        """Free strain per bar of the first segment."""
-        return self.segments[0].rpe_per_bar
-
-    @property
-    def law(self) -> ConstitutiveLaw:
-        """The constitutive law of the walls of the first segment."""
-        return self.segments[0].law
 
     @property
     def kind(self) -> tuple[tuple[int, ...], tuple[str, ...], str, int]:
@@ -176,11 +164,48 @@ class Arm:
         return self.actuation.grows
 
     @property
+    def only_segment(self) -> Segment:
+        """The segment of an arm that has one; ValueError for an arm of several."""
+        if len(self.segments) > 1:
+            raise ValueError(f"an arm of {len(self.segments)} segments, one was expected")
+        return self.segments[0]
+
+    @property
+    def geometry(self) -> Geometry:
+        """Geometry of the only segment."""
+        return self.only_segment.geometry
+
+    @property
+    def material(self) -> Material:
+        """Material of the only segment."""
+        return self.only_segment.material
+
+    @property
+    def variant(self) -> str:
+        """Variant of the only segment."""
+        return self.only_segment.variant
+
+    @property
+    def radial_effect(self) -> bool:
+        """Whether the radial pressure effect is part of the variant of the only segment."""
+        return self.only_segment.radial_effect
+
+    @property
+    def rpe_per_bar(self) -> float:
+        """Free strain per bar of the only segment."""
+        return self.only_segment.rpe_per_bar
+
+    @property
+    def law(self) -> ConstitutiveLaw:
+        """The constitutive law of the walls of the only segment."""
+        return self.only_segment.law
+
+    @property
     def line_density_kg_m(self) -> float:
-        """rho A of all walls of the first segment [kg/m]."""
-        return self.segments[0].line_density_kg_m
+        """rho A of all walls of the only segment [kg/m]."""
+        return self.only_segment.line_density_kg_m
 
     @property
     def stiffness_n(self) -> float:
-        """Axial stiffness E A_m [N] of each tube of the first segment at zero strain."""
-        return self.segments[0].stiffness_n
+        """Axial stiffness E A_m [N] of each tube of the only segment at zero strain."""
+        return self.only_segment.stiffness_n

@@ -234,7 +234,7 @@ def _push_wrench(geometry: Geometry) -> Array:
 def _ends(arm: Arm, centre: Array) -> Array:
     ends = np.zeros((len(arm.segments), layout.TIP_LOAD_SIZE))
     gravity = np.asarray(arm.gravity_m_s2)
-    for end, segment in zip(ends, arm.beyond, strict=False):
+    for end, segment in zip(ends, arm.segments[1:], strict=False):
         end[:3] = segment.coupling.mass_kg * gravity
         end[6] = segment.coupling.mass_kg * arm.inertia
         end[12] = 0.5 * segment.coupling.length_m

@@ -257,13 +257,7 @@ def _varied(arm: Arm, pressure: Array) -> list[Variation]:
             # The step of a parameter that is zero is a fraction of its usual magnitude.
             step = STEP * abs(value) or STEP * USUAL.get(name, 1.0)
             material = replace(segment.material, **{name: value + step})
-            if k == 0:
-                changed = replace(arm, material=material)
-            else:
-                beyond = list(arm.beyond)
-                beyond[k - 1] = replace(segment, material=material)
-                changed = replace(arm, beyond=tuple(beyond))
-            changes.append(Variation(step, changed))
+            changes.append(Variation(step, arm.with_segment(k, material=material)))
     pressed = pressure + PRESSURE_STEP_PA * np.eye(len(pressure))
     return changes + [Variation(PRESSURE_STEP_PA, arm, own[None]) for own in pressed]
 

@@ -122,7 +122,7 @@ def shape(
     n = len(x) // 2
     p, rotation, v, u = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
     axis(x, arguments.line(first), p, rotation, v, u)
-    if not arm.beyond:
+    if len(arm.segments) == 1:
         s = _points((arguments.length_m,), (0.0,), (0, n))
         return Shape(s, p, rotation, v, u, ok, arm.geometry.positions_m, stable)
     nodes, chambers = tuple(first.tolist()), tuple(arguments.chambers.tolist())

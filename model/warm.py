@@ -23,7 +23,7 @@ def main() -> int:
         print(f"model.warm: kernels are kept in {cache_folder()}", flush=True)
         arms = [Arm.paper("homogeneous"), Arm.paper("inhomogeneous+rpe")]
         viscous = replace(arms[0].material, branches=(MaxwellBranch(0.05, 1.0),))
-        for arm in [*arms, replace(arms[0], material=viscous)]:
+        for arm in [*arms, arms[0].with_segment(material=viscous)]:
             dynamics = Dynamics(arm, 1 / 30)
             dynamics.start((0.0, 0.0, 0.0))
             if not (dynamics.step((1e4, 0.0, 0.0)).ok and dynamics.run([(1e4, 0.0, 0.0)]).ok.all()):

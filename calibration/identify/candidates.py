@@ -92,10 +92,10 @@ def _remembering(candidate: Callable[..., Candidate], arm: Arm, branches: int, s
     radial = ("rpe_per_bar",) if arm.radial_effect else ()
     growth = (PUSH_GROWTH,) if actuation.grows else ()
     what = " and ".join([*["branch"] * branches, *["stop"] * stops])
-    names = memory_names(replace(arm, material=material, actuation=actuation))
+    names = memory_names(replace(arm, actuation=actuation).with_segment(material=material))
     return candidate(f"{arm.variant}, {what}", (*radial, *growth, *names), material=material, actuation=actuation)
 
 
 def _with_damping(setup: Setup, damping_s: float) -> Setup:
     material = replace(setup.arm.material, damping_s=damping_s)
-    return replace(setup, arm=replace(setup.arm, material=material))
+    return replace(setup, arm=setup.arm.with_segment(material=material))

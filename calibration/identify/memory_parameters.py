@@ -108,7 +108,7 @@ class _Elements:
 
 _BRANCHES = _Elements(
     lambda arm: arm.material.branches,
-    lambda arm, branches: replace(arm, material=replace(arm.material, branches=branches)),
+    lambda arm, branches: arm.with_segment(material=replace(arm.material, branches=branches)),
 )
 _STOPS = _Elements(
     lambda arm: arm.actuation.stops, lambda arm, stops: replace(arm, actuation=replace(arm.actuation, stops=stops))

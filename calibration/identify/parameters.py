@@ -199,7 +199,7 @@ def _material(
 
     def write(setup: Setup, x: float) -> Setup:
         changed: dict[str, Any] = {name: x}
-        return replace(setup, arm=replace(setup.arm, material=replace(setup.arm.material, **changed)))
+        return replace(setup, arm=setup.arm.with_segment(material=replace(setup.arm.material, **changed)))
 
     def span(x: float) -> float:
         return max(abs(x), least)
@@ -218,7 +218,7 @@ def _geometry(name: str, unit: str, about: str, share: float) -> Parameter:
 
     def write(setup: Setup, x: float) -> Setup:
         changed: dict[str, Any] = {name: x}
-        return replace(setup, arm=replace(setup.arm, geometry=replace(setup.arm.geometry, **changed)))
+        return replace(setup, arm=setup.arm.with_segment(geometry=replace(setup.arm.geometry, **changed)))
 
     return Parameter(name, unit, about, read, write, lambda x: share * abs(x), constant(LENGTH_M), 1e-6, 10.0)
 
@@ -257,7 +257,7 @@ def _radii(setup: Setup, inner_m: float | None, outer_m: float | None) -> Setup:
         inner_radius_m=geometry.inner_radius_m if inner_m is None else inner_m,
         outer_radius_m=geometry.outer_radius_m if outer_m is None else outer_m,
     )
-    return replace(setup, arm=replace(setup.arm, geometry=changed))
+    return replace(setup, arm=setup.arm.with_segment(geometry=changed))
 
 
 def _circle(setup: Setup) -> float:
@@ -267,7 +267,7 @@ def _circle(setup: Setup) -> float:
 def _circled(setup: Setup, x: float) -> Setup:
     scale = x / _circle(setup)
     xy = tuple((scale * a, scale * b) for a, b in setup.arm.geometry.actuator_xy_m)
-    return replace(setup, arm=replace(setup.arm, geometry=replace(setup.arm.geometry, actuator_xy_m=xy)))
+    return replace(setup, arm=setup.arm.with_segment(geometry=replace(setup.arm.geometry, actuator_xy_m=xy)))
 
 
 def _triple(

@@ -69,7 +69,7 @@ class Setup:
                 (math.cos(t) * x - math.sin(t) * y, math.sin(t) * x + math.cos(t) * y)
                 for t, (x, y) in zip(self.actuator_turn_rad, arm.geometry.actuator_xy_m, strict=True)
             )
-            arm = replace(arm, geometry=replace(arm.geometry, actuator_xy_m=turned))
+            arm = arm.with_segment(geometry=replace(arm.geometry, actuator_xy_m=turned))
         return arm
 
     def without_baseline(self, baseline: Setup) -> Setup:

@@ -91,9 +91,7 @@ def _arm(
     config: RigConfig, geometry: GeometryConfig, material: MaterialConfig, cap_mass_g: float, variant: Variant
 ) -> model.Arm:
     return model.Arm(
-        model_geometry(geometry),
-        model_material(material),
-        variant=variant,
+        (model.Segment(model_geometry(geometry), model_material(material), variant),),
         cap_mass_kg=cap_mass_g * 1e-3,
         gravity_m_s2=gravity_m_s2(config),
         rod_weight=config.arm.gravity_on_rod,

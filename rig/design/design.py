@@ -155,7 +155,7 @@ def _drawn_arms(start: Setup, stated: Mapping[str, Prior]) -> tuple[Setup, ...]:
 
     Damping and filter keep their values, which have a lower bound within their uncertainty.
     """
-    kept, rng = named(("damping_s", "sensor_filter_s"), start.arm.geometry.actuators), np.random.default_rng(0)
+    kept, rng = named(("damping_s", "sensor_filter_s"), start.arm.actuators), np.random.default_rng(0)
     arms = []
     for _ in range(_ARMS):
         drawn = drawn_setup(start, stated, rng)
@@ -170,7 +170,7 @@ def _damped(setup: Setup) -> Setup:
     material = setup.arm.material
     if material.damping_s > 0:
         return setup
-    return replace(setup, arm=replace(setup.arm, material=replace(material, damping_s=DAMPING_S / 2)))
+    return replace(setup, arm=setup.arm.with_segment(material=replace(material, damping_s=DAMPING_S / 2)))
 
 
 def _ridge(count: int) -> NDArray[np.float64]:

@@ -68,7 +68,7 @@ class Identification:
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:
         """The rod beside the baselines: on blocks of the fit's data, and on each run that was held out."""
-        length_m = self.fit.start.arm.geometry.length_m
+        length_m = self.fit.start.arm.length_m
         blocks = on_blocks(self.baselines, np.concatenate(blocks_left_out(self.fit)), length_m)
         unseen = [
             on_left_out(self.baselines, poses, one.measured_m - one.predicted_m, one.covariance_m2, length_m)

@@ -97,7 +97,7 @@ def compare(
         stated = rig_uncertainties(config, start)
         known = sensor_priors(stated) | dict(priors)
         estimated = list(stated)
-    check_priors(priors, estimated, start.arm.geometry.actuators)
+    check_priors(priors, estimated, start.arm.actuators)
     found = compare_models(parts, models, known, None, scheduler, store, progress, stated)
     shortened = tuple(
         ComparedRun(whole.run_id, whole.moving, len(part), len(whole))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -62,7 +61,7 @@ class SinusoidalRun:
     def by_method(self, space: Space, scheme: str, alpha: float, steps: int) -> Array:
         """Tips (k, 3) [mm] over the second by one of Table 4's methods, from rest at its first pressures."""
         config = recorded(self.run.header, self.run.path).config
-        arm = replace(model_arm(config), variant="inhomogeneous+rpe")
+        arm = model_arm(config).with_segment(variant="inhomogeneous+rpe")
         pressure = self.run.tip.pressure_bar[self.second] * PA_PER_BAR
         rod = PaperRod(
             arm, 1 / self.run.header.camera_hz, scheme, alpha, space=space, steps=steps, modulus_rule="secant"

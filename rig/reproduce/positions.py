@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -57,14 +56,14 @@ class RestPositions:
             self.pressure_pa.append(pressure)
             self.measured_m.append(poses.tip_m[driven])
             for variant, tips in self.tips_m.items():
-                modelled = replace(arm, variant=variant)
+                modelled = arm.with_segment(variant=variant)
                 tips.append(np.array([statics(modelled, p, doubt_units=False).tip_m for p in pressure]))
-            self.arm = replace(arm, variant="inhomogeneous+rpe")
+            self.arm = arm.with_segment(variant="inhomogeneous+rpe")
 
     def error_percent(self, variant: str) -> float:
         """Mean error over both cases, as a share of the tip's excursion."""
         pairs = zip(self.tips_m[variant], self.measured_m, strict=True)
-        rest_m = self.arm.geometry.length_m
+        rest_m = self.arm.length_m
         errors = [excursion_errors(tip - measured_m, measured_m, rest_m) for tip, measured_m in pairs]
         return float(100 * np.concatenate(errors).mean())
 
@@ -170,7 +169,7 @@ def fig13(figure: Figure, data: RestPositions) -> None:
     for (left, right), case, measured_m, pressure in zip(panels, "ab", data.measured_m, data.pressure_pa, strict=True):
         k = "ab".index(case)
         bar = pressure.max(axis=1) / PA_PER_BAR
-        excursion_m = np.linalg.norm(measured_m - np.array([0, 0, data.arm.geometry.length_m]), axis=1)
+        excursion_m = np.linalg.norm(measured_m - np.array([0, 0, data.arm.length_m]), axis=1)
         left.plot(1e3 * measured_m[:, 0], 1e3 * measured_m[:, 2], "o", ms=5, mfc="white", mec=INK, label=data.origin)
         for variant, name, colour, mark in MODELS:
             tip = data.tips_m[variant][k]

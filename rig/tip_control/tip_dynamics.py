@@ -35,7 +35,7 @@ class TipDynamics:
     @classmethod
     def of(cls, arm: model.Arm, limit_pa: float) -> TipDynamics:
         """Fitted to two step responses of the rod model: bending of a bent arm, extension of a straight one."""
-        actuators = arm.geometry.actuators
+        actuators = arm.actuators
         bent = np.full(actuators, 0.1 * limit_pa)
         bent[0] = _SHARE * limit_pa
         bending = _fitted(arm, bent, _KICK * limit_pa * np.eye(actuators)[0])

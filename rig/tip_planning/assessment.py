@@ -91,7 +91,7 @@ def _propagated(
     """
     arm = model_arm(config, variant)
     start = Setup(arm)
-    stated = _by_parameter(config, arm.geometry.actuators)
+    stated = _by_parameter(config, arm.actuators)
     reference = batch.statics(arm, pressure).tip_m
     drive = drive_of(config)
     changes = [Variation(GRADIENT_STEP_PA, arm, pressure + GRADIENT_STEP_PA * c) for c in drive.matrix().T]
@@ -99,7 +99,7 @@ def _propagated(
     gradient = sensitivities.statics(arm, pressure, changes, weights).tip_by[:, axes]
     shares: dict[str, float] = {}
     needed = np.zeros((len(pressure), drive.valves))
-    for name, parameter in known(arm.geometry.actuators).items():
+    for name, parameter in known(arm.actuators).items():
         # At rest nothing is remembered.
         if name.startswith(NOT_OF_THE_ARM) or name in ALL_NAMES:
             continue

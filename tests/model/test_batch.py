@@ -33,7 +33,7 @@ def test_a_batch_equals_its_members_solved_one_by_one(arm: Arm, workers: int) ->
 
 def test_a_batch_of_parameter_sets_keeps_each_set_to_its_row() -> None:
     arms = [
-        replace(Arm.paper(), cap_mass_kg=m, material=replace(Arm.paper().material, a1_per_n=a))
+        replace(Arm.paper(), cap_mass_kg=m).with_segment(material=replace(Arm.paper().material, a1_per_n=a))
         for m, a in ((0.05, 0.0074), (0.1, 0.008), (0.0, 0.006), (0.2, 0.0074))
     ]
     p = np.array([[0.6, 0, 0], [0.3, 0.2, 0], [0, 0, 0.5], [0.1, 0.1, 0.1]]) * BAR

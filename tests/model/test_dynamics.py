@@ -43,7 +43,7 @@ def test_an_arm_at_rest_stays_at_rest(variant: str) -> None:
 @pytest.mark.parametrize("variant", variants)
 def test_it_starts_and_settles_at_the_static_shape(variant: str) -> None:
     arm = Arm.paper(variant)
-    arm = replace(arm, material=replace(arm.material, damping_s=0.02))
+    arm = arm.with_segment(material=replace(arm.material, damping_s=0.02))
     p = np.array([0.4, 0.0, 0.2]) * BAR
     dynamics = Dynamics(arm, 1 / 100, "bdf1")
     assert np.abs(dynamics.start((0, 0, 0)).tip_m - statics(arm, (0, 0, 0)).tip_m).max() < 1e-8
@@ -88,7 +88,7 @@ def test_the_frequencies_of_a_thin_cantilever_are_those_of_the_textbook() -> Non
     # Long, slender, no load: (1.8751 / L)^2 sqrt(E I / rho A), lowered by shear and rotary inertia by under 1 %.
     arm = Arm.paper("homogeneous")
     geometry = replace(arm.geometry, length_m=2.0)
-    arm = replace(arm, geometry=geometry, gravity_m_s2=(0.0, 0.0, 0.0))
+    arm = replace(arm, gravity_m_s2=(0.0, 0.0, 0.0)).with_segment(geometry=geometry)
     bending = 289142.05 * (3 * geometry.wall_second_moment_m4 + geometry.wall_area_m2 * 0.055**2 / 2)
     book = (1.875104 / 2.0) ** 2 * math.sqrt(bending / arm.line_density_kg_m)
     dt = 2 * math.pi / book / 60
@@ -136,7 +136,7 @@ def test_oscillations_decay_at_the_kelvin_voigt_rate() -> None:
     # One mode of a Kelvin-Voigt rod decays as exp(-tau omega^2 t / 2).
     tau, dt = 0.002, 0.001
     arm = replace(Arm.paper("homogeneous"), cap_mass_kg=0.0)
-    arm = replace(arm, material=replace(arm.material, damping_s=tau))
+    arm = arm.with_segment(material=replace(arm.material, damping_s=tau))
     dynamics = Dynamics(arm, dt, "trapezoidal")
     dynamics.start((0, 0, 0), Loads(tip_force_n=(0.01, 0, 0)))
     still = Loads()
@@ -150,7 +150,7 @@ def test_oscillations_decay_at_the_kelvin_voigt_rate() -> None:
 @pytest.mark.parametrize("variant", ["homogeneous+rpe", "inhomogeneous+rpe"])
 def test_damping_changes_no_equilibrium(variant: str) -> None:
     arm = Arm.paper(variant)
-    damped = replace(arm, material=replace(arm.material, damping_s=0.05))
+    damped = arm.with_segment(material=replace(arm.material, damping_s=0.05))
     p = (0.5 * BAR, 0.1 * BAR, 0)
     assert np.array_equal(statics(arm, p).tip_m, statics(damped, p).tip_m)
     dynamics = Dynamics(damped, 0.01)
@@ -161,7 +161,7 @@ def test_damping_changes_no_equilibrium(variant: str) -> None:
 @pytest.mark.parametrize("variant", ["homogeneous+rpe", "inhomogeneous+rpe"])
 def test_the_history_between_nodes_keeps_the_fourth_order_in_space(variant: str) -> None:
     arm = Arm.paper(variant)
-    arm = replace(arm, material=replace(arm.material, damping_s=0.01))
+    arm = arm.with_segment(material=replace(arm.material, damping_s=0.01))
 
     def tip(nodes: int) -> NDArray[np.float64]:
         dynamics = Dynamics(arm, 1 / 30, nodes=nodes)
@@ -219,7 +219,7 @@ def test_thousands_of_jumps_a_millisecond_apart_do_not_fail_once() -> None:
 @pytest.mark.parametrize("damping_s", [0.0, 0.01])
 def test_random_jumps_do_not_fail_with_any_option(scheme: str, change: dict[str, object], damping_s: float) -> None:
     arm = replace(Arm.paper(), **change)  # type: ignore[arg-type]
-    arm = replace(arm, material=replace(arm.material, damping_s=damping_s))
+    arm = arm.with_segment(material=replace(arm.material, damping_s=damping_s))
     dynamics = Dynamics(arm, 0.005, scheme)
     dynamics.start((0, 0, 0))
     run = dynamics.run(np.random.default_rng(11).uniform(0, 0.65 * BAR, (80, 3)))
@@ -240,10 +240,8 @@ def test_the_same_pressures_give_the_same_motion_bit_for_bit() -> None:
 def test_a_restored_motion_repeats_bit_for_bit() -> None:
     # Branches and stops remember, too.
     arm = Arm.paper()
-    arm = replace(
-        arm,
-        material=replace(arm.material, branches=(MaxwellBranch(0.2, 0.7),)),
-        actuation=replace(arm.actuation, stops=(StopElement(0.1, 2e3),)),
+    arm = replace(arm, actuation=replace(arm.actuation, stops=(StopElement(0.1, 2e3),))).with_segment(
+        material=replace(arm.material, branches=(MaxwellBranch(0.2, 0.7),))
     )
     rows = 5e4 * np.random.default_rng(1).random((40, 3))
     dynamics = Dynamics(arm, 0.01)
@@ -306,7 +304,7 @@ def test_the_caps_inertia_slows_the_first_mode_as_the_textbook_says() -> None:
     # A slender cantilever of mass m with M at its end: 1 + cos b cosh b + M/m b (cos b sinh b - sin b cosh b) = 0.
     arm = Arm.paper("homogeneous")
     geometry = replace(arm.geometry, length_m=2.0)
-    arm = replace(arm, geometry=geometry, gravity_m_s2=(0.0, 0.0, 0.0), cap_mass_kg=0.5, cap_inertia=True)
+    arm = replace(arm, gravity_m_s2=(0.0, 0.0, 0.0), cap_mass_kg=0.5, cap_inertia=True).with_segment(geometry=geometry)
     ratio = 0.5 / (arm.line_density_kg_m * 2.0)
 
     def mode(b: float) -> float:

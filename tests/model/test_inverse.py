@@ -18,7 +18,7 @@ from model.inverse.path import PathFollowing, PathInverse
 from model.inverse.reachable import nearest_reachable, reachable_tips
 
 PAPER = Arm.paper()
-ARM = replace(PAPER, material=replace(PAPER.material, damping_s=0.01))
+ARM = PAPER.with_segment(material=replace(PAPER.material, damping_s=0.01))
 THREE = Drive(((0,), (1,), (2,)), 0.7e5, 1e5)
 TWO = Drive(((0,), (1, 2)), 0.7e5, 1e5)
 DT_S = 0.01

@@ -120,7 +120,9 @@ def test_both_formulations_agree_in_motion(scheme: str) -> None:
 
 def test_both_formulations_agree_in_motion_of_two_tubes_off_the_axes() -> None:
     # Then the section's own axes of inertia are not x and y.
-    arm = replace(Arm.paper("homogeneous+rpe"), geometry=Geometry.on_circle(0.1, 0.0095, 0.014, 0.06, (35.0, 215.0)))
+    arm = Arm.paper("homogeneous+rpe").with_segment(
+        geometry=Geometry.on_circle(0.1, 0.0095, 0.014, 0.06, (35.0, 215.0))
+    )
     paper, ours = PaperRod(arm, 1 / 30, steps=100), Dynamics(arm, 1 / 30, nodes=40)
     paper.start((0, 0))
     ours.start((0, 0))
@@ -133,9 +135,11 @@ def test_both_formulations_agree_in_motion_of_two_tubes_off_the_axes() -> None:
 def test_options_that_the_papers_formulation_lacks_in_motion_are_refused(change: dict[str, object]) -> None:
     arm = Arm.paper("homogeneous")
     if "damping_s" in change:
-        change = {"material": replace(arm.material, **change)}  # type: ignore[arg-type]
+        arm = arm.with_segment(material=replace(arm.material, **change))  # type: ignore[arg-type]
+    else:
+        arm = replace(arm, **change)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"model\.dynamics\.Dynamics"):
-        PaperRod(replace(arm, **change)).start((0, 0, 0))  # type: ignore[arg-type]
+        PaperRod(arm).start((0, 0, 0))
 
 
 def test_a_force_beside_the_axis_is_refused_by_the_papers_formulation() -> None:
@@ -312,7 +316,7 @@ def test_the_rule_for_passive_tubes_is_the_papers() -> None:
 
 def test_as_a_strain_the_radial_effect_stretches_each_tube_freely() -> None:
     arm = replace(Arm.paper("homogeneous+rpe"), gravity_m_s2=(0.0, 0.0, 0.0))
-    plain = replace(arm, variant="homogeneous")
+    plain = arm.with_segment(variant="homogeneous")
     p = np.array([0.6, 0.2, 0.0]) * BAR
     stretched = PaperRod(arm, rpe_as="strain").statics(p)
     grown = stretched.actuator_lengths_m - statics(plain, p).actuator_lengths_m

@@ -67,7 +67,7 @@ def test_each_scheme_converges_at_its_stated_order(variant: str, scheme: str, or
 )
 def test_uneven_steps_keep_the_order_of_the_scheme(variant: str, scheme: str, order: int) -> None:
     arm = Arm.paper(variant)
-    arm = replace(arm, material=replace(arm.material, damping_s=0.01))
+    arm = arm.with_segment(material=replace(arm.material, damping_s=0.01))
     shares = np.tile([1.0, 1.2, 0.9, 0.9, 1.1, 0.9], 7)[:40]
     shares *= 0.4 / shares.sum()
 

@@ -15,7 +15,7 @@ from model.statics import statics
 from model.variation import Variation
 
 BAR = 1e5
-ARM = replace(Arm.paper(), rod_weight=True, material=replace(Arm.paper().material, damping_s=0.01))
+ARM = replace(Arm.paper(), rod_weight=True).with_segment(material=replace(Arm.paper().material, damping_s=0.01))
 LENGTH = ARM.geometry.length_m
 # Of the nodes and between them, at both ends, too.
 AT_M = np.array([0.0, 0.25, 0.613, 0.95]) * LENGTH
@@ -25,15 +25,15 @@ STEP = 1e-7
 
 
 def stiffer(x: float) -> Arm:
-    return replace(ARM, material=replace(ARM.material, a1_per_n=ARM.material.a1_per_n * (1 + x)))
+    return ARM.with_segment(material=replace(ARM.material, a1_per_n=ARM.material.a1_per_n * (1 + x)))
 
 
 def sheared(x: float) -> Arm:
-    return replace(ARM, material=replace(ARM.material, shear_ratio=ARM.material.shear_ratio * (1 + x)))
+    return ARM.with_segment(material=replace(ARM.material, shear_ratio=ARM.material.shear_ratio * (1 + x)))
 
 
 def longer(x: float) -> Arm:
-    return replace(ARM, geometry=replace(ARM.geometry, length_m=LENGTH * (1 + x)))
+    return ARM.with_segment(geometry=replace(ARM.geometry, length_m=LENGTH * (1 + x)))
 
 
 STIFFNESS_SLOPES: tuple[Callable[[float], Arm], ...] = (stiffer, sheared, longer)

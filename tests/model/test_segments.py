@@ -36,17 +36,18 @@ def softer(material: Material) -> Material:
 def three(variant: str, **changes: object) -> Arm:
     """Three segments: three, four and two tubes, with other radii, materials and a centroid beside the axis."""
     material = Material.paper()
-    beyond = (
+    segments = (
+        Segment(Geometry.paper(), material, variant),
         Segment(THIN, softer(material), variant, Coupling(0.02, 0.03)),
         Segment(ASIDE, material, "homogeneous", Coupling(0.01, 0.01)),
     )
-    return replace(Arm.paper(variant), beyond=beyond, **changes)  # type: ignore[arg-type]
+    return Arm(segments, **changes)  # type: ignore[arg-type]
 
 
 def cut(arm: Arm) -> Arm:
     """The arm of one segment in two pieces of unequal length, each with chambers of its own."""
     first, second = (replace(arm.geometry, length_m=share * arm.geometry.length_m) for share in (0.4, 0.6))
-    return replace(arm, geometry=first, beyond=(Segment(second, arm.material, arm.variant),))
+    return replace(arm, segments=[replace(arm.only_segment, geometry=piece) for piece in (first, second)])
 
 
 def generator(strain: Array) -> Array:
@@ -81,7 +82,7 @@ def test_the_strain_of_each_segment_is_that_of_an_arm_of_this_segment_alone(vari
     first = 0
     for segment, start in zip(arm.segments, shape.first_nodes, strict=False):
         count = segment.geometry.actuators
-        alone = Arm(segment.geometry, segment.material, segment.variant, gravity_m_s2=NOTHING)
+        alone = Arm((replace(segment, coupling=Coupling()),), gravity_m_s2=NOTHING)
         own = statics(alone, PRESSURES[first : first + count])
         assert shape.v[start] == pytest.approx(own.v[0], abs=1e-10)
         assert shape.u[start] == pytest.approx(own.u[0], abs=1e-8)
@@ -117,9 +118,9 @@ def test_an_arm_cut_in_two_rests_where_it_did(variant: str) -> None:
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_an_arm_cut_in_two_moves_as_it_did(variant: str, dt_s: float) -> None:
     material = replace(Material.paper(), damping_s=0.005, branches=(MaxwellBranch(0.1, 0.5),))
-    arm = replace(
-        Arm.paper(variant), material=material, rod_weight=True, cap_inertia=True, cap_inertia_kg_m2=(1e-5, 1e-5, 2e-5),
-        actuation=PressureSum(0.1, (StopElement(0.1, 2e4),)),
+    arm = Arm(
+        (Segment(Geometry.paper(), material, variant),), rod_weight=True, cap_inertia=True,
+        cap_inertia_kg_m2=(1e-5, 1e-5, 2e-5), actuation=PressureSum(0.1, (StopElement(0.1, 2e4),)),
     )  # fmt: skip
     rows = np.array([0.4, 0.1, 0.0]) * BAR * (0.6 + 0.4 * np.sin(0.8 * np.arange(12)))[:, None]
     whole, parts = Dynamics(arm, dt_s, nodes=40), Dynamics(cut(arm), dt_s, nodes=41)
@@ -138,8 +139,8 @@ def test_a_long_coupling_moves_as_a_segment_that_is_nearly_rigid(variant: str) -
     stiff = replace(material, youngs_modulus_pa=3e4 * material.youngs_modulus_pa, density_kg_m3=1.0, rpe_per_bar=0.0)
     rigid = Segment(replace(Geometry.paper(), length_m=0.03), stiff, "homogeneous")
     last = Segment(THIN, material, variant)
-    coupled = replace(Arm.paper(variant), beyond=(replace(last, coupling=Coupling(0.03)),))
-    built = replace(Arm.paper(variant), beyond=(rigid, last))
+    first = Segment(Geometry.paper(), material, variant)
+    coupled, built = Arm((first, replace(last, coupling=Coupling(0.03)))), Arm((first, rigid, last))
     pressure = PRESSURES[:7]
     loads = Loads(tip_force_n=(0.2, -0.1, 0.1))
     among = np.insert(pressure, 3, np.zeros(3))
@@ -156,7 +157,8 @@ def test_a_long_coupling_moves_as_a_segment_that_is_nearly_rigid(variant: str) -
 def test_the_weight_of_a_coupling_hangs_on_the_segments_before() -> None:
     material = Material.paper()
     half = replace(Geometry.paper(), length_m=0.085)
-    arm = Arm(half, material, "homogeneous", beyond=(Segment(half, material, "homogeneous", Coupling(0.01, 0.2)),))
+    segment = Segment(half, material, "homogeneous")
+    arm = Arm((segment, replace(segment, coupling=Coupling(0.01, 0.2))))
     stiffness = 3 * material.youngs_modulus_pa * half.wall_area_m2
     expected = 0.01 + 0.085 * (2 + (0.25 + 0.05) * 9.81 / stiffness)
     assert statics(arm, np.zeros(6)).tip_m == pytest.approx([0, 0, expected], abs=1e-10)
@@ -166,9 +168,9 @@ def test_a_coupling_swings_on_its_segment_as_a_cap_of_the_same_mass() -> None:
     # The second segment is short and light; an eighth of a per cent of the swing is its own.
     material = replace(Material.paper(), density_kg_m3=1.0)
     short = replace(Geometry.paper(), length_m=1e-3)
-    capped = Arm(Geometry.paper(), material, "homogeneous", cap_mass_kg=0.1, cap_inertia=True)
-    beyond = (Segment(short, material, "homogeneous", Coupling(0.0, 0.1)),)
-    coupled = replace(capped, cap_mass_kg=0.0, beyond=beyond)
+    first = Segment(Geometry.paper(), material, "homogeneous")
+    capped = Arm((first,), cap_mass_kg=0.1, cap_inertia=True)
+    coupled = Arm((first, Segment(short, material, "homogeneous", Coupling(0.0, 0.1))), 0.0, cap_inertia=True)
     one, other = Dynamics(capped, 0.01, nodes=24), Dynamics(coupled, 0.01, nodes=27)
     one.start(NOTHING, Loads(tip_force_n=(0.5, 0.0, 0.0)))
     other.start(np.zeros(6), Loads(tip_force_n=(0.5, 0.0, 0.0)))
@@ -182,8 +184,9 @@ def test_a_coupling_swings_on_its_segment_as_a_cap_of_the_same_mass() -> None:
 
 def test_a_stepped_cantilever_bends_as_timoshenko_beams_in_series() -> None:
     even = replace(THIN, actuator_xy_m=((0.02, 0.0), (-0.02, 0.0), (0.0, 0.02), (0.0, -0.02)))
-    beyond = (Segment(even, softer(Material.paper()), "homogeneous"),)
-    arm = replace(Arm.paper("homogeneous"), gravity_m_s2=NOTHING, cap_mass_kg=0.0, beyond=beyond)
+    second = Segment(even, softer(Material.paper()), "homogeneous")
+    first = Segment(Geometry.paper(), Material.paper(), "homogeneous")
+    arm = Arm((first, second), gravity_m_s2=NOTHING, cap_mass_kg=0.0)
     force, place, turn, lever = 1e-3, 0.0, 0.0, arm.length_m
     for segment in arm.segments:
         geometry, modulus, length = segment.geometry, segment.material.youngs_modulus_pa, segment.geometry.length_m
@@ -223,8 +226,8 @@ def energy(arm: Arm, dynamics: Dynamics) -> float:
 
 def test_the_trapezoidal_rule_keeps_the_energy_of_segments() -> None:
     arm = three("homogeneous", gravity_m_s2=NOTHING, cap_mass_kg=0.0)
-    beyond = tuple(replace(segment, coupling=Coupling(0.01)) for segment in arm.beyond)
-    arm = replace(arm, beyond=beyond)
+    first, *others = arm.segments
+    arm = replace(arm, segments=[first, *(replace(segment, coupling=Coupling(0.01)) for segment in others)])
     dynamics = Dynamics(arm, 0.001, "trapezoidal")
     dynamics.start(np.zeros(9), Loads(tip_force_n=(0.1, 0.06, 0.0)))
     first, still = energy(arm, dynamics), Loads()
@@ -242,16 +245,16 @@ def every_change(x: float) -> tuple[Arm, Array]:
     arm = three(
         "inhomogeneous+rpe", rod_weight=True, gravity_m_s2=(2.0 + 3 * x, -2 * x, 9.0), cap_mass_kg=0.05 + 0.1 * x
     )
-    first, second = arm.beyond
-    material = replace(first.material, a1_per_n=first.material.a1_per_n * (1 + x), shear_ratio=0.41 * (1 - x))
-    geometry = replace(first.geometry, length_m=0.12 * (1 + x), inner_radius_m=0.007 * (1 + 0.2 * x))
+    first, second, third = arm.segments
+    material = replace(second.material, a1_per_n=second.material.a1_per_n * (1 + x), shear_ratio=0.41 * (1 - x))
+    geometry = replace(second.geometry, length_m=0.12 * (1 + x), inner_radius_m=0.007 * (1 + 0.2 * x))
     aside = replace(ASIDE, actuator_xy_m=((0.02 * (1 + x), 0.002 * x), (-0.01, 0.012)))
-    beyond = (
-        replace(first, material=material, geometry=geometry, coupling=Coupling(0.02 * (1 + x), 0.03 * (1 + x))),
-        replace(second, geometry=aside),
+    segments = (
+        replace(first, geometry=replace(first.geometry, length_m=0.17 * (1 - 0.5 * x))),
+        replace(second, material=material, geometry=geometry, coupling=Coupling(0.02 * (1 + x), 0.03 * (1 + x))),
+        replace(third, geometry=aside),
     )
-    own = replace(arm.geometry, length_m=0.17 * (1 - 0.5 * x))
-    return replace(arm, geometry=own, beyond=beyond), PRESSURES * (1 + 0.5 * x)
+    return replace(arm, segments=segments), PRESSURES * (1 + 0.5 * x)
 
 
 def slope(at: object, h: float = 2e-3) -> Array:
@@ -285,8 +288,9 @@ def test_gradients_in_motion_equal_finite_differences(monkeypatch: pytest.Monkey
 
     def viscous(x: float) -> tuple[Arm, Array]:
         arm, pressure = every_change(x)
-        material = replace(arm.beyond[0].material, damping_s=0.01 * (1 + x), branches=(MaxwellBranch(0.1, 1 + x),))
-        return replace(arm, beyond=(replace(arm.beyond[0], material=material), arm.beyond[1])), pressure * course
+        branches = (MaxwellBranch(0.1, 1 + x),)
+        material = replace(arm.segments[1].material, damping_s=0.01 * (1 + x), branches=branches)
+        return arm.with_segment(1, material=material), pressure * course
 
     def tips(x: float) -> Array:
         arm, rows = viscous(x)
@@ -304,11 +308,10 @@ def test_gradients_in_motion_equal_finite_differences(monkeypatch: pytest.Monkey
 def test_the_gradient_of_the_tip_names_the_parameters_by_segment() -> None:
     arm = three("homogeneous+rpe")
     found = sensitivities.tip_gradient(arm, PRESSURES)
-    material, step = arm.beyond[0].material, 100.0
+    material, step = arm.segments[1].material, 100.0
     changed = [
-        replace(arm, beyond=(replace(arm.beyond[0], material=one), arm.beyond[1]))
+        arm.with_segment(1, material=replace(material, youngs_modulus_pa=material.youngs_modulus_pa + h))
         for h in (step, -step)
-        for one in [replace(material, youngs_modulus_pa=material.youngs_modulus_pa + h)]
     ]
     by = (statics(changed[0], PRESSURES).tip_m - statics(changed[1], PRESSURES).tip_m) / (2 * step)
     assert found.by_parameter["segment_2.youngs_modulus_pa"] == pytest.approx(by, rel=SOFT, abs=1e-12)
@@ -329,8 +332,8 @@ def stepped_column(coupling_m: float) -> Arm:
     """Two slender tubes in series, without shear, that carry nothing but a force at the tip."""
     material = replace(Material.paper(), youngs_modulus_pa=1e8, shear_ratio=1e3)
     one, two = (Geometry(length, 1e-5, radius, ((0.0, 0.0),)) for length, radius in ((0.3, 0.01), (0.2, 0.007)))
-    beyond = (Segment(two, material, "homogeneous", Coupling(coupling_m)),)
-    return Arm(one, material, "homogeneous", cap_mass_kg=0.0, gravity_m_s2=NOTHING, beyond=beyond)
+    segments = Segment(one, material, "homogeneous"), Segment(two, material, "homogeneous", Coupling(coupling_m))
+    return Arm(segments, cap_mass_kg=0.0, gravity_m_s2=NOTHING)
 
 
 @pytest.mark.parametrize("coupling_m", [0.0, 0.1])
@@ -364,7 +367,17 @@ def test_two_laws_of_the_tubes_in_one_arm_are_refused() -> None:
     register(ModelVariant("neo-hookean-segment", NeoHookean(), radial_effect=False))
     other = Segment(THIN, Material.paper(), "neo-hookean-segment")
     with pytest.raises(ValueError, match="one law of the tubes"):
-        replace(Arm.paper(), beyond=(other,))
+        Arm((*Arm.paper().segments, other))
+
+
+def test_a_coupling_before_the_first_segment_is_refused() -> None:
+    with pytest.raises(ValueError, match="the first segment of an arm is clamped"):
+        Arm((Segment(THIN, Material.paper(), coupling=Coupling(0.01)),))
+
+
+def test_an_arm_of_several_segments_has_no_one_geometry() -> None:
+    with pytest.raises(ValueError, match="3 segments"):
+        three("homogeneous").geometry  # noqa: B018 - the property raises
 
 
 def test_too_few_steps_for_the_segments_are_refused() -> None:

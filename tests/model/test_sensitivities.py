@@ -29,9 +29,11 @@ RULES = ("linear", "pointwise", "growing")
 
 
 def arm_of(rule: str) -> Arm:
-    arm = replace(Arm.paper(), rod_weight=True, material=replace(Arm.paper().material, damping_s=0.01))
+    arm = replace(Arm.paper(), rod_weight=True).with_segment(material=replace(Arm.paper().material, damping_s=0.01))
     if rule == "linear":
-        return replace(arm, variant="homogeneous+rpe", cap_inertia=True, cap_inertia_kg_m2=(1e-5, 1e-5, 2e-5))
+        return replace(arm, cap_inertia=True, cap_inertia_kg_m2=(1e-5, 1e-5, 2e-5)).with_segment(
+            variant="homogeneous+rpe"
+        )
     return replace(arm, actuation=PressureSum(0.2)) if rule == "growing" else arm
 
 
@@ -125,7 +127,7 @@ def test_tip_gradients_by_pressures_and_geometry_equal_finite_differences_for_an
 
     def arm_at(x: float) -> Arm:
         geometry = Geometry.on_circle(length * (1 + x), 0.0095, 0.014, 0.0318, (angles[0] + 10 * x, *angles[1:]))
-        return replace(arm_of(rule), geometry=geometry, cap_mass_kg=cap * (1 + x))
+        return replace(arm_of(rule), cap_mass_kg=cap * (1 + x)).with_segment(geometry=geometry)
 
     p, push = np.array(bar) * BAR, np.array([1e4, -5e3, 2e3])
 
@@ -148,7 +150,7 @@ def test_tip_gradients_by_material_and_pressures_equal_finite_differences(rule: 
         value = getattr(arm.material, name)
 
         def tip_at(x: float, name: str = name, value: float = value) -> Array:
-            return statics(replace(arm, material=replace(arm.material, **{name: value * (1 + x)})), p).tip_m
+            return statics(arm.with_segment(material=replace(arm.material, **{name: value * (1 + x)})), p).tip_m
 
         assert value * by == pytest.approx(slope(tip_at, 2e-3), rel=1e-5, abs=5e-7), name
     for k in range(3):
@@ -194,7 +196,7 @@ def test_dynamic_tip_gradients_by_pressures_geometry_weight_and_wrench_equal_fin
 
     def arm_at(x: float) -> Arm:
         geometry = Geometry.on_circle(0.17 * (1 + x), 0.0095, 0.014, 0.0318, (10 * x, 120.0, 240.0))
-        return replace(arm_of(rule), geometry=geometry, gravity_m_s2=(3 * x, -2 * x, 9.81))
+        return replace(arm_of(rule), gravity_m_s2=(3 * x, -2 * x, 9.81)).with_segment(geometry=geometry)
 
     def pull_at(x: float) -> TipWrench | None:
         return pull and replace(pull, force_n=pull.force_n + x, point_m=pull.point_m * (1 + x))

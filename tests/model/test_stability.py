@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model import Arm, Geometry, Loads, Material, NotConverged, Unstable, batch, sensitivities
+from model import Arm, Geometry, Loads, Material, NotConverged, Segment, Unstable, batch, sensitivities
 from model.arrays import Array
 from model.dynamics import Dynamics
 from model.kernel_arguments import KernelArguments
@@ -23,7 +23,7 @@ TWO_TUBES = Geometry(0.2, 0.0095, 0.014, ((-0.03, 0.0), (0.03, 0.0)))
 
 
 def pushed(geometry: Geometry) -> Arm:
-    return replace(Arm.paper("homogeneous"), geometry=geometry, cap_mass_kg=0.0)
+    return replace(Arm.paper("homogeneous"), cap_mass_kg=0.0).with_segment(geometry=geometry)
 
 
 def stiffnesses(geometry: Geometry, material: Material) -> tuple[float, float, float, float]:
@@ -144,7 +144,7 @@ def test_of_two_equilibria_the_stable_one_is_found_for_any_orientation_of_the_ar
         c, s = math.cos(turn), math.sin(turn)
         q = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         geometry = Geometry(length, 0.0095, 0.014, tuple(map(tuple, np.array(xy) @ q[:2, :2].T)))
-        arm = Arm(geometry, Material.paper(), variant, rod_weight=True)  # type: ignore[arg-type]
+        arm = Arm((Segment(geometry, Material.paper(), variant),), rod_weight=True)  # type: ignore[arg-type]
         loads = Loads(q @ force, tip_point_m=q @ point, force_n_per_m=q @ (0.5, 0.0, 0.0))
         shape = statics(arm, pressure, loads, nodes=60)
         assert shape.stable
@@ -156,10 +156,9 @@ def test_of_two_equilibria_the_stable_one_is_found_for_any_orientation_of_the_ar
 def random_case(rng: np.random.Generator, force_n: float) -> tuple[Arm, Array, Loads]:
     tubes = int(rng.integers(1, 8))
     xy = tuple(map(tuple, rng.uniform(-0.04, 0.04, (tubes, 2))))
-    arm = Arm(
-        Geometry(rng.uniform(0.04, 0.4), 0.0095, 0.014, xy), Material.paper(),
-        rng.choice(["homogeneous", "homogeneous+rpe", "inhomogeneous+rpe"]), rod_weight=bool(rng.integers(2)),
-    )  # fmt: skip
+    geometry = Geometry(rng.uniform(0.04, 0.4), 0.0095, 0.014, xy)
+    variant = rng.choice(["homogeneous", "homogeneous+rpe", "inhomogeneous+rpe"])
+    arm = Arm((Segment(geometry, Material.paper(), variant),), rod_weight=bool(rng.integers(2)))
     loads = Loads(
         tip_force_n=rng.uniform(-force_n, force_n, 3), tip_point_m=rng.uniform(-0.05, 0.05, 3),
         force_n_per_m=(0.5, 0.0, 0.0),

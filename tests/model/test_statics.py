@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from model import Arm, Geometry, Loads, Material, NotConverged
+from model import Arm, Geometry, Loads, Material, NotConverged, Segment
 from model.statics import statics
 from tests.support.budget import examples
 
@@ -82,7 +82,7 @@ def test_the_error_falls_with_the_fourth_power_of_the_step(variant: str) -> None
 @pytest.mark.parametrize("length_m", [0.05, 0.34, 0.7])
 def test_the_default_steps_suffice_for_slender_arms_too(length_m: float) -> None:
     arm = Arm.paper()
-    arm = replace(arm, geometry=replace(arm.geometry, length_m=length_m))
+    arm = arm.with_segment(geometry=replace(arm.geometry, length_m=length_m))
     p = np.array([0.5, 0.0, 0.1]) * BAR
     fine = statics(arm, p, nodes=320).tip_m
     assert np.abs(statics(arm, p).tip_m - fine).max() < 3e-8
@@ -93,7 +93,7 @@ def test_the_default_steps_suffice_for_slender_arms_too(length_m: float) -> None
 def test_a_turned_arm_has_a_turned_tip(bar: tuple[float, ...], turn: float, variant: str) -> None:
     arm = Arm.paper(variant)
     turned_xy = (about_z(turn)[:2, :2] @ arm.geometry.positions_m.T).T
-    turned = replace(arm, geometry=replace(arm.geometry, actuator_xy_m=tuple(map(tuple, turned_xy))))
+    turned = arm.with_segment(geometry=replace(arm.geometry, actuator_xy_m=tuple(map(tuple, turned_xy))))
     p = np.array(bar) * BAR
     assert np.abs(statics(turned, p).tip_m - about_z(turn) @ statics(arm, p).tip_m).max() < 1e-9
 
@@ -112,7 +112,7 @@ def test_any_arm_and_its_loads_turned_have_a_turned_tip(
     tips = []
     for by in (np.eye(3), q):
         geometry = Geometry(length, 0.0095, 0.014, tuple(map(tuple, xy @ by[:2, :2].T)))
-        arm = Arm(geometry, Material.paper(), variant, rod_weight=True)
+        arm = Arm((Segment(geometry, Material.paper(), variant),), rod_weight=True)
         loads = Loads(tip_force_n=by @ force, tip_point_m=by @ point, force_n_per_m=by @ (0.5, 0.0, 0.0))
         try:
             tips.append(statics(arm, p, loads, nodes=24).tip_m)
@@ -126,7 +126,7 @@ def test_any_arm_and_its_loads_turned_have_a_turned_tip(
 def test_the_actuators_names_do_not_matter(bar: tuple[float, ...], order: list[int], variant: str) -> None:
     arm = Arm.paper(variant)
     xy = arm.geometry.actuator_xy_m
-    renamed = replace(arm, geometry=replace(arm.geometry, actuator_xy_m=tuple(xy[k] for k in order)))
+    renamed = arm.with_segment(geometry=replace(arm.geometry, actuator_xy_m=tuple(xy[k] for k in order)))
     p = np.array(bar) * BAR
     one, other = statics(arm, p), statics(renamed, p[order])
     assert np.abs(one.tip_m - other.tip_m).max() < 1e-10
@@ -156,7 +156,7 @@ def test_without_load_and_pressure_the_arm_is_straight(variant: str) -> None:
 def test_any_number_of_actuators_is_one_geometry(count: int) -> None:
     angles = tuple(360.0 * k / count + 10 for k in range(count))
     geometry = Geometry.on_circle(0.17, 0.0095, 0.014, 0.0 if count == 1 else 0.03, angles)
-    arm = replace(Arm.paper("homogeneous+rpe"), geometry=geometry, gravity_m_s2=(0.0, 0.0, 0.0))
+    arm = replace(Arm.paper("homogeneous+rpe"), gravity_m_s2=(0.0, 0.0, 0.0)).with_segment(geometry=geometry)
     shape = statics(arm, [0.3 * BAR] * count)
     stretch = 0.3 * BAR * geometry.chamber_area_m2 / (289142.05 * geometry.wall_area_m2) + 0.05324473 * 0.3
     assert shape.tip_m == pytest.approx([0, 0, 0.17 * (1 + stretch)], abs=1e-10)
@@ -165,13 +165,15 @@ def test_any_number_of_actuators_is_one_geometry(count: int) -> None:
 def in_pairs(arm: Arm) -> Arm:
     """The arm with every tube there twice, and twice the cap: then each tube carries what it carried."""
     xy = tuple(point for point in arm.geometry.actuator_xy_m for _ in range(2))
-    return replace(arm, geometry=replace(arm.geometry, actuator_xy_m=xy), cap_mass_kg=2 * arm.cap_mass_kg)
+    return replace(arm, cap_mass_kg=2 * arm.cap_mass_kg).with_segment(geometry=replace(arm.geometry, actuator_xy_m=xy))
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_splitting_each_tube_in_two_changes_nothing_in_the_pointwise_section(count: int) -> None:
     angles = tuple(360.0 * k / count + 10 for k in range(count))
-    arm = replace(Arm.paper(), geometry=Geometry.on_circle(0.17, 0.0095, 0.014, 0.03, angles), rod_weight=True)
+    arm = replace(Arm.paper(), rod_weight=True).with_segment(
+        geometry=Geometry.on_circle(0.17, 0.0095, 0.014, 0.03, angles)
+    )
     p = np.array([0.6, 0.1, 0.35, 0.2])[:count] * BAR
     one, twice = statics(arm, p), statics(in_pairs(arm), np.repeat(p, 2))
     assert np.abs(one.p_m - twice.p_m).max() < 1e-12
@@ -182,7 +184,7 @@ def test_actuators_may_stand_off_the_axis() -> None:
     # The same arm described from a line 20 mm aside: eq 29 relates the two axes.
     arm, shift = Arm.paper("homogeneous+rpe"), np.array([0.02, -0.01])
     xy = tuple(map(tuple, arm.geometry.positions_m + shift))
-    aside = replace(arm, geometry=replace(arm.geometry, actuator_xy_m=xy), cap_mass_kg=0.0)
+    aside = replace(arm, cap_mass_kg=0.0).with_segment(geometry=replace(arm.geometry, actuator_xy_m=xy))
     p = np.array([0.6, 0.2, 0.4]) * BAR
     one, other = statics(replace(arm, cap_mass_kg=0.0), p), statics(aside, p)
     offset = np.array([*shift, 0.0])
@@ -205,8 +207,8 @@ def test_the_pointwise_section_with_no_curvature_in_its_law_is_the_linear_one() 
     g = Geometry.paper()
     material = replace(Material.paper(), a1_per_n=1 / (289142.05 * g.wall_area_m2), a2_per_n2=0.0)
     p = np.array([0.65, 0.0, 0.3]) * BAR
-    pointwise = statics(Arm(g, material, "inhomogeneous+rpe"), p)
-    linear = statics(Arm(g, material, "homogeneous+rpe"), p)
+    pointwise = statics(Arm((Segment(g, material, "inhomogeneous+rpe"),)), p)
+    linear = statics(Arm((Segment(g, material, "homogeneous+rpe"),)), p)
     assert np.abs(pointwise.p_m - linear.p_m).max() < 1e-11
 
 

@@ -101,4 +101,4 @@ def test_more_steps_than_fit_memory_and_time_are_refused(nodes: int) -> None:
 def test_an_arm_so_slender_that_it_needs_more_steps_is_refused() -> None:
     thin = Geometry.on_circle(10.0, 1e-5, 2e-5, 3e-5, (0.0, 120.0, 240.0))
     with pytest.raises(ValueError, match="at most 20000 steps along it"):
-        statics(replace(Arm.paper(), geometry=thin), (0, 0, 0))
+        statics(Arm.paper().with_segment(geometry=thin), (0, 0, 0))

@@ -23,7 +23,7 @@ BRANCHES = (MaxwellBranch(0.2, 0.7), MaxwellBranch(0.1, 9.0))
 def viscous(branches: tuple[MaxwellBranch, ...] = BRANCHES, variant: str = "homogeneous", **changed) -> Arm:  # type: ignore[no-untyped-def]
     arm = Arm.paper(variant)
     material = replace(arm.material, branches=branches)
-    return replace(arm, material=material, **{"cap_mass_kg": 0.0, "inertia": False, **changed})
+    return replace(arm, **{"cap_mass_kg": 0.0, "inertia": False, **changed}).with_segment(material=material)
 
 
 def stretch_per_pa(arm: Arm) -> float:
@@ -122,7 +122,7 @@ def test_branches_change_no_equilibrium(variant: str) -> None:
     bent = np.array([0.5, 0.1, 0.0]) * BAR
     for inertia in (True, False):
         arm = viscous(variant=variant, inertia=inertia, cap_mass_kg=0.05)
-        elastic = replace(arm, material=replace(arm.material, branches=()))
+        elastic = arm.with_segment(material=replace(arm.material, branches=()))
         assert np.array_equal(statics(arm, bent).tip_m, statics(elastic, bent).tip_m)
         dynamics = Dynamics(arm, 0.02)
         dynamics.start(bent)
@@ -157,7 +157,7 @@ def test_gradients_are_those_of_finite_differences(variant: str, inertia: bool) 
 
     def arm_at(modulus: float = 0.2, time_s: float = 0.7, damping_s: float = 0.02) -> Arm:
         arm = viscous((MaxwellBranch(modulus, time_s), BRANCHES[1]), variant, inertia=inertia, cap_mass_kg=0.05)
-        return replace(arm, material=replace(arm.material, damping_s=damping_s))
+        return arm.with_segment(material=replace(arm.material, damping_s=damping_s))
 
     varied = ({"modulus": 0.2}, {"time_s": 0.7}, {"damping_s": 0.02})
     changes = [Variation(1e-7, arm_at(**{name: value + 1e-7})) for one in varied for name, value in one.items()]

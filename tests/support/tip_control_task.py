@@ -16,9 +16,9 @@ from runs.interpolation import interpolated
 
 LIMIT_PA, RATE_PA_S = 0.7e5, 1e5
 _PAPER = model.Arm.paper()
-ARM = replace(_PAPER, material=replace(_PAPER.material, damping_s=0.01))
+ARM = _PAPER.with_segment(material=replace(_PAPER.material, damping_s=0.01))
 SETTINGS = TipControlSettings(ARM, (0, 1, 2), LIMIT_PA, RATE_PA_S, 1 / 30, 0.04, 0.015)
-OTHER = replace(ARM, material=replace(ARM.material, a1_per_n=0.0077, rpe_per_bar=0.0515, density_kg_m3=1130.0))
+OTHER = ARM.with_segment(material=replace(ARM.material, a1_per_n=0.0077, rpe_per_bar=0.0515, density_kg_m3=1130.0))
 """An arm unlike the model."""
 
 

@@ -33,7 +33,7 @@ def test_the_prior_of_a_free_parameter_counts_in_its_estimate() -> None:
     start = Setup(model.Arm.paper())
     softer = replace(start.arm.material, a1_per_n=1.2 * start.arm.material.a1_per_n)
     pressure = np.random.default_rng(3).uniform(0, 0.5e5, (12, 3))
-    truth = replace(start, arm=replace(start.arm, material=softer))
+    truth = replace(start, arm=start.arm.with_segment(material=softer))
     errors = MeasurementErrors((1e-3, 1e-3, 1e-3), 0, 0)
     data = perform(plan("run", pressure, np.zeros(12)), truth, np.random.default_rng(4), errors)
     a1 = start.arm.material.a1_per_n

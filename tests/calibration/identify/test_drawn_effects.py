@@ -44,7 +44,7 @@ def test_drawn_coefficients_have_presence_mean_and_rms_of_the_prior() -> None:
 
 
 def test_what_the_model_contains_is_not_drawn() -> None:
-    arm = replace(START.arm, material=replace(START.arm.material, branches=(MaxwellBranch(0.04, 2.0),)))
+    arm = START.arm.with_segment(material=replace(START.arm.material, branches=(MaxwellBranch(0.04, 2.0),)))
     drawn = drawn_effects(arm, [RAMP], np.random.default_rng(0))
     assert "time since step" not in {one.name for one in drawn.terms}
     assert len(drawn.terms) == len(TERMS) - 1

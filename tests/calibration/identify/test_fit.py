@@ -31,7 +31,7 @@ ZEROS = {"sensor_offsets": Prior(0.0, 200.0)}
 
 def true_setup(**material: float) -> Setup:
     changed = {"a1_per_n": 0.0079, "a2_per_n2": 0.00034, "rpe_per_bar": 0.049, **material}
-    return Setup(replace(START.arm, material=replace(START.arm.material, **changed)))
+    return Setup(START.arm.with_segment(material=replace(START.arm.material, **changed)))
 
 
 def done(
@@ -111,7 +111,7 @@ def test_the_search_converges_from_far_with_correlated_parameters() -> None:
     # Base, measured point and angles turn into one another, and precise tips make the valley between them narrow.
     material = replace(true_setup().arm.material, a1_per_n=0.0052, a2_per_n2=0.00013, rpe_per_bar=0.08, shear_ratio=0.7)
     truth = Setup(
-        replace(true_setup().arm, material=material, cap_mass_kg=0.02),
+        replace(true_setup().arm, cap_mass_kg=0.02).with_segment(material=material),
         base_translation_m=(0.009, -0.009, -0.009),
         base_rotation_rad=(-0.07, 0.06, 0.07),
         tool_offset_m=(0.007, 0.007, -0.007),
@@ -158,7 +158,9 @@ def test_fixed_parameters_widen_the_error_bars_of_the_others() -> None:
     # Hung weights tell a1 times the length, and where the base is believed to be tells the length to 7 %.
     hanging = plan("weights", np.zeros((7, 3)), np.linspace(0, 1.2, 7))
     arm = true_setup().arm
-    truth = Setup(replace(arm, geometry=replace(arm.geometry, length_m=0.176)), base_translation_m=(0.0, 0.0, -0.006))
+    truth = Setup(
+        arm.with_segment(geometry=replace(arm.geometry, length_m=0.176)), base_translation_m=(0.0, 0.0, -0.006)
+    )
     small = MeasurementErrors((2e-5, 2e-5, 2e-5), 0.0, 0.0)
     known = {"base_z_m": Prior(0.0, 0.012)}
     fit = identify(done(truth, planned=(hanging,), errors=small), START, ["law", "length_m", "base_z_m"], known)
@@ -202,7 +204,7 @@ def test_a_parameter_known_from_its_prior_alone_is_not_identified() -> None:
 def test_a_wrong_model_has_a_discrepancy_and_wider_error_bars() -> None:
     small = MeasurementErrors((1e-5, 1e-5, 1e-5), 5.0, 0.0)
     data = done(true_setup(), errors=small)
-    homogeneous = replace(START, arm=replace(START.arm, variant="homogeneous+rpe"))
+    homogeneous = replace(START, arm=START.arm.with_segment(variant="homogeneous+rpe"))
     wrong = identify(data, homogeneous, ["youngs_modulus_pa", "rpe_per_bar"])
     right = identify(data, START, ["law", "rpe_per_bar"])
     assert right.discrepancy_m < 1e-5
@@ -217,7 +219,7 @@ def test_damping_is_identified_from_static_and_moving_runs_together() -> None:
     step = np.where(t[:, None] < 0.3, 0.2e5, 0.5e5) * np.array([1.0, 0.0, 0.0])
     moving = plan("step", step, period_s=1 / 30)
     data = done(truth, planned=(PLANNED[0], moving), errors=MeasurementErrors((1e-4, 1e-4, 1e-4), 0.0, 0.0))
-    start = Setup(replace(START.arm, material=replace(START.arm.material, damping_s=0.01)))
+    start = Setup(START.arm.with_segment(material=replace(START.arm.material, damping_s=0.01)))
     fit = identify(data, start, ["law", "damping_s"])
     estimate = fit["damping_s"]
     assert estimate.value is not None

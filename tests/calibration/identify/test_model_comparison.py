@@ -40,7 +40,7 @@ def some() -> tuple[Candidate, ...]:
 
 def test_an_inhomogeneous_arm_is_recognised_and_the_larger_model_pays() -> None:
     arm = model.Arm.paper()
-    choice = compare_models(data(replace(arm, material=replace(arm.material, a1_per_n=0.008))), some(), workers=1)
+    choice = compare_models(data(arm.with_segment(material=replace(arm.material, a1_per_n=0.008))), some(), workers=1)
     assert [row.candidate.name for row in choice.rows] == [
         "homogeneous",
         "homogeneous+rpe",
@@ -89,7 +89,9 @@ def test_the_conclusion_names_a_memory_that_predicts_better_but_gains_too_little
     one = candidates(START)[0]
     arm = START.arm
     branch = MaxwellBranch(0.1, 1.0)
-    memory = replace(one, name="branch", start=Setup(replace(arm, material=replace(arm.material, branches=(branch,)))))
+    memory = replace(
+        one, name="branch", start=Setup(arm.with_segment(material=replace(arm.material, branches=(branch,))))
+    )
     plain = ComparisonRow(one, 1.0, 1e-3, 0.0, 100.0, 5, None)
     near = ComparisonRow(memory, 1.0, 0.97e-3, 0.0, 100.0, 7, None)
     assert best_of((plain, near)) is plain
@@ -152,7 +154,7 @@ def test_an_interrupted_comparison_resumes_from_its_stored_results(tmp_path: Pat
 
 def test_damping_of_a_held_out_run_does_not_leak_into_its_prediction() -> None:
     arm = model.Arm.paper()
-    damped = replace(arm, material=replace(arm.material, damping_s=0.06))
+    damped = arm.with_segment(material=replace(arm.material, damping_s=0.06))
     sine = (0.35e5 + 0.15e5 * np.sin(np.arange(60)[:, None] / 5)) * np.array([1.0, 0, 0])
     rng = np.random.default_rng(5)
     moving = perform(plan("sine", sine, period_s=1 / 30, errors=ERRORS), Setup(damped), rng, ERRORS)
@@ -197,7 +199,7 @@ def test_with_moving_runs_every_model_is_compared_with_and_without_damping(
     damping_s: float, free: tuple[str, ...]
 ) -> None:
     arm = model.Arm.paper()
-    start = Setup(replace(arm, material=replace(arm.material, damping_s=damping_s)))
+    start = Setup(arm.with_segment(material=replace(arm.material, damping_s=damping_s)))
     moving = candidates(start, free, moving=True)
     assert [c.name for c in moving[::2]] == [c.name for c in moving[1::2]] == [c.name for c in candidates(start)]
     for without, damped in zip(moving[::2], moving[1::2], strict=True):

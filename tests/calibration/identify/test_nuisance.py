@@ -36,7 +36,7 @@ def measured(truth: Setup, seed: int = 3) -> list[Poses]:
 def test_a_stated_value_that_is_wrong_biases_the_law_only_without_its_uncertainty() -> None:
     # The cap and the bore are not as the rig states them: by 2 g of 50 g and 0.5 mm of 9.5 mm.
     geometry = replace(START.arm.geometry, inner_radius_m=0.01)
-    truth = Setup(replace(START.arm, cap_mass_kg=0.052, geometry=geometry))
+    truth = Setup(replace(START.arm, cap_mass_kg=0.052).with_segment(geometry=geometry))
     priors, true = {"sensor_offsets": Prior(0.0, 100.0)}, truth.arm.material.a1_per_n
     exact = identify(measured(truth), START, FREE, priors)["a1_per_n"]
     honest = identify(measured(truth), START, FREE, priors, stated=stated_values(START, {}))["a1_per_n"]
@@ -66,7 +66,7 @@ def test_what_has_no_effect_on_the_data_is_not_estimated() -> None:
     assert every - in_motion - ALL_NAMES == inert | without_orientation
     assert ALL_NAMES & in_motion == set()
     relaxing = replace(START.arm.material, branches=(MaxwellBranch(0.05, 2.0),))
-    names = {p.name for p in nuisance_parameters(Setup(replace(START.arm, material=relaxing)), PLANNED, free)}
+    names = {p.name for p in nuisance_parameters(Setup(START.arm.with_segment(material=relaxing)), PLANNED, free)}
     assert names - at_rest == {"branch_1_modulus", "branch_1_time_s"}
     growing = Setup(replace(START.arm, actuation=OwnPressure()))
     assert {p.name for p in nuisance_parameters(growing, PLANNED, free)} - at_rest == {"push_growth_per_bar"}
@@ -116,7 +116,7 @@ def test_a_doubtful_search_starts_again_until_two_results_agree(monkeypatch: pyt
     from calibration.identify.least_squares import LeastSquaresProblem
 
     true = replace(START.arm.material, a1_per_n=0.0085, a2_per_n2=0.0004)
-    problem = LeastSquaresProblem(measured(Setup(replace(START.arm, material=true))), START, named(["law"], 3))
+    problem = LeastSquaresProblem(measured(Setup(START.arm.with_segment(material=true))), START, named(["law"], 3))
     assert len(search(problem, np.zeros(2), None, 0, lambda text: None).losses) == 1
     proper, calls = LeastSquaresProblem.gauss_newton, []
 

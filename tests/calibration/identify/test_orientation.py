@@ -217,7 +217,7 @@ def on_a_course(truth: Setup) -> Poses:
 
 
 RELAXING = replace(
-    LEANING, arm=replace(LEANING.arm, material=replace(LEANING.arm.material, branches=(MaxwellBranch(0.3, 1.0),)))
+    LEANING, arm=LEANING.arm.with_segment(material=replace(LEANING.arm.material, branches=(MaxwellBranch(0.3, 1.0),)))
 )
 
 

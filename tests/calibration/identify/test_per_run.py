@@ -18,7 +18,7 @@ from calibration.identify.simulated_experiments import MeasurementErrors, perfor
 
 START = Setup(model.Arm.paper())
 MATERIAL = replace(START.arm.material, a1_per_n=0.0079, a2_per_n2=0.00034)
-TRUTH = Setup(replace(START.arm, material=MATERIAL))
+TRUTH = Setup(START.arm.with_segment(material=MATERIAL))
 ERRORS = MeasurementErrors((3e-5, 3e-5, 3e-5), 10.0, 0.0)
 RAMP = np.linspace(0.05e5, 0.6e5, 7)[:, None]
 BASE = ("base_x_m", "base_y_m", "base_z_m")

@@ -21,7 +21,7 @@ ERRORS = MeasurementErrors(tip_m=(2e-4, 2e-4, 2e-4), pressure_pa=150.0, offset_p
 def driven_near_the_first_mode(damping_s: float = 0.01) -> tuple[Poses, Setup]:
     """A bent arm that shakes at 5 Hz, with tips where the model predicts them."""
     arm = model_arm(load("mock"))
-    setup = Setup(replace(arm, material=replace(arm.material, damping_s=damping_s)))
+    setup = Setup(arm.with_segment(material=replace(arm.material, damping_s=damping_s)))
     phase = 2 * np.pi * 5.0 * np.arange(FRAMES)[:, None] / CAMERA_HZ
     pressure = 1e5 * (np.array([0.35, 0.1, 0.1]) + np.array([0.03, 0.0, 0.0]) * np.sin(phase))
     planned = plan("shaken", pressure, period_s=1 / CAMERA_HZ, errors=ERRORS)

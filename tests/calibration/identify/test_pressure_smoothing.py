@@ -94,7 +94,7 @@ def test_smoothing_keeps_edges() -> None:
 @pytest.mark.slow
 def test_pressure_noise_does_not_bias_the_density() -> None:
     arm = model.Arm.paper()
-    truth = Setup(replace(arm, material=replace(arm.material, damping_s=0.01, density_kg_m3=1100.0)))
+    truth = Setup(arm.with_segment(material=replace(arm.material, damping_s=0.01, density_kg_m3=1100.0)))
     cycles_s, frames_s = np.arange(0, 9, 1 / CYCLE_HZ), np.arange(0, 9, 1 / CAMERA_HZ)
     planned = plan(
         "sine", sine(frames_s), period_s=1 / CAMERA_HZ, errors=MeasurementErrors((3e-5, 3e-5, 3e-5), 0.0, 0.0)
@@ -137,7 +137,7 @@ def test_extrapolated_steps_do_not_change_the_damping_of_a_fast_motion(
 
     def tips(damping_s: float, substeps: int, extrapolated: bool = False) -> np.ndarray:
         arm = model.Arm.paper()
-        setup = Setup(replace(arm, material=replace(arm.material, damping_s=damping_s)))
+        setup = Setup(arm.with_segment(material=replace(arm.material, damping_s=damping_s)))
         return Predictor(fast, substeps, extrapolated)(setup)
 
     truth = tips(true_s, 32, extrapolated=True)

@@ -20,7 +20,7 @@ PER_FRAME = round(FRAME_S / CYCLE_S)
 
 def damped_arm() -> Setup:
     arm = model.Arm.paper()
-    return Setup(replace(arm, material=replace(arm.material, damping_s=0.01)))
+    return Setup(arm.with_segment(material=replace(arm.material, damping_s=0.01)))
 
 
 def pulse(time_s: np.ndarray) -> np.ndarray:

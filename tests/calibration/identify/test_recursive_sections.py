@@ -66,7 +66,7 @@ def test_sections_tell_the_base_from_the_mounting_of_the_tip() -> None:
 
 def test_the_intervals_hold_the_truth_though_a_board_is_glued_on_askew() -> None:
     material = replace(START.arm.material, a1_per_n=1.05 * START.arm.material.a1_per_n)
-    arm = replace(START.arm, material=material)
+    arm = START.arm.with_segment(material=material)
     truth = replace(START, arm=arm, sections=(MOVED,), base_rotation_rad=(0.01, 0.0, 0.0))
     true = np.array([p.read(truth) for p in named(FREE, 3)])
     z = np.array([(one.values - true) / one.std for one in (estimated(poses_of(truth, seed)) for seed in (1, 2, 3))])

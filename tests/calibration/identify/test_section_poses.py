@@ -58,7 +58,7 @@ def test_sections_tell_shear_from_bending_stiffness_and_mounting_and_the_tip_alo
 
 
 def test_a_run_without_errors_is_fitted_exactly_and_says_which_sections_count() -> None:
-    truth = replace(START, arm=replace(START.arm, material=replace(START.arm.material, a1_per_n=0.009)))
+    truth = replace(START, arm=START.arm.with_segment(material=replace(START.arm.material, a1_per_n=0.009)))
     planned = plan("one", RAMP * [1, 0.3, 0], errors=ORIENTED, sections_m=SECTIONS)
     fit = identify([exact(planned, truth)], START, ("a1_per_n",))
     assert fit["a1_per_n"].value == pytest.approx(0.009, rel=1e-5)

@@ -27,7 +27,7 @@ MOVING = plan(
 
 def start() -> Setup:
     arm = replace(model.Arm.paper(), rod_weight=True)
-    return Setup(replace(arm, material=replace(arm.material, damping_s=0.01)), tool_offset_m=(0.0, 0.01, 0.03))
+    return Setup(arm.with_segment(material=replace(arm.material, damping_s=0.01)), tool_offset_m=(0.0, 0.01, 0.03))
 
 
 def differences(problem: LeastSquaresProblem, z: NDArray[np.float64], i: int, run: int) -> NDArray[np.float64]:
@@ -57,7 +57,7 @@ def test_slopes_equal_finite_differences_static_and_dynamic(monkeypatch: pytest.
 def test_slopes_at_a_bound_use_a_step_inwards() -> None:
     material = replace(start().arm.material, shear_ratio=5.0)
     problem = LeastSquaresProblem(
-        [RESTING], replace(start(), arm=replace(start().arm, material=material)), named(["shear_ratio"], 3)
+        [RESTING], replace(start(), arm=start().arm.with_segment(material=material)), named(["shear_ratio"], 3)
     )
     z = np.zeros(1)
     inside = problem.predicted(z - 2e-3)[0], problem.predicted(z - 1e-3)[0], problem.predicted(z)[0]

@@ -87,7 +87,7 @@ def test_whitened_residuals_have_the_stated_shared_errors_taken_out() -> None:
 def vented_courses(seed: int) -> tuple[Poses, Setup]:
     """A fine camera sees an arm of which the vented chambers follow the moving one by pascals."""
     arm = model.Arm.paper()
-    truth = Setup(replace(arm, material=replace(arm.material, damping_s=0.01)))
+    truth = Setup(arm.with_segment(material=replace(arm.material, damping_s=0.01)))
     pressure, rate = one_moving_chamber(300)
     planned = plan("sine", pressure, period_s=1 / CAMERA_HZ, errors=MeasurementErrors(TIP_M, NOISE_PA, 0.0))
     rng = np.random.default_rng(seed)

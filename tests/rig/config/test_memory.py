@@ -127,7 +127,9 @@ def test_the_model_beside_a_run_its_replay_and_its_identification_remember_alike
     arm = model_arm(load(file))
     poses = quasi_static_poses(live)
     predicted = 1e3 * Predictor(poses)(Setup(arm))[57]
-    elastic = replace(arm, material=replace(arm.material, branches=()), actuation=replace(arm.actuation, stops=()))
+    elastic = replace(arm, actuation=replace(arm.actuation, stops=())).with_segment(
+        material=replace(arm.material, branches=())
+    )
     forgetful = 1e3 * Predictor(poses)(Setup(elastic))[57]
     assert np.linalg.norm(tips[0] - forgetful) > 0.5
     assert np.linalg.norm(tips[0] - predicted) < 0.1
@@ -138,7 +140,7 @@ def test_memory_is_identified_and_its_file_applies_to_a_rig_with_as_much_only(tm
     start = Setup(model_arm(load(file)))
     material = replace(start.arm.material, branches=(MaxwellBranch(0.08, 3.0),))
     actuation = replace(start.arm.actuation, stops=(StopElement(0.05, 3e3),))
-    truth = replace(start, arm=replace(start.arm, material=material, actuation=actuation))
+    truth = replace(start, arm=replace(start.arm, actuation=actuation).with_segment(material=material))
     corners = np.repeat([0.0, 0.5, 0.46, 0.5, 0.3, 0.6, 0.56, 0.1, 0.4, 0.0], 2)
     levels = 1e5 * np.interp(np.arange(0, 19, 0.1), np.arange(20), corners)[:, None]
     planned = [plan_slow("a", levels * [1.0, 0, 0], 0.25), plan_slow("b", levels * [0, 0.8, 0.5], 0.25)]

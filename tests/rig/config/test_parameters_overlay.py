@@ -47,7 +47,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Path:
     start = Setup(model_arm(load("mock")))
     material = replace(start.arm.material, a1_per_n=0.0079, rpe_per_bar=0.049)
     geometry = replace(start.arm.geometry, length_m=0.175)
-    arm = replace(start.arm, material=material, geometry=geometry, cap_mass_kg=0.056)
+    arm = replace(start.arm, cap_mass_kg=0.056).with_segment(material=material, geometry=geometry)
     truth = Setup(arm, base_translation_m=SHIFT_M, base_rotation_rad=TURN_RAD, sensor_gain=(1.02, 1.0, 1.0))
     ramp = np.linspace(0.0, 0.6e5, 7)[:, None]
     planned = [plan("a", ramp * np.array([1.0, 0, 0])), plan("b", ramp * np.array([0, 1.0, 1.0]))]

@@ -39,7 +39,7 @@ def archive(
 ) -> Path:
     """A run of plateaus on an arm that is softer than the mock's file says, as its archive would be."""
     arm = model_arm(load("mock"))
-    truth = Setup(replace(arm, material=replace(arm.material, **TRUE)))
+    truth = Setup(arm.with_segment(material=replace(arm.material, **TRUE)))
     poses = perform(
         plan(name, pressure_bar * 1e5, weight_kg), truth, np.random.default_rng(2), MeasurementErrors((0, 0, 0), 0, 0)
     )

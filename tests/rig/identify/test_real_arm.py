@@ -71,7 +71,7 @@ def test_the_unseen_part_and_a_loaded_run_are_predicted_better_than_by_others(
 # The arm as its example starts, but stiffer, and mounted as its sensors are.
 START = model_arm(load(EXAMPLES / "stiff-flop-arm.yaml"))
 TRUTH = Setup(
-    replace(START, material=replace(START.material, youngs_modulus_pa=180e3)),
+    START.with_segment(material=replace(START.material, youngs_modulus_pa=180e3)),
     base_translation_m=(-0.014, -0.001, 0.014),
     base_rotation_rad=(-0.04, -0.02, 0.0),
     tool_offset_m=(0.0157, 0.0, 0.006),

@@ -119,7 +119,8 @@ def test_the_wrench_of_any_stated_frame_predicts_the_tip(table: Path, tmp_path: 
 def test_a_strong_force_off_the_axis_is_solved_or_reported_as_unsolved() -> None:
     """The lever of such a pull turns more than the arm that it turns: going back and forth between them diverges."""
     geometry = model.Geometry.on_circle(0.045, 0.00395, 0.0069, 0.00797, (90.0, -30.0, 210.0))
-    arm = model.Arm(geometry, model.Material(130e3, 0.0494, 0.0243, 0.0, 0.333), cap_mass_kg=0.013)
+    material = model.Material(130e3, 0.0494, 0.0243, 0.0, 0.333)
+    arm = model.Arm((model.Segment(geometry, material),), cap_mass_kg=0.013)
     n, point, rng = 24, np.array([0.0157, 0.0, 0.006]), np.random.default_rng(1)
     pressure_pa = rng.uniform(0, 1e5, (n, 3)) * np.eye(3)[rng.integers(0, 3, n)]
     force = 2.0 * Rotation.random(n, random_state=3).apply([0, 0, 1])
@@ -135,7 +136,7 @@ def test_a_strong_force_off_the_axis_is_solved_or_reported_as_unsolved() -> None
 def test_an_arm_under_load_determines_its_law_without_free_pressures(table: Path, tmp_path: Path) -> None:
     poses = quasi_static_poses(run_imported(tmp_path, table, HEAD + TRACKER))
     material = replace(TRUTH.arm.material, a1_per_n=0.0065)
-    fit = identify([poses], replace(TRUTH, arm=replace(TRUTH.arm, material=material)), ["a1_per_n"])
+    fit = identify([poses], replace(TRUTH, arm=TRUTH.arm.with_segment(material=material)), ["a1_per_n"])
     found = fit["a1_per_n"]
     assert found.value == pytest.approx(TRUTH.arm.material.a1_per_n, rel=2e-3)
 

@@ -52,7 +52,7 @@ def test_force_and_strain_of_an_arm_under_weights_give_its_own_law() -> None:
 
 
 def test_the_free_strain_of_an_arm_is_identified_from_both_extension_experiments() -> None:
-    arm = model.Arm(model.Geometry.paper(), model.Material.paper(), cap_mass_kg=0.0)
+    arm = replace(model.Arm.paper(), cap_mass_kg=0.0)
     rng, setup = np.random.default_rng(0), Setup(arm)
     ramp = np.concatenate([[0.0], np.linspace(0.15e5, 0.65e5, 6)])[:, None] * np.ones(3)
     weights = elongation(perform(plan("w", np.zeros((7, 3)), np.linspace(0, 1.2, 7)), setup, rng, EXACT), 0.17)

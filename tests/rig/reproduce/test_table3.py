@@ -36,11 +36,11 @@ def test_three_models_obey_the_triangle_inequality_under_every_reading() -> None
 
 def test_without_radial_effect_both_homogeneous_models_are_one() -> None:
     paper = model.Arm.paper()
-    rows = table3(replace(paper, material=replace(paper.material, rpe_per_bar=0.0)))
+    rows = table3(paper.with_segment(material=replace(paper.material, rpe_per_bar=0.0)))
     assert all(row.between == pytest.approx(0.0, abs=1e-9) for row in rows)
 
 
 def test_an_arm_with_a_larger_radial_effect_would_pass_the_first_inequality() -> None:
     paper = model.Arm.paper()
-    rows = table3(replace(paper, material=replace(paper.material, rpe_per_bar=0.09)))
+    rows = table3(paper.with_segment(material=replace(paper.material, rpe_per_bar=0.09)))
     assert any(row.between_possible for row in rows)

@@ -57,7 +57,7 @@ def test_an_arm_unlike_the_model_follows_far_better_than_by_feedforward() -> Non
 
 def test_an_arm_damped_more_than_stated_is_followed_near_its_first_mode() -> None:
     task = circle(3.0, 3.0, 0.008)
-    truth = Truth(replace(ARM, material=replace(ARM.material, damping_s=0.018)), np.ones(3))
+    truth = Truth(ARM.with_segment(material=replace(ARM.material, damping_s=0.018)), np.ones(3))
     assert simulate(SETTINGS, None, truth, task, seed=1).rms_m(1.0) > 4e-3
     assert simulate(SETTINGS, HorizonControl(SETTINGS), truth, task, seed=1).rms_m(1.0) < 0.5e-3
 

@@ -23,12 +23,12 @@ DURATION_S = 4.0
 
 def _arm() -> model.Arm:
     arm = model.Arm.paper()
-    return replace(arm, material=replace(arm.material, damping_s=0.01))
+    return arm.with_segment(material=replace(arm.material, damping_s=0.01))
 
 
 ARM = _arm()
 SETTINGS = TipControlSettings(ARM, (0, 1, 2), LIMIT_PA, RATE_PA_S, 1 / 30, 0.04, 0.015)
-OTHER = replace(ARM, material=replace(ARM.material, a1_per_n=0.0077, rpe_per_bar=0.0515, density_kg_m3=1130.0))
+OTHER = ARM.with_segment(material=replace(ARM.material, a1_per_n=0.0077, rpe_per_bar=0.0515, density_kg_m3=1130.0))
 TRUTH = Truth(OTHER, np.array([1.03, 0.98, 1.0]))
 TIMES = np.arange(0.0, DURATION_S + 1.0, STEP_S)
 TURNS = 2 * np.pi * np.where(TIMES < 1, 0.5 * TIMES**2, TIMES - 0.5)

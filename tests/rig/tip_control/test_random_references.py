@@ -87,7 +87,7 @@ def _truth(arm_seed: int, settings: TipControlSettings) -> Truth:
     names = ("a1_per_n", "rpe_per_bar", "density_kg_m3", "damping_s")
     material = replace(arm.material, **{name: getattr(arm.material, name) * off(0.03) for name in names})
     return Truth(
-        replace(arm, material=material, cap_mass_kg=arm.cap_mass_kg * off(0.02)),
+        replace(arm, cap_mass_kg=arm.cap_mass_kg * off(0.02)).with_segment(material=material),
         np.array([off(0.02) for _ in range(3)]),
     )
 
