@@ -1,7 +1,7 @@
 """Cosserat rods with pressure as an eigenstrain. No I/O, no clock."""
 
 from model.arm import Arm, Coupling, Segment
-from model.errors import NotConverged, Unstable
+from model.errors import NotConverged, SeveralSegments, Unstable
 from model.geometry import Geometry
 from model.loads import Loads
 from model.material import Material
@@ -15,6 +15,7 @@ __all__ = [
     "Material",
     "NotConverged",
     "Segment",
+    "SeveralSegments",
     "Shape",
     "Unstable",
 ]

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from model.actuation import ActuationLaw, Proportional
+from model.errors import SeveralSegments
 from model.geometry import Geometry
 from model.laws.base import ConstitutiveLaw
 from model.material import Material
@@ -77,7 +78,7 @@ class Arm:
 
     segments: they may differ in everything; only one of their laws may be a `TubeLaw`. Pressures are in the order of
     the segments. The properties `geometry`, `material`, `variant` and what follows from them are those of the only
-    segment; they raise ValueError for an arm of several.
+    segment; they raise SeveralSegments for an arm of several.
 
     The variants of the paper are 'homogeneous' (eq 16, no radial pressure effect), 'homogeneous+rpe', and
     'inhomogeneous+rpe', in which each tube follows eq 32 at every point of the rod; model/variants.py has all.
@@ -165,9 +166,9 @@ class Arm:
 
     @property
     def only_segment(self) -> Segment:
-        """The segment of an arm that has one; ValueError for an arm of several."""
+        """The segment of an arm that has one; SeveralSegments for an arm of several."""
         if len(self.segments) > 1:
-            raise ValueError(f"an arm of {len(self.segments)} segments, one was expected")
+            raise SeveralSegments(f"the arm has {len(self.segments)} segments; this is for an arm of one")
         return self.segments[0]
 
     @property

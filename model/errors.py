@@ -8,6 +8,10 @@ from numpy.typing import NDArray
 from model.units import PA_PER_BAR
 
 
+class SeveralSegments(ValueError):  # noqa: N818 - what was found is the name
+    """An arm of several segments, where an arm of one is expected."""
+
+
 class NotConverged(Exception):  # noqa: N818 - the outcome is the name
     """No equilibrium was found; the message says at which pressures."""
 

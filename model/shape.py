@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from model.arrays import Array
 
@@ -50,8 +51,8 @@ class Shape:
     def frames_at(self, s_m: Array) -> tuple[Array, Array]:
         """Position (k, 3) [m] and rotation (k, 3, 3) of the sections at arc lengths (k,), between the points.
 
-        Cubic Hermite interpolation of the axis; rotations by linear interpolation and Newton's iteration to the nearest
-        rotation.
+        Cubic Hermite interpolation of the axis, which is straight along a coupling; rotations by linear interpolation
+        and Newton's iteration to the nearest rotation.
         """
         after = np.clip(np.searchsorted(self.s_m, s_m), 1, len(self.s_m) - 1)
         before, step = after - 1, self.s_m[after] - self.s_m[after - 1]
@@ -59,6 +60,9 @@ class Shape:
         slope = np.einsum("nij,nj->ni", self.rotation, self.v)
         first, last = slope[before] * step[:, None], slope[after] * step[:, None]
         change = self.p_m[after] - self.p_m[before]
+        if len(self.first_nodes) > 2:
+            rigid = np.isin(after, self.first_nodes[1:-1])
+            first[rigid], last[rigid] = change[rigid], change[rigid]
         position = self.p_m[before] + t * (
             first + t * (3 * change - 2 * first - last + t * (first + last - 2 * change))
         )
@@ -68,6 +72,13 @@ class Shape:
             if np.abs(defect).max(initial=0.0) < _SMALLEST:
                 return position, rotation
             rotation = rotation - 0.5 * rotation @ defect
+
+    @property
+    def actuator_points(self) -> NDArray[np.int64]:
+        """The points (N, 2) of each actuator: its first, and the one after its last."""
+        nodes = self.first_nodes or (0, len(self.s_m))
+        chambers = self.chambers or (0, len(self.actuator_xy_m))
+        return np.repeat(np.stack([nodes[:-1], nodes[1:]], axis=1), np.diff(chambers), axis=0)
 
     @property
     def actuator_lengths_m(self) -> Array:

@@ -106,6 +106,8 @@ class PlayedSegment:
 
 
 GRAVITY_DIRECTION = "gravity_direction"
+SEGMENT = "segment_"
+"""Before the number of a segment, in the names of what an arm of several has for each."""
 """Name of a quantity: a unit vector in the rod-base frame. In the room `calibration`, it was measured for the run."""
 
 

@@ -15,7 +15,7 @@ from rig.calibrate import file_sections
 from rig.calibrate.bench_driver import BenchDriver
 from rig.calibrate.valve_fit import FittedValve, RateMeasurement, fit
 from rig.config import calibration_schema
-from rig.config.arm_model import model_arm
+from rig.config.arm_model import chamber_areas_m2, model_arm
 from rig.config.calibration_files import rounded
 from rig.config.schema import RigConfig
 from rig.control.interlocks.conditions import PressureRate
@@ -104,12 +104,12 @@ def rate_of(time_s: Array, pressure_pa: Array, offset_v: float, outward: bool) -
 def volume_m3(config: RigConfig, chambers: list[int], rest_m3: float, pressure_pa: float, arm: Arm) -> float:
     """Effective air volume V + p dV/dp of some chambers: one that lengthens with its pressure takes in more."""
     step = 0.05 * config.limits.pressure_bar * PA_PER_BAR
-    bore_m2 = math.pi * (config.arm.geometry.inner_radius_mm * 1e-3) ** 2
+    areas_m2 = chamber_areas_m2(config.arm.chain)[chambers]
     volumes = []
     for at in (0.0, pressure_pa - step, pressure_pa + step):
         pressures = np.zeros(config.actuators)
         pressures[chambers] = max(at, 0.0)
-        volumes.append(bore_m2 * float(statics(arm, pressures).actuator_lengths_m[chambers].sum()))
+        volumes.append(float(areas_m2 @ statics(arm, pressures).actuator_lengths_m[chambers]))
     rest, below, above = volumes
     grown = (below + above) / 2 - rest
     return rest_m3 + grown + (pressure_pa + ATMOSPHERE_PA) * (above - below) / (2 * step)

@@ -76,6 +76,7 @@ EXPECTED_ERRORS = {
     "calibration.views.ViewsError": BAD_INPUT,
     "calibration.identify.errors.NoDataError": BAD_INPUT,
     "calibration.identify.parameters.UnknownParameter": BAD_INPUT,
+    "model.errors.SeveralSegments": BAD_INPUT,
     "model.paper.identification.TooFewLoadsError": BAD_INPUT,
     "calibration.identify.recursive_estimator.NotEstimableError": BAD_INPUT,
     "calibration.parallel_map.NoClusterError": FAULT,

@@ -28,6 +28,7 @@ _STYLE = {
     CheckVerdict.SKIPPED: "dim",
 }
 _DRAWINGS = (".png", ".pdf", ".svg")
+COORDINATES = 3
 
 
 def check_drawing(to: Path, replace: bool) -> None:
@@ -58,6 +59,8 @@ def workspace_table(space: TipWorkspace, config: RigConfig) -> Group:
         f"rig {config.name}, {len(config.valves)} valves, 0 to {limits.pressure_bar:g} bar, at rest:\n"
         f"z from {low:.1f} to {high:.1f} mm, up to {space.radius_mm:.1f} mm from the axis"
     )
+    if len(config.valves) > COORDINATES:
+        return Group(facts, "more valves than coordinates: the tip reaches a point with many pressures")
     if not space.sections:
         return Group(facts, "two valves move the tip in a surface: control two coordinates, such as [x, z]")
     heads = ("z [mm]", "circles about the axis, radius [mm]", "farthest point from the axis [mm]")

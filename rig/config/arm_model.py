@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,16 +11,16 @@ import numpy as np
 import model
 from model.arrays import Array
 from model.material import MaxwellBranch
-from model.units import GRAVITY_M_S2
+from model.units import GRAVITY_M_S2, KG_PER_G, M_PER_MM
+from rig.config.arm_sections import GeometryConfig, MaterialConfig, SegmentConfig
 from rig.config.schema import RigConfig
-from rig.config.sections import GeometryConfig, MaterialConfig, Variant
+from rig.config.sections import Variant
 
 
 def model_arm(config: RigConfig, variant: Variant | None = None) -> model.Arm:
     """Return the arm with the rig's stated parameters; `variant` overrides the rig's model variant."""
-    arm = config.arm
-    built = _arm(config, arm.geometry, arm.material, arm.cap_mass_g, variant or config.model.variant)
-    return replace(built, actuation=arm.actuation.as_law())
+    built = _arm(config, config.arm.chain, config.arm.cap_mass_g, variant or config.model.variant)
+    return replace(built, actuation=config.arm.actuation.as_law())
 
 
 def true_arm(config: RigConfig) -> model.Arm:
@@ -29,14 +31,23 @@ def true_arm(config: RigConfig) -> model.Arm:
     """
     if config.simulator is None:
         raise ValueError(f"rig {config.name} has no simulator section")
-    truth = config.simulator
-    return _arm(config, true_geometry(config), truth.material, truth.cap_mass_g, "inhomogeneous+rpe")
+    return _arm(config, true_segments(config), config.simulator.cap_mass_g, "inhomogeneous+rpe")
 
 
-def true_geometry(config: RigConfig) -> GeometryConfig:
-    """Return the simulated arm's geometry; by default the stated one."""
-    truth = config.simulator
-    return config.arm.geometry if truth is None or truth.geometry is None else truth.geometry
+def true_segments(config: RigConfig) -> tuple[SegmentConfig, ...]:
+    """Return the segments of the simulated arm; by default of the stated geometry."""
+    if config.simulator is None:
+        return config.arm.chain
+    return tuple(
+        SegmentConfig(geometry=true.geometry or stated.geometry, material=true.material, coupling=stated.coupling)
+        for true, stated in zip(config.simulator.chain, config.arm.chain, strict=True)
+    )
+
+
+def chamber_areas_m2(segments: Sequence[SegmentConfig]) -> Array:
+    """Return the area of the bore of each chamber (N,) [m2]."""
+    area = [math.pi * (segment.geometry.inner_radius_mm * 1e-3) ** 2 for segment in segments]
+    return np.repeat(area, [len(segment.geometry.actuator_angles_deg) for segment in segments])
 
 
 def model_geometry(geometry: GeometryConfig) -> model.Geometry:
@@ -87,11 +98,18 @@ def gravity_m_s2(config: RigConfig) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def _arm(
-    config: RigConfig, geometry: GeometryConfig, material: MaterialConfig, cap_mass_g: float, variant: Variant
-) -> model.Arm:
+def _arm(config: RigConfig, chain: Sequence[SegmentConfig], cap_mass_g: float, variant: Variant) -> model.Arm:
+    segments = (
+        model.Segment(
+            model_geometry(segment.geometry),
+            model_material(segment.material),
+            variant,
+            model.Coupling(segment.coupling.length_mm * M_PER_MM, segment.coupling.mass_g * KG_PER_G),
+        )
+        for segment in chain
+    )
     return model.Arm(
-        (model.Segment(model_geometry(geometry), model_material(material), variant),),
+        tuple(segments),
         cap_mass_kg=cap_mass_g * 1e-3,
         gravity_m_s2=gravity_m_s2(config),
         rod_weight=config.arm.gravity_on_rod,

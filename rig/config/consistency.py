@@ -12,15 +12,17 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from protocols.problems import closest
+from protocols.source_positions import path_text
 from protocols.validation import ValidationFault
 from rig.config import tip_source_consistency as tip_sources
 from rig.config.sections import Sensor
 from rig.valves.registry import VALVES
 
 if TYPE_CHECKING:
+    from rig.config.arm_sections import ArmConfig, GeometryConfig
     from rig.config.card_sections import CardConfig
     from rig.config.input_sections import AuxiliaryInput, EmergencyStop
-    from rig.config.sections import ArmConfig, CameraConfig, GeometryConfig
+    from rig.config.sections import CameraConfig
     from rig.config.simulator_sections import Simulator
     from rig.config.tracker_sections import TrackerConfig
     from rig.sections.control import Control, Limits
@@ -161,7 +163,8 @@ def _input_values(inputs: Inputs, control: Control, simulator: Simulator | None)
 
 def _actuators(arm: ArmConfig, valves: Valves, sensors: Sensors) -> Iterator[ValidationFault]:
     """Check that every actuator has one valve and one sensor."""
-    count = len(arm.geometry.actuator_angles_deg)
+    count = arm.actuators
+    stated = "(arm, geometry, actuator_angles_deg)" if arm.segments is None else "in its segments"
     drives: list[tuple[int, tuple[str | int, ...]]] = [
         (number, ("valves", i, "actuators", j))
         for i, valve in _numbered(valves)
@@ -174,9 +177,7 @@ def _actuators(arm: ArmConfig, valves: Valves, sensors: Sensors) -> Iterator[Val
         seen: set[int] = set()
         for number, path in users:
             if number > count:
-                yield ValidationFault(
-                    path, f"an actuator from 1 to {count}: the arm has {count} (arm, geometry, actuator_angles_deg)"
-                )
+                yield ValidationFault(path, f"an actuator from 1 to {count}: the arm has {count} {stated}")
             elif number in seen:
                 yield ValidationFault(path, f"each actuator with one {one}: actuator {number} has one already")
             seen.add(number)
@@ -248,7 +249,8 @@ def _cards(cards: Cards) -> Iterator[ValidationFault]:
 
 
 def _arm(arm: ArmConfig) -> Iterator[ValidationFault]:
-    yield from _below(("arm", "geometry"), _geometry(arm.geometry))
+    for k, segment in enumerate(arm.chain):
+        yield from _below(("arm", *arm.path(k), "geometry"), _geometry(segment.geometry))
     if not any(arm.gravity_direction):
         yield ValidationFault(
             ("arm", "gravity_direction"), "a direction, such as [0, 0, 1]; for no weight set the masses to 0"
@@ -306,13 +308,21 @@ def _simulated_parts(valves: Valves, sensors: Sensors, simulator: Simulator | No
 def _simulated_arm(arm: ArmConfig, simulator: Simulator | None) -> Iterator[ValidationFault]:
     if simulator is None:
         return
-    count = len(arm.geometry.actuator_angles_deg)
     for index, effect in _numbered(simulator.arm_effects):
-        yield from _below(("simulator", "arm_effects", index), effect.actuator_faults(count))
-    if simulator.geometry is None:
+        yield from _below(("simulator", "arm_effects", index), effect.actuator_faults(arm.actuators))
+    if len(simulator.chain) != len(arm.chain):
+        key = "material" if simulator.segments is None else "segments"
+        expected = f"{len(arm.chain)} `segments`, as many as the arm has"
+        if arm.segments is None:
+            expected = "`material` in place of `segments`: the arm has one segment"
+        yield ValidationFault(("simulator", key), expected)
         return
-    path = ("simulator", "geometry")
-    yield from _below(path, _geometry(simulator.geometry))
-    if len(simulator.geometry.actuator_angles_deg) != count:
-        expected = f"{count} angles, as many as arm, geometry, actuator_angles_deg has"
-        yield ValidationFault((*path, "actuator_angles_deg"), expected)
+    for k, (true, stated) in enumerate(zip(simulator.chain, arm.chain, strict=True)):
+        if true.geometry is None:
+            continue
+        path = ("simulator", *simulator.path(k), "geometry")
+        yield from _below(path, _geometry(true.geometry))
+        if len(true.geometry.actuator_angles_deg) != (count := len(stated.geometry.actuator_angles_deg)):
+            place = path_text(("arm", *arm.path(k), "geometry", "actuator_angles_deg"))
+            expected = f"{count} angles, as many as {place} has"
+            yield ValidationFault((*path, "actuator_angles_deg"), expected)

@@ -127,6 +127,8 @@ class Draft:
         self._copy(("sensors",), (*built, "sensors"))
         self._copy(("board", "placement"), ("simulator", "board"))
         self._copy(("arm", "geometry"), ("simulator", "geometry"))
+        for k in range(len(self.get("arm", "segments") or ())):
+            self._copy(("arm", "segments", k, "geometry"), ("simulator", "segments", k, "geometry"))
 
     def drop(self, key: str) -> None:
         """Leave out a key of the file."""

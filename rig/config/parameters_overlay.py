@@ -12,9 +12,10 @@ from pydantic import Field
 from calibration.vision.transforms import RigidTransform
 from protocols import Problem, document
 from protocols.source_positions import YamlPath
+from rig.config.arm_sections import ActuationConfig, GeometryConfig, MaterialConfig
 from rig.config.draft import Draft
 from rig.config.optics import placement_of, rigid
-from rig.config.sections import ActuationConfig, GeometryConfig, MaterialConfig, ModelConfig, Placement, Variant
+from rig.config.sections import ModelConfig, Placement, Variant
 from rig.sections.base import Section
 from rig.sections.quantities import NonNegative, Number, Positive, Triple
 
@@ -134,6 +135,8 @@ def _misfits(draft: Draft, parameters: Parameters, variant: Variant | None) -> l
             refuse(("arm", "actuation", "law"), found.arm.actuation.law, expected)
         if (count := len(found.arm.actuation.stops)) != len(stated.stops):
             refuse(("arm", "actuation", "stops"), f"{count} stop elements", f"{len(stated.stops)}, as {rig} has")
+    if draft.get("arm", "segments") is not None:
+        refuse(("identified", "geometry"), "an arm of one segment", f"an arm of segments, as {rig} has")
     material: MaterialConfig | None = draft.part(MaterialConfig, "arm", "material")
     if material is not None and (count := len(found.arm.material.branches)) != len(material.branches):
         refuse(("arm", "material", "branches"), f"{count} branches", f"{len(material.branches)}, as {rig} has")

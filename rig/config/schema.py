@@ -13,12 +13,12 @@ from pydantic.json_schema import SkipJsonSchema
 from protocols import arguments
 from protocols.validation import faults
 from rig.config import consistency
+from rig.config.arm_sections import ArmConfig
 from rig.config.bench import BenchConfig
 from rig.config.board_sections import AnyBoard, MeasuredSection
 from rig.config.metadata import Metadata
 from rig.config.sections import (
     AnyCamera,
-    ArmConfig,
     CameraConfig,
     CameraTrigger,
     ModelConfig,
@@ -69,7 +69,7 @@ class RigConfig(BenchConfig):
     @property
     def actuators(self) -> int:
         """Number of actuators."""
-        return len(self.arm.geometry.actuator_angles_deg)
+        return self.arm.actuators
 
     @property
     def valve_of(self) -> tuple[int, ...]:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,6 @@ from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_v
 from pydantic.json_schema import SkipJsonSchema
 
 from model import variants
-from model.actuation import ACTUATION_LAWS, MOST_STOPS, ActuationLaw, Proportional, StopElement, actuation_law_named
-from model.material import MOST_BRANCHES
 from model.units import PA_PER_BAR
 from model.variants import VARIANTS
 from protocols.arguments import shown
@@ -28,11 +26,7 @@ from rig.sections.quantities import (
     ActuatorNumber,
     BarSpan,
     Count,
-    Flag,
     Index,
-    LengthMm,
-    MassG,
-    ModulusPa,
     NonNegative,
     Number,
     Positive,
@@ -220,83 +214,6 @@ if TYPE_CHECKING:
 else:
     AnyCamera = CAMERA_DRIVERS.section(UninstalledCameraConfig)
     """A camera of the rig file, by the model of its driver."""
-
-
-class GeometryConfig(Section):
-    """The arm's Table 1: actuators on a circle, in degrees from the base frame's x axis."""
-
-    length_mm: LengthMm
-    inner_radius_mm: LengthMm
-    outer_radius_mm: LengthMm
-    circle_radius_mm: LengthMm = Field(description="b / sqrt 3")
-    actuator_angles_deg: Annotated[tuple[Number, ...], Field(min_length=1)]
-
-
-class BranchConfig(Section):
-    """A Maxwell branch of the walls, one term of a Prony series."""
-
-    relative_modulus: NonNegative = Field(le=10, description="over the modulus at rest")
-    time_s: Number = Field(ge=1e-3, le=1e5, description="relaxation time")
-
-
-class MaterialConfig(Section):
-    """Eqs 16, 30, 32, the identified gamma, and what makes the walls viscous."""
-
-    youngs_modulus_pa: ModulusPa = Field(description="homogeneous section")
-    a1_per_N: Number = Field(ge=1e-6, le=10, description="eq 32")
-    a2_per_N2: NonNegative = Field(le=1_000, description="eq 32")
-    rpe_per_bar: Number = Field(ge=-10, le=10, description="a of eq 30")
-    shear_ratio: Number = Field(ge=0.01, le=100, description="gamma = G / E")
-    density_kg_m3: Number = Field(default=1080.0, ge=1, le=25_000)
-    damping_s: NonNegative = Field(default=0.0, le=10, description="Kelvin-Voigt retardation time")
-    branches: Annotated[tuple[BranchConfig, ...], Field(max_length=MOST_BRANCHES)] = Field(
-        default=(), description="Prony series of the walls' slow relaxation"
-    )
-
-
-def _actuation_law(name: str) -> str:
-    actuation_law_named(name)
-    return name
-
-
-class StopElementConfig(Section):
-    """A stop element of every actuator: a spring in series with a slider."""
-
-    weight: NonNegative = Field(le=1, description="share of the pressure that the spring takes")
-    width_bar: Number = Field(ge=1e-4, le=100, description="pressure at which the slider slips")
-
-
-class ActuationConfig(Section):
-    """Law of the push of the pressures on the caps, and friction of the actuators."""
-
-    law: Annotated[str, AfterValidator(_actuation_law), Field(json_schema_extra={"enum": list(ACTUATION_LAWS)})] = (
-        Proportional.name
-    )
-    growth_per_bar: Number = Field(default=0.0, ge=-0.5, le=5, description="k, relative growth of the push per bar")
-    stops: Annotated[tuple[StopElementConfig, ...], Field(max_length=MOST_STOPS)] = Field(
-        default=(), description="Prandtl-Ishlinskii elements of the hysteresis"
-    )
-
-    @model_validator(mode="after")
-    def _check_growth(self) -> Self:
-        self.as_law()
-        return self
-
-    def as_law(self) -> ActuationLaw:
-        """Return the law; ValueError for a growth that it does not have."""
-        stops = tuple(StopElement(stop.weight, stop.width_bar * PA_PER_BAR) for stop in self.stops)
-        return actuation_law_named(self.law)(self.growth_per_bar, stops)
-
-
-class ArmConfig(Section):
-    """The manipulator. `gravity_direction` is that of the weight in the rod-base frame."""
-
-    geometry: GeometryConfig
-    material: MaterialConfig
-    actuation: ActuationConfig = ActuationConfig()
-    cap_mass_g: MassG = 50.0
-    gravity_direction: Triple = (0.0, 0.0, 1.0)
-    gravity_on_rod: Flag = False
 
 
 class ModelConfig(Section):

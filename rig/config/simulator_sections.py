@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import Annotated, Self
+
+from pydantic import ConfigDict, Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
+from protocols.validation import faults
 from rig.arm_effects.registry import ArmEffectEntry
+from rig.config.arm_sections import GeometryConfig, MaterialConfig, segment_faults
 from rig.config.input_sections import SimulatedInput
-from rig.config.sections import GeometryConfig, LensConfig, MaterialConfig, Placement, Sensor
+from rig.config.sections import LensConfig, Placement, Sensor
 from rig.sections.base import Section
 from rig.sections.quantities import MassG, NonNegative, Number, Positive
 from rig.valves.base import SimulatedValve
@@ -53,15 +57,29 @@ class AsBuiltSection(Section):
     sensors: tuple[Sensor, ...]
 
 
+class SimulatedSegment(Section):
+    """True parameters of a segment of the arm; its coupling is the one stated."""
+
+    material: MaterialConfig
+    geometry: GeometryConfig | SkipJsonSchema[None] = Field(
+        default=None, description="true geometry; default: the segment's"
+    )
+
+
 class Simulator(Section):
     """The simulated plant of the mock devices. Its parameters intentionally differ from the model's."""
+
+    model_config = ConfigDict(json_schema_extra={"if": {"required": ["segments"]}, "else": {"required": ["material"]}})
 
     valve: SimulatedValve
     chamber: SimulatedChamber
     sensor: SimulatedSensor
     inputs: dict[str, SimulatedInput] = Field(default={}, description="true values of the auxiliary inputs, by name")
     scene: SimulatedScene | SkipJsonSchema[None] = Field(default=None, description="of the simulated cameras")
-    material: MaterialConfig
+    material: MaterialConfig | SkipJsonSchema[None] = Field(default=None, description="of an arm of one segment")
+    segments: Annotated[tuple[SimulatedSegment, ...], Field(min_length=1)] | SkipJsonSchema[None] = Field(
+        default=None, description="truth of each segment of the arm, in place of `material` and `geometry`"
+    )
     cap_mass_g: MassG
     arm_effects: tuple[ArmEffectEntry, ...] = Field(
         default=(),
@@ -78,6 +96,23 @@ class Simulator(Section):
     board: Placement | SkipJsonSchema[None] = Field(
         default=None, description="true placement of the board; default: the one stated"
     )
+
+    @model_validator(mode="after")
+    def _either(self) -> Self:
+        faults(segment_faults(self, ("geometry", "material"), ("material",)))
+        return self
+
+    @property
+    def chain(self) -> tuple[SimulatedSegment, ...]:
+        """The truth of the segments from the base to the tip, in whichever form the file has it."""
+        if self.segments is not None:
+            return self.segments
+        assert self.material is not None
+        return (SimulatedSegment.model_construct(material=self.material, geometry=self.geometry),)
+
+    def path(self, segment: int) -> tuple[str | int, ...]:
+        """Where the keys of a segment are in this section."""
+        return () if self.segments is None else ("segments", segment)
 
     def error_of(self, camera: str) -> Placement:
         """Return the offset of a camera's true placement from the stated one."""

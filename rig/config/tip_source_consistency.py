@@ -10,9 +10,10 @@ from protocols.problems import closest
 from protocols.validation import ValidationFault
 
 if TYPE_CHECKING:
+    from rig.config.arm_sections import ArmConfig
     from rig.config.board_sections import BoardConfig, MeasuredSection
     from rig.config.card_sections import CardConfig
-    from rig.config.sections import ArmConfig, CameraConfig, CameraTrigger
+    from rig.config.sections import CameraConfig, CameraTrigger
     from rig.config.simulator_sections import Simulator
     from rig.config.tracker_sections import TrackerConfig
     from rig.sections.control import Control, Limits
@@ -200,7 +201,7 @@ def check_sections(
         yield ValidationFault(("sections",), "no such section in a rig without a board on the end cap")
         return
     boards: dict[tuple[str | int, ...], BoardConfig] = {("board",): board}
-    length_mm, places = arm.geometry.length_mm, dict[float, str]()
+    length_mm, places = arm.length_mm, dict[float, str]()
     for name, section in stated.items():
         if section.at_mm >= length_mm:
             expected = f"less than the length of the arm, {length_mm:g} mm"

@@ -14,7 +14,7 @@ from typing import Any
 
 from protocols import Protocol
 from rig.config.schema import RigConfig
-from runs.records import GRAVITY_DIRECTION, Quantity, SectionPlace
+from runs.records import GRAVITY_DIRECTION, SEGMENT, Quantity, SectionPlace
 
 _PACKAGES = ("softrig", "numpy", "scipy", "numba", "opencv-python-headless", "h5py", "mcap", "pydantic", "pycomedi")
 _ROOT = Path(__file__).resolve().parents[2]
@@ -87,22 +87,28 @@ def quantities(config: RigConfig) -> tuple[Quantity, ...]:
     def add(room: str, name: str, unit: str, *value: float, uncertainty: float = float("nan")) -> None:
         found.append(Quantity(room, name, tuple(float(v) for v in value), unit, source, uncertainty))
 
-    arm, geometry, material = config.arm, config.arm.geometry, config.arm.material
-    add("model", "length", "mm", geometry.length_mm)
-    add("model", "inner_radius", "mm", geometry.inner_radius_mm)
-    add("model", "outer_radius", "mm", geometry.outer_radius_mm)
-    add("model", "circle_radius", "mm", geometry.circle_radius_mm)
-    add("model", "actuator_angles", "deg", *geometry.actuator_angles_deg)
-    add("model", "youngs_modulus", "Pa", material.youngs_modulus_pa)
-    add("model", "a1", "1/N", material.a1_per_N)
-    add("model", "a2", "1/N2", material.a2_per_N2)
-    add("model", "rpe", "1/bar", material.rpe_per_bar)
-    add("model", "shear_ratio", "1", material.shear_ratio)
-    add("model", "density", "kg/m3", material.density_kg_m3)
-    add("model", "damping", "s", material.damping_s)
-    for number, branch in enumerate(material.branches, start=1):
-        add("model", f"branch_{number}_modulus", "1", branch.relative_modulus)
-        add("model", f"branch_{number}_time", "s", branch.time_s)
+    arm = config.arm
+    for number, segment in enumerate(arm.chain, start=1):
+        geometry, material, coupling = segment.geometry, segment.material, segment.coupling
+        part = "" if arm.segments is None else f"{SEGMENT}{number}_"
+        if number > 1:
+            add("model", f"{part}coupling_length", "mm", coupling.length_mm)
+            add("model", f"{part}coupling_mass", "g", coupling.mass_g)
+        add("model", f"{part}length", "mm", geometry.length_mm)
+        add("model", f"{part}inner_radius", "mm", geometry.inner_radius_mm)
+        add("model", f"{part}outer_radius", "mm", geometry.outer_radius_mm)
+        add("model", f"{part}circle_radius", "mm", geometry.circle_radius_mm)
+        add("model", f"{part}actuator_angles", "deg", *geometry.actuator_angles_deg)
+        add("model", f"{part}youngs_modulus", "Pa", material.youngs_modulus_pa)
+        add("model", f"{part}a1", "1/N", material.a1_per_N)
+        add("model", f"{part}a2", "1/N2", material.a2_per_N2)
+        add("model", f"{part}rpe", "1/bar", material.rpe_per_bar)
+        add("model", f"{part}shear_ratio", "1", material.shear_ratio)
+        add("model", f"{part}density", "kg/m3", material.density_kg_m3)
+        add("model", f"{part}damping", "s", material.damping_s)
+        for branch_number, branch in enumerate(material.branches, start=1):
+            add("model", f"{part}branch_{branch_number}_modulus", "1", branch.relative_modulus)
+            add("model", f"{part}branch_{branch_number}_time", "s", branch.time_s)
     for number, stop in enumerate(arm.actuation.stops, start=1):
         add("model", f"stop_{number}_weight", "1", stop.weight)
         add("model", f"stop_{number}_width", "bar", stop.width_bar)

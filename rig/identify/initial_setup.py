@@ -15,12 +15,13 @@ from calibration.identify.parameters import known
 from calibration.identify.parameters_document import Baseline
 from calibration.identify.setup import Setup
 from rig.config.arm_model import model_arm, true_arm
+from rig.config.arm_sections import GeometryConfig
 from rig.config.loader import RigFile, read, recorded
 from rig.config.optics import rigid
 from rig.config.parameters_overlay import ParametersFile, differing_fields
 from rig.config.parameters_overlay import recorded as recorded_parameters
 from rig.config.schema import RigConfig
-from rig.config.sections import GeometryConfig, Placement, Sensor
+from rig.config.sections import Placement, Sensor
 from runs.records import RecordedFile
 from runs.run import Run
 

@@ -118,7 +118,7 @@ class _Measurement:
 def _read(data: Path, columns: ColumnReader, mapping: Mapping, document: Document) -> _Measurement:
     """Read and check every column that the mapping names."""
     rig = _rig(mapping, document)
-    length_m = None if rig is None else rig.config.arm.geometry.length_mm * 1e-3
+    length_m = None if rig is None else rig.config.arm.length_mm * 1e-3
     read = times(columns, mapping)
     t_ns = read.t_ns
     gauge_pa, ambient_pa = pressures(columns, mapping)

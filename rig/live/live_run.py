@@ -106,7 +106,12 @@ class LiveRun:
             measured=plan.config.measures_tip,
             duration_s=plan.trajectory.duration_s,
             limit_bar=plan.config.limits.pressure_bar,
-            length_mm=plan.config.arm.geometry.length_mm,
+            length_mm=plan.config.arm.length_mm,
+            tube_mm=tuple(
+                2 * segment.geometry.outer_radius_mm
+                for segment in plan.config.arm.chain
+                for _ in segment.geometry.actuator_angles_deg
+            ),
         )
 
     def viewer(self) -> LiveRunViewer:

@@ -22,7 +22,7 @@ from runs.records import AuxiliaryChannel, Quantity
 
 @dataclass(frozen=True)
 class RunDescription:
-    """Constant properties of a run. `measured`: the rig measures the tip."""
+    """Constant properties of a run. `measured`: the rig measures the tip. `tube_mm`: diameter of each actuator."""
 
     title: str
     simulated: bool
@@ -32,6 +32,7 @@ class RunDescription:
     duration_s: float
     limit_bar: float
     length_mm: float
+    tube_mm: tuple[float, ...]
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ class CameraTipEstimator:
         self._points_m = board.corners_m
         self._board_in_tip = board_in_tip(config)
         # The world origin is the straight arm's tip, which is in front of every camera that sees the board.
-        self._world_in_base = RigidTransform(np.eye(3), np.array([0.0, 0.0, config.arm.geometry.length_mm * 1e-3]))
+        self._world_in_base = RigidTransform(np.eye(3), np.array([0.0, 0.0, config.arm.length_mm * 1e-3]))
         self._cameras_in_base = [camera_in_base(camera) for camera in cameras]
         self._cameras_in_world = [self._in_world(camera) for camera in self._cameras_in_base]
         self._dlts = (

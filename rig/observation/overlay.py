@@ -39,14 +39,16 @@ class OverlayProjector:
 
 
 def arm_lines(config: RigConfig, shape: model.Shape | None, points: int) -> Array:
-    """Return the arm's axis and actuators (1 + N, points, 3) [m]; NaN without a shape."""
+    """Return the arm's axis and actuators (1 + N, points, 3) [m], each along its own segment; NaN without a shape."""
     if shape is None:
         return np.full((1 + config.actuators, points, 3), np.nan)
-    at = np.linspace(0, len(shape.s_m) - 1, points).round().astype(int)
-    axis, rotation = shape.p_m[at], shape.rotation[at]
-    offsets = np.column_stack([shape.actuator_xy_m, np.zeros(len(shape.actuator_xy_m))])
-    actuators = axis + np.einsum("sij,aj->asi", rotation, offsets)
-    return np.concatenate([axis[None], actuators])
+    along = np.linspace(
+        [0, *shape.actuator_points[:, 0]], [len(shape.s_m) - 1, *shape.actuator_points[:, 1] - 1], points
+    )
+    at = along.T.round().astype(int)
+    offsets = np.zeros((1 + config.actuators, 3))
+    offsets[1:, :2] = shape.actuator_xy_m
+    return shape.p_m[at] + np.einsum("asij,aj->asi", shape.rotation[at], offsets)
 
 
 def backbone(shape: model.Shape | None) -> Array:

@@ -22,7 +22,7 @@ from model.paper.identification import (
 )
 from model.paper.tube import BallooningError, Tube
 from model.units import GRAVITY_M_S2, PA_PER_BAR
-from rig.config.arm_model import model_geometry
+from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
 from rig.reproduce.comparison import PaperComparison, PaperFigure
 from rig.reproduce.experiments import origin
@@ -45,7 +45,7 @@ class Elongations:
         weights, pressure = runs["extension-weights"], runs["extension-pressure"]
         self.origin = origin(weights, pressure)
         config = recorded(weights.header, weights.path).config
-        geometry = model_geometry(config.arm.geometry)
+        geometry = model_arm(config).geometry
         self.length_m = geometry.length_m
         self.weights: Elongation = elongation(at_rest(weights), geometry.length_m)
         self.pressure: Elongation = elongation(at_rest(pressure), geometry.length_m)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +9,7 @@ from model import NotConverged
 from model.dynamics import Dynamics
 from model.shape import Shape
 from model.units import G_PER_KG, PA_PER_BAR
-from rig.config.arm_model import TipLoad, true_arm, true_geometry
+from rig.config.arm_model import TipLoad, chamber_areas_m2, true_arm, true_segments
 from rig.config.input_sections import SimulatedInput
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError, Scans
@@ -88,13 +86,16 @@ class Plant:
             raise CardError(f"rig {config.name} has mock devices but no simulator section")
         self._config, self._t0_ns, self._step = config, t0_ns, 0
         truth = config.simulator
-        geometry = true_geometry(config)
-        self._bore_m2 = math.pi * (geometry.inner_radius_mm * 1e-3) ** 2
+        segments = true_segments(config)
+        self._bore_m2 = chamber_areas_m2(segments)
         self._dead_m3 = truth.chamber.dead_volume_ml * 1e-6
         self._dynamics = Dynamics(true_arm(config), ARM_STEP_S) if moving_arm else None
         self._effects = [effect.effect(config.actuators, ARM_STEP_S) for effect in truth.arm_effects]
-        lengths = np.full(config.actuators, geometry.length_mm * 1e-3)
-        position, rotation = np.array([0.0, 0.0, lengths[0]]), np.eye(3)
+        lengths = np.repeat(
+            [segment.geometry.length_mm * 1e-3 for segment in segments],
+            [len(segment.geometry.actuator_angles_deg) for segment in segments],
+        )
+        position, rotation = np.array([0.0, 0.0, config.arm.length_mm * 1e-3]), np.eye(3)
         self.inputs = SimulatedInputs(config, seed, ARM_STEPS)
         self._weight_kg = 0.0
         self._hook = TipLoad(config)
@@ -108,7 +109,7 @@ class Plant:
                     f"rig {config.name}: the simulated arm cannot carry its own weight and cap ({error})",
                     "look at material, geometry and cap_mass_g of its simulator section",
                 ) from error
-            lengths = shape.actuator_lengths_m
+            lengths, self._points = shape.actuator_lengths_m, shape.actuator_points
         self._section_s_m = np.array([section.at_mm * 1e-3 for section in config.sections.values()])
         self._poses = np.zeros(2 * REMEMBERED_POSES, pose_dtype(len(self._section_s_m)))
         self._kept = 0
@@ -206,8 +207,9 @@ class Plant:
         shape = self._dynamics.step(self._effective_pa(), self._loads)
         # The chambers follow within the next step: the arm lags the air by one step, and the volume has no jumps.
         pneumatics.follow(
-            shape.s_m, shape.v, shape.u, shape.actuator_xy_m, self._bore_m2, self._dead_m3, ARM_STEP_S, self._air
-        )
+            shape.s_m, shape.v, shape.u, shape.actuator_xy_m, self._points, self._bore_m2, self._dead_m3, ARM_STEP_S,
+            self._air,
+        )  # fmt: skip
         self._remember_shape(self._step // ARM_STEPS, shape)
 
     def _effective_pa(self) -> NDArray[np.float64]:

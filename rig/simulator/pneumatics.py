@@ -322,7 +322,8 @@ def follow(
     v: Array,
     u: Array,
     at_m: Array,
-    bore_m2: float,
+    points: Integers,
+    bore_m2: Array,
     dead_m3: float,
     within_s: float,
     air: PneumaticState,
@@ -330,15 +331,16 @@ def follow(
     """Have the chambers' volumes go, within some time, to those that they have in a bent arm.
 
     `s_m` (n,), shear and stretch `v` (n, 3) and curvature `u` (n, 3) along its axis; `at_m` (N, 2): where the chambers
-    lie in its section. A chamber is a bore along the arm, and the dead volume beside it.
+    lie in its section; `points` (N, 2): the first point of each, and the one after its last. A chamber is a bore
+    `bore_m2` (N,) along its segment of the arm, and the dead volume beside it.
     """
     for a in range(at_m.shape[0]):
         x, y = at_m[a]
         length = before = 0.0
-        for j in range(len(s_m)):
+        for j in range(points[a, 0], points[a, 1]):
             v1, v2, v3 = v[j, 0] - u[j, 2] * y, v[j, 1] + u[j, 2] * x, v[j, 2] + u[j, 0] * y - u[j, 1] * x
             stretch = math.sqrt(v1 * v1 + v2 * v2 + v3 * v3)
-            if j > 0:
+            if j > points[a, 0]:
                 length += 0.5 * (s_m[j] - s_m[j - 1]) * (before + stretch)
             before = stretch
-        air.volume_rate[a] = (dead_m3 + bore_m2 * length - air.volume_m3[a]) / within_s
+        air.volume_rate[a] = (dead_m3 + bore_m2[a] * length - air.volume_m3[a]) / within_s

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from runs.archive.fields import QUANTITY_GROUPS, Field, Group, named
 from runs.columns.conversions import PA_PER_BAR
 from runs.journal.journal import Journal
-from runs.records import PlayedSegment, Quantity, RecordedFile, StudyRole, StudyRun
+from runs.records import SEGMENT, PlayedSegment, Quantity, RecordedFile, StudyRole, StudyRun
 
 SPECIMEN = "specimen"
 """The name of the metadata that names the specimen; `name` in the NXsample."""
@@ -219,6 +220,8 @@ _MEANINGS = {
     "shear_ratio": "shear modulus over Young's modulus",
     "density": "of the material",
     "damping": "retardation time of the Kelvin-Voigt damping",
+    "coupling_length": "length of the rigid coupling to the segment before",
+    "coupling_mass": "mass of the rigid coupling to the segment before",
     "push_growth": "growth of the push of an actuator with the pressures",
     "cap_mass": "mass at the end of the arm, with the board",
     "gravity_direction": "unit vector in the rod-base frame",
@@ -252,6 +255,8 @@ _BY_ENDING = {
 
 def meaning(name: str) -> str:
     """Return what a number of this name is; empty for a name that is not known."""
+    if of_segment := re.match(rf"{SEGMENT}(\d+)_", name):
+        return f"segment {of_segment[1]}: {meaning(name.removeprefix(of_segment[0]))}"
     if name in _MEANINGS:
         return _MEANINGS[name]
     return next((text for ending, text in _BY_ENDING.items() if name.endswith(ending)), "")

@@ -10,7 +10,19 @@ import pytest
 from scipy.integrate import simpson
 from scipy.linalg import expm
 
-from model import Arm, Coupling, Geometry, Loads, Material, Segment, Shape, Unstable, batch, sensitivities
+from model import (
+    Arm,
+    Coupling,
+    Geometry,
+    Loads,
+    Material,
+    Segment,
+    SeveralSegments,
+    Shape,
+    Unstable,
+    batch,
+    sensitivities,
+)
 from model.actuation import PressureSum, StopElement
 from model.arrays import Array
 from model.dynamics import Dynamics
@@ -376,7 +388,7 @@ def test_a_coupling_before_the_first_segment_is_refused() -> None:
 
 
 def test_an_arm_of_several_segments_has_no_one_geometry() -> None:
-    with pytest.raises(ValueError, match="3 segments"):
+    with pytest.raises(SeveralSegments, match="3 segments"):
         three("homogeneous").geometry  # noqa: B018 - the property raises
 
 
@@ -394,3 +406,13 @@ def test_an_impossible_coupling_is_refused(wrong: dict[str, float]) -> None:
 def test_pressures_of_the_first_segment_alone_are_refused() -> None:
     with pytest.raises(ValueError, match="must hold 9 numbers"):
         statics(three("homogeneous"), np.zeros(3))
+
+
+def test_a_coupling_is_straight_between_its_ends() -> None:
+    shape = statics(three("inhomogeneous+rpe"), PRESSURES)
+    end, begin = shape.first_nodes[1] - 1, shape.first_nodes[1]
+    places, turns = shape.frames_at(shape.s_m[end] + np.array([0.0, 0.005, 0.02]))
+    along = shape.p_m[begin] - shape.p_m[end]
+    assert np.linalg.norm(along) == pytest.approx(0.02, abs=1e-9)
+    assert places == pytest.approx(shape.p_m[end] + np.outer([0, 0.25, 1], along), abs=1e-12)
+    assert turns == pytest.approx(np.repeat(shape.rotation[end][None], 3, axis=0), abs=1e-12)

@@ -110,6 +110,7 @@ class Shown:
             measured=True,
             duration_s=9723.0,
             limit_bar=0.7,
+            tube_mm=(28.0,) * self.actuators,
             length_mm=170.0,
         )
 

@@ -109,7 +109,7 @@ class TrackerReceiver:
         self._placement, self._body = rigid(section.placement), rigid(section.body)
         self._delay_ns, self._delay_std_s = round(section.delay_ms * 1e6), section.delay_std_ms * 1e-3
         self._latest_ns = round(section.latest_ms * 1e6)
-        self._reach_m = (section.reach_mm or _LENGTHS * config.arm.geometry.length_mm) * 1e-3
+        self._reach_m = (section.reach_mm or _LENGTHS * config.arm.length_mm) * 1e-3
         self._largest_drift = section.largest_drift_ppm * 1e-6
         self._clock = SenderClock(self._largest_drift)
         self._counts = dict.fromkeys(DATAGRAM_COUNTS, 0)

@@ -1,4 +1,5 @@
 // The arm in space on a plain canvas: it needs no graphics card, which a lab's remote desktop may not have.
+const SHOWN = 0.7; // of a tube's diameter: tubes side by side stay apart
 const LOW = [0x2c, 0x7b, 0xb6], HIGH = [0xf0, 0x8c, 0x00]; // blue to orange: seen apart by everybody
 
 export function pressureColour(share) {
@@ -107,7 +108,8 @@ export class ArmView {
         segments.push([a[2] + b[2], a, b, colour, width]);
       }
     };
-    actuators.forEach((points, i) => collect(points, this.colour((this.pressures?.[i] ?? 0) / limit), 20 * this.scale));
+    const wide = this.about.tube_mm.map((mm) => SHOWN * mm * this.scale);
+    actuators.forEach((points, i) => collect(points, this.colour((this.pressures?.[i] ?? 0) / limit), wide[i]));
     collect(axis, ink.getPropertyValue("--ink"), 2.5);
     segments.sort((a, b) => b[0] - a[0]); // the far ones first
     const { context } = this;
@@ -133,7 +135,7 @@ export class ArmView {
     context.fillStyle = ink.getPropertyValue("--ink");
     actuators.forEach((points, i) => {
       const [u, v] = this.project(points.at(-1));
-      context.fillText(String(i + 1), u - 5, Math.min(v + 13 * this.scale + 18, lowest));
+      context.fillText(String(i + 1), u - 5, Math.min(v + 0.65 * wide[i] + 18, lowest));
     });
   }
 

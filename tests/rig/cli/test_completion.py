@@ -51,7 +51,16 @@ def completed(folder: Path, line: str) -> list[str]:
         ("rig check mi", ["mine.yaml"]),
         (
             "rig check ramp-a --rig moc",
-            ["mock", "mock-3", "mock-charuco", "mock-ideal", "mock-no-camera", "mock-stereo", "mock-tracker"],
+            [
+                "mock",
+                "mock-3",
+                "mock-charuco",
+                "mock-ideal",
+                "mock-no-camera",
+                "mock-stereo",
+                "mock-tracker",
+                "mock-two-sections",
+            ],
         ),
         ("rig show la", ["last"]),
         ("rig show 20261122-1015", ["20261122-101500-sine-1"]),

@@ -76,7 +76,7 @@ def test_a_rig_loads_by_name_and_by_path(name: str) -> None:
     config = load(name)
     assert config == load(path_of(name))
     assert config.name == name
-    assert config.actuators == 3
+    assert config.actuators == (6 if name == "mock-two-sections" else 3)
     assert config.simulated == name.startswith("mock")
     assert text(name) == path_of(name).read_text()
 
@@ -257,8 +257,8 @@ def test_an_unknown_rig_gets_the_names(name: str, meant: str) -> None:
     (problem,) = caught.value.problems
     assert problem.suggestion == meant
     assert (
-        "mock, mock-3, mock-charuco, mock-ideal, mock-no-camera, mock-stereo, mock-tracker, pci1716, pci1716-2"
-        in problem.expected
+        "mock, mock-3, mock-charuco, mock-ideal, mock-no-camera, mock-stereo, mock-tracker, "
+        "mock-two-sections, pci1716, pci1716-2" in problem.expected
     )
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from model.statics import statics
 from rig.config.arm_model import model_arm, true_arm
+from rig.config.loader import load
 from rig.simulator.plant import Plant
 from rig.simulator.tip_pose import pose_among, pose_dtype
 from tests.support.plant_bench import mock_rig
@@ -88,3 +89,35 @@ def test_an_interpolated_rotation_is_a_rotation(t_ns: int, angle: float) -> None
     assert pose.position_m[0] == pytest.approx(steps, abs=1e-9)
     turned = math.atan2(pose.rotation[1, 0], pose.rotation[0, 0])
     assert turned == pytest.approx(steps * angle, abs=2e-2 * abs(angle) * max(1.0, steps - 2))
+
+
+@pytest.fixture(scope="module")
+def segmented() -> Plant:
+    """An arm of two segments, a chamber of the second one filled for a moment and left to settle."""
+    config = load("mock-two-sections")
+    assert config.simulator is not None
+    still = config.simulator.valve.model_copy(update={"leakage_l_min": 0.0, "hysteresis_percent": 0.0})
+    plant = Plant(config.model_copy(update={"simulator": config.simulator.model_copy(update={"valve": still})}), 1, 0)
+    upper, lower = plant.card("upper"), plant.card("lower")
+    upper.write(np.full(3, 5.0))
+    lower.write(np.array([5.0, 8.0, 5.0]))
+    plant.advance(50_000_000)
+    lower.write(np.full(3, 5.0))
+    plant.advance(3_000_000_000)
+    return plant
+
+
+def test_each_chamber_has_the_volume_along_its_own_segment(segmented: Plant) -> None:
+    assert segmented.pressure_pa[4] > 0.2e5
+    assert np.abs(np.delete(segmented.pressure_pa, 4)).max() < 0.05e5
+    shape = statics(true_arm(load("mock-two-sections")), segmented.pressure_pa)
+    bore_m2 = math.pi * np.repeat([9.5e-3, 7.5e-3], 3) ** 2
+    np.testing.assert_allclose(segmented.volume_m3, 15e-6 + bore_m2 * shape.actuator_lengths_m, rtol=2e-4)
+    np.testing.assert_allclose(segmented.pose_at(segmented.t_ns).position_m, shape.tip_m, atol=2e-5)
+
+
+def test_a_plant_without_a_moving_arm_has_the_length_of_all_segments() -> None:
+    plant = Plant(load("mock-two-sections"), 1, 0, moving_arm=False)
+    assert plant.pose_at(0).position_m[2] == pytest.approx(0.215)
+    bore_m2 = math.pi * np.repeat([9.5e-3, 7.5e-3], 3) ** 2
+    np.testing.assert_allclose(plant.volume_m3, 15e-6 + bore_m2 * np.repeat([0.11, 0.09], 3))
