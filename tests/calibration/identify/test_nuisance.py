@@ -105,7 +105,7 @@ def test_a_result_with_a_small_part_of_the_error_of_its_start_is_no_failure(monk
     from calibration.identify.least_squares import LeastSquaresProblem
 
     true = replace(START.arm.material, a1_per_n=0.0085, a2_per_n2=0.0004)
-    problem = LeastSquaresProblem(measured(Setup(replace(START.arm, material=true))), START, named(["law"], 3))
+    problem = LeastSquaresProblem(measured(Setup(START.arm.with_segment(material=true))), START, named(["law"], 3))
     # A discrepancy that is estimated at the start may explain all of its error.
     monkeypatch.setattr(LeastSquaresProblem, "log_likelihood", lambda self, z: 0.0 if z.any() else 1e3)
     assert not search(problem, np.zeros(2), 1, 0, lambda text: None).worse_than_start
