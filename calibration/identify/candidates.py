@@ -9,7 +9,7 @@ from typing import Any
 from calibration.identify.memory_parameters import memory_names
 from calibration.identify.parameters import PUSH_GROWTH
 from calibration.identify.setup import Setup
-from model.actuation import ACTUATION_LAWS, Proportional, StopElement
+from model.actuation import ACTUATION_LAWS, ActuationLaw, Proportional, StopElement
 from model.arm import Arm
 from model.material import MaxwellBranch
 from model.variants import VARIANTS
@@ -64,10 +64,11 @@ def candidates(setup: Setup, free: Iterable[str] = (), moving: bool = False) -> 
     """
     extra = tuple(free)
 
-    def candidate(name: str, free: Iterable[str], **changes: Any) -> Candidate:
-        elastic = replace(setup.arm.material, branches=())
-        plain = {"actuation": Proportional(), "material": elastic}
-        arm = replace(setup.arm, **{**plain, **changes})
+    def candidate(
+        name: str, free: Iterable[str], actuation: ActuationLaw = Proportional(), **of_segment: Any
+    ) -> Candidate:
+        elastic = {"material": replace(setup.arm.material, branches=())}
+        arm = replace(setup.arm, actuation=actuation).with_segment(**{**elastic, **of_segment})
         return Candidate(name, replace(setup, arm=arm), (*arm.law.parameters, *extra, *free))
 
     out = []
