@@ -17,6 +17,7 @@ from model.variants import VARIANTS
 DAMPING = "damping_s"
 _DAMPED_FROM_S = 0.01
 # Where the fit of what an arm may remember begins: a creep and a friction that are usual for silicone and braids.
+NEITHER: ActuationLaw = Proportional()
 TYPICAL_BRANCH, TYPICAL_STOP = MaxwellBranch(0.03, 5.0), StopElement(0.05, 2e3)
 
 
@@ -64,9 +65,7 @@ def candidates(setup: Setup, free: Iterable[str] = (), moving: bool = False) -> 
     """
     extra = tuple(free)
 
-    def candidate(
-        name: str, free: Iterable[str], actuation: ActuationLaw = Proportional(), **of_segment: Any
-    ) -> Candidate:
+    def candidate(name: str, free: Iterable[str], actuation: ActuationLaw = NEITHER, **of_segment: Any) -> Candidate:
         elastic = {"material": replace(setup.arm.material, branches=())}
         arm = replace(setup.arm, actuation=actuation).with_segment(**{**elastic, **of_segment})
         return Candidate(name, replace(setup, arm=arm), (*arm.law.parameters, *extra, *free))

@@ -4,10 +4,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Self
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic.config import JsonDict
 from pydantic.json_schema import SkipJsonSchema
 
 from model.actuation import ACTUATION_LAWS, MOST_STOPS, ActuationLaw, Proportional, StopElement, actuation_law_named
@@ -101,7 +102,7 @@ class SegmentConfig(Section):
     )
 
 
-EITHER_SEGMENTS = {"if": {"required": ["segments"]}, "else": {"required": ["geometry", "material"]}}
+EITHER_SEGMENTS: JsonDict = {"if": {"required": ["segments"]}, "else": {"required": ["geometry", "material"]}}
 """JSON schema: the keys of the one segment, or a list of segments."""
 
 
@@ -122,7 +123,8 @@ class ArmConfig(Section):
 
     @model_validator(mode="after")
     def _either(self) -> Self:
-        faults(segment_faults(self, ("geometry", "material"), ("geometry", "material")))
+        own = {"geometry": self.geometry, "material": self.material}
+        faults(segment_faults(own, tuple(own), listed=self.segments is not None))
         if self.segments is not None and self.segments[0].coupling != CouplingConfig():
             expected = "no coupling in the first segment, which is clamped: `coupling` is to the segment before"
             faults([ValidationFault(("segments", 0, "coupling"), expected)])
@@ -152,16 +154,16 @@ class ArmConfig(Section):
         return sum(segment.geometry.length_mm + segment.coupling.length_mm for segment in self.chain)
 
 
-def segment_faults(section: Section, own: Sequence[str], needed: Sequence[str]) -> Iterator[ValidationFault]:
-    """Yield a fault for each key of the one segment that is missing, or that stands beside `segments`.
+def segment_faults(own: Mapping[str, object], needed: Sequence[str], *, listed: bool) -> Iterator[ValidationFault]:
+    """Yield a fault for each key of the one segment that is missing, or that stands beside a list of segments.
 
-    own: the keys of the one segment. needed: those of them that it must have.
+    own: the keys of the one segment and their values. needed: those of them that it must have.
     """
-    if section.segments is None:
+    if not listed:
         for name in needed:
-            if getattr(section, name) is None:
+            if own[name] is None:
                 yield ValidationFault((name,), f"is missing: {name} of the one segment, or a list of `segments`")
         return
-    for name in own:
-        if getattr(section, name) is not None:
+    for name, value in own.items():
+        if value is not None:
             yield ValidationFault((name,), "no such key beside `segments`: each segment has its own")

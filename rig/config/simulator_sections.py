@@ -99,7 +99,8 @@ class Simulator(Section):
 
     @model_validator(mode="after")
     def _either(self) -> Self:
-        faults(segment_faults(self, ("geometry", "material"), ("material",)))
+        own = {"geometry": self.geometry, "material": self.material}
+        faults(segment_faults(own, ("material",), listed=self.segments is not None))
         return self
 
     @property

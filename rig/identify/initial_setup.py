@@ -95,11 +95,17 @@ def _check_rigs(archives: Sequence[Run]) -> tuple[str, ...]:
         return ()
     notes = []
     first, *others = archives
-    rig, geometry = rig_of(first), _geometry(first)
+    rig, geometries = rig_of(first), _geometries(first)
     for run in others:
-        own = _geometry(run)
-        if fields := differing_fields(own, geometry):
-            differences = "; ".join(f"{name} {getattr(own, name)}, not {getattr(geometry, name)}" for name in fields)
+        own = _geometries(run)
+        found = [
+            f"{name} {getattr(one, name)}, not {getattr(other, name)}"
+            for one, other in zip(own, geometries, strict=False)
+            for name in differing_fields(one, other)
+        ]
+        if len(own) != len(geometries):
+            found = [f"{len(own)} segments, not {len(geometries)}"]
+        if differences := "; ".join(found):
             raise NoDataError(
                 f"{run.path} is of another arm than {first.path}: {differences}; identify them separately, "
                 "or name one rig for all of them with --start"
@@ -117,9 +123,9 @@ def _check_rigs(archives: Sequence[Run]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _geometry(run: Run) -> GeometryConfig:
-    """Return the geometry of a run's rig without identified parameters."""
-    return recorded_rig(run).without_parameters().config.arm.geometry
+def _geometries(run: Run) -> tuple[GeometryConfig, ...]:
+    """Return the geometry of each segment of a run's rig without identified parameters."""
+    return tuple(segment.geometry for segment in recorded_rig(run).without_parameters().config.arm.chain)
 
 
 def _recorded_overlay(run: Run) -> tuple[object, ...] | None:

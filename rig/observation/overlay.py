@@ -48,7 +48,8 @@ def arm_lines(config: RigConfig, shape: model.Shape | None, points: int) -> Arra
     at = along.T.round().astype(int)
     offsets = np.zeros((1 + config.actuators, 3))
     offsets[1:, :2] = shape.actuator_xy_m
-    return shape.p_m[at] + np.einsum("asij,aj->asi", shape.rotation[at], offsets)
+    lines: Array = shape.p_m[at] + np.einsum("asij,aj->asi", shape.rotation[at], offsets)
+    return lines
 
 
 def backbone(shape: model.Shape | None) -> Array:
