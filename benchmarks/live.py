@@ -1,6 +1,6 @@
-"""How fast the live page acts, and what it costs a run: `python benchmarks/live.py`.
+"""How fast the live page acts, and what it costs a run: `python -m benchmarks.live`.
 
-`python benchmarks/live.py --browsers 3` instead counts the frames that a run loses beside no, one and six pages in
+`python -m benchmarks.live --browsers 3` instead counts the frames that a run loses beside no, one and six pages in
 Chromium on the same computer, in three rounds.
 Times go from the browser's side (the message is sent) to the card's registers, which are read from outside the run.
 """

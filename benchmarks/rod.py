@@ -1,4 +1,4 @@
-"""`python benchmarks/rod.py`: the rod model's speed beside its peers, at equal error against a converged reference.
+"""`python -m benchmarks.rod`: the rod model's speed beside its peers, at equal error against a converged reference.
 
 Times are the best of several runs, in this process, one thread unless said. Ratios carry over to other machines; times
 do not. Not part of the tests: timing asserts lie on a busy machine.
@@ -15,7 +15,6 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numba
 import numpy as np
@@ -109,9 +108,13 @@ def ours(arm: Arm, nodes: int, repeats: int = 300) -> tuple[float, Array, float]
 
 
 def operations(variant: str, nodes: int) -> dict[str, int]:
-    """What that second needs, counted by operations.py, which must not share a process with compiled kernels."""
-    script = Path(__file__).with_name("operations.py")
-    done = subprocess.run([sys.executable, script, variant, str(nodes)], check=True, capture_output=True, text=True)
+    """What that second needs, counted in a process without compiled kernels."""
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.support.operations", variant, str(nodes)],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
     return dict(json.loads(done.stdout))
 
 
@@ -245,7 +248,7 @@ def elastica() -> None:
     if importlib.util.find_spec("elastica") is None:
         print("\nPyElastica is not installed: skipped")
         return
-    from benchmarks.elastica_rod import FORCE, RAMP_S, ROD, elastica_tips
+    from benchmarks.support.elastica_rod import FORCE, RAMP_S, ROD, elastica_tips
 
     duration, samples = 0.24, 24
     print(f"\nPyElastica: one tube, {duration} s, tip load growing over {RAMP_S} s; rms error of the tip")

@@ -2,13 +2,13 @@
 
     python -m benchmarks.tip_control [--arms 20] [--controllers horizon] [--frequencies 1] [--repetitions 2] [--effects]
 
-Pure simulation (benchmarks.tip_closed_loop): the truth is the dynamic rod model with other parameters, a pressure lag
-of 15 ms, a camera at 30 Hz with 0.1 mm noise per coordinate, and 40 ms from frame to plan. Printed is the RMS of the
-3-D distance between reference and true tip from the third period on, lag included: median and worst over the arms; and
-the processor time of a step of the controller: set OPENBLAS_NUM_THREADS=1, as `rig` does. With `--effects` the arm has
-what the simulator's `mock` has beyond the model (unequal strengths, coupling, softening, hysteresis, creep), each
-amount at random between half and one and a half times that of the rig file. It keeps its state over the repetitions,
-with 30 s of rest between two runs.
+Pure simulation: the truth is the dynamic rod model with other parameters, a pressure lag of 15 ms, a camera at 30 Hz
+with 0.1 mm noise per coordinate, and 40 ms from frame to plan. Printed is the RMS of the 3-D distance between
+reference and true tip from the third period on, lag included: median and worst over the arms; and the processor time
+of a step of the controller: set OPENBLAS_NUM_THREADS=1, as `rig` does. With `--effects` the arm has what the
+simulator's `mock` has beyond the model (unequal strengths, coupling, softening, hysteresis, creep), each amount at
+random between half and one and a half times that of the rig file. It keeps its state over the repetitions, with 30 s
+of rest between two runs.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 import model
-from benchmarks.tip_closed_loop import CYCLE_S, ClosedLoop, Task, Truth, simulate
+from benchmarks.support.tip_closed_loop import CYCLE_S, ClosedLoop, Task, Truth, simulate
 from model.arrays import Array
 from model.inverse.static_map import StaticMap
 from rig.arm_effects.base import ArmEffect

@@ -18,8 +18,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 import protocols
-from benchmarks.random_tip_paths import stated_rig
-from benchmarks.virtual_tip_run import SharedHorizon, perform
+from benchmarks.support.random_tip_paths import stated_rig
+from benchmarks.support.virtual_tip_run import SharedHorizon, perform
 from protocols.tip_reference import TipMotion
 from rig.config.schema import RigConfig
 from rig.tip_control.baselines import InverseIntegral

@@ -6,7 +6,7 @@
 Each path (circle, eight, star, points, held point, CSV; any plane, size and speed) is given to the planner and the
 preflight check of `rig check` on mock-3. An accepted path is run in virtual time: control loop, interlocks, horizon
 controller, valves and chambers; a simulated tracker measures the tip at 30 Hz with 0.1 mm noise per coordinate in place
-of pictures. The arm is drawn at random (benchmarks.random_tip_paths).
+of pictures. The arm is drawn at random (benchmarks.support.random_tip_paths).
 
 Counted are runs that an interlock or anything else ended, cycles whose set-point or its rate is out of the limits of
 the rig, and paths that are not followed: after the lead-in the RMS of the 3-D distance between reference and true tip
@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 
 import protocols
-from benchmarks.random_tip_paths import SHAPES, drawn_rig, stated_rig, tip_step
-from benchmarks.virtual_tip_run import SHARED_HORIZON, distances_m, perform
+from benchmarks.support.random_tip_paths import SHAPES, drawn_rig, stated_rig, tip_step
+from benchmarks.support.virtual_tip_run import SHARED_HORIZON, distances_m, perform
 from model.units import PA_PER_BAR
 from protocols import BadInputError, SetPointTrajectory
 from rig.config.schema import RigConfig

@@ -3,7 +3,7 @@
     python -m benchmarks.tip_unannounced [--trials 24] [--seed 0] [--controllers ...]
 
 Trial k draws one of CHANGES and one of PATHS in turn, and the amount of the change at random. The path is planned with
-the model of mock-3 and run in virtual time (benchmarks.virtual_tip_run) on a rig whose arm and valves are drawn
+the model of mock-3 and run in virtual time (benchmarks.support.virtual_tip_run) on a rig whose arm and valves are drawn
 as in benchmarks.tip_references, with the change. Printed is, for each controller, the RMS of the 3-D distance between
 reference and true tip on the path, lag included, in mm; then the runs that ended early or left the limits, and in how
 many trials the horizon controller was the best.
@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.random_tip_paths import DELAY_MS, drawn_rig, stated_rig
-from benchmarks.tip_other_paths import CONTROLLERS, PATHS, planned
+from benchmarks.support.random_tip_paths import DELAY_MS, drawn_rig, stated_rig
+from benchmarks.support.tip_paths import CONTROLLERS, PATHS, planned
 from benchmarks.tip_references import Row, followed, is_beyond
 from protocols import SetPointTrajectory
 from rig.config.schema import RigConfig

@@ -1,6 +1,6 @@
 """Time from the call of `rig vent` until the vent voltage is on the card, in every situation that tests play.
 
-`python benchmarks/vent.py [PART OF A NAME]`: a table of each situation on the machine as it is, and beside four busy
+`python -m benchmarks.vent [PART OF A NAME]`: a table of each situation on the machine as it is, and beside four busy
 loops. A simulated card is read every millisecond by this process.
 """
 

@@ -1,6 +1,6 @@
 """Where the time of a run in virtual time goes: the whole command `rig run PROTOCOL --fast`, report included.
 
-    python benchmarks/virtual.py [--protocol ramp-a] [--times 3] [--parts]
+    python -m benchmarks.virtual [--protocol ramp-a] [--times 3] [--parts]
 
 The command is run as a process of its own and timed from outside, several times; best and median are reported. With
 `--parts` it is run once more in this process with a stopwatch at every part. Processor time is printed beside: on a
@@ -21,7 +21,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.inline_pipeline import InlinePipeline
+from benchmarks.support.inline_pipeline import InlinePipeline
 
 
 class Stopwatch:

@@ -1,8 +1,10 @@
 """Accuracy and speed of the tip measurement on rendered scenes: the tables of docs/validation/vision.md.
 
-    python benchmarks/vision.py [accuracy] [--frames 2000] [--only two]
-    python benchmarks/vision.py coverage [--frames 2000]     how often the stated ellipsoid holds the truth
-    python benchmarks/vision.py speed                        CPU time per picture: following, and finding anew
+    python -m benchmarks.vision [accuracy] [--frames 2000] [--only two]
+    python -m benchmarks.vision coverage [--frames 2000]     how often the stated ellipsoid holds the truth
+    python -m benchmarks.vision speed                        CPU time per picture: following, and finding anew
+    python -m benchmarks.vision boards [--frames 1000]       boards of which a part is covered
+    python -m benchmarks.vision bounds [--frames 1000]       their Cramer-Rao bounds
 
 The tool centre point lies 30 mm behind a board of 7x6 squares of 8 mm. Lenses and places of the cameras are exact, so
 these are lower bounds: what the pictures allow.
@@ -19,6 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.support.other_renderer import BoardPose, OtherRenderer
 from calibration.dlt import DLT
 from calibration.multiview_pose import board_pose
 from calibration.vision.board import grey
@@ -30,12 +33,6 @@ from calibration.vision.tracker import BoardTracker
 from calibration.vision.transforms import RigidTransform
 from model.arrays import Array
 from rig.simulator.scene import ImageDegradation, Scene
-
-if __package__:
-    from benchmarks.other_renderer import BoardPose, OtherRenderer
-else:
-    from other_renderer import BoardPose, OtherRenderer
-
 
 BOARD = Checkerboard(7, 6, 0.008)
 TIP_IN_BOARD = np.array([0.0, 0.0, -0.030])
@@ -272,16 +269,25 @@ def _cpu_ms(looks: Iterator[tuple[Callable[[NDArray[np.uint8]], object], NDArray
 def main() -> None:
     """Print the table that is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("what", nargs="?", choices=("accuracy", "coverage", "speed"), default="accuracy")
+    parser.add_argument(
+        "what", nargs="?", choices=("accuracy", "coverage", "speed", "boards", "bounds"), default="accuracy"
+    )
     parser.add_argument("--frames", type=int, default=2000)
     parser.add_argument("--only", default="", help="part of a setting's name")
     parser.add_argument("--blur-px", type=float, default=0.6)
     parser.add_argument("--noise-grey", type=float, default=2.0)
+    parser.add_argument("--seed", type=int, default=0, help="of the poses of boards and bounds")
     asked = parser.parse_args()
     cv2.setNumThreads(1)
     degradation = ImageDegradation(asked.blur_px, asked.noise_grey)
     if asked.what == "coverage":
         coverage(asked.frames, asked.only, degradation)
+        return
+    if asked.what in ("boards", "bounds"):
+        from benchmarks.support import boards
+
+        show = boards.print_errors if asked.what == "boards" else boards.print_bounds
+        show(asked.frames, asked.seed, asked.only)
         return
     if asked.what == "speed":
         speed(degradation)

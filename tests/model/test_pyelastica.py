@@ -20,7 +20,7 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     pytest.importorskip("elastica", exc_type=ImportError)
 
-from benchmarks.elastica_rod import FORCE, LENGTH, RADIUS, RAMP_S, ROD, STEPPED, TIP_RADIUS, elastica_tips
+from benchmarks.support.elastica_rod import FORCE, LENGTH, RADIUS, RAMP_S, ROD, STEPPED, TIP_RADIUS, elastica_tips
 from model.dynamics import Dynamics
 from model.statics import statics
 

@@ -1,44 +1,89 @@
-"""Benchmarks and scripts, which `make test` does not run, import only what the project has."""
+"""Each benchmark guards a claim of the validation pages, and runs briefly here, so that none rots."""
 
-import ast
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from tests.support.absent import absent
+
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("rig", "model", "calibration", "protocols", "runs", "benchmarks", "tests")
-PROGRAMS = sorted([*ROOT.glob("benchmarks/*.py"), *ROOT.glob("scripts/*.py")])
+BENCHMARKS = sorted(file.stem for file in (ROOT / "benchmarks").glob("[a-z]*.py"))
+MOST_BENCHMARKS = 14
+PATIENCE_S = 400.0
+BRIEF = {
+    "archive": "--seconds 2 --archives 10",
+    "identify": "--trials 2 --workers 1",
+    "kills": "--trials 1",
+    "real_arms": "--only 'two sections'",
+    "rod": "statics",
+    "tip_control": "--arms 1 --paths circle --frequencies 1 --controllers inverse-integral",
+    "tip_lost_controller": "--losses 0 --paths square",
+    "tip_references": "--results results.jsonl --count 1",
+    "tip_unannounced": "--trials 1 --controllers inverse-integral",
+    "virtual": "--protocol sine-1 --times 1",
+    "vision": "speed",
+}
+IN_REAL_TIME = {
+    "live": "--browsers 1",
+    "vent": "'the folder of the run'",
+    "watchdog": "--trials 2 --idle",
+}
+NEEDS_SHARED_DATA = {"real_arms"}
 
 
-def source_of(module: str) -> Path | None:
-    """The file of a module of the project; None if there is none."""
-    place = ROOT / module.replace(".", "/")
-    return next((file for file in (place.with_suffix(".py"), place / "__init__.py") if file.exists()), None)
+def output_of(name: str, options: str, folder: Path) -> str:
+    """What a benchmark prints."""
+    done = subprocess.run(
+        [sys.executable, "-m", f"benchmarks.{name}", *shlex.split(options)],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE_S,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout
 
 
-def defines(module: str, name: str) -> bool:
-    """Whether a module binds the name at its top level, or has a sub-module of that name."""
-    source = source_of(module)
-    if source_of(f"{module}.{name}") is not None or (ROOT / module.replace(".", "/") / name).is_dir():
-        return True
-    if source is None:
-        return False
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(source.read_text())):
-        match node:
-            case ast.FunctionDef(name=bound) | ast.ClassDef(name=bound) | ast.Name(id=bound, ctx=ast.Store()):
-                found.add(bound)
-            case ast.ImportFrom(names=names) | ast.Import(names=names):
-                found.update(one.asname or one.name for one in names)
-    return name in found
+def test_there_are_few_benchmarks_and_each_has_a_brief_form() -> None:
+    assert len(BENCHMARKS) <= MOST_BENCHMARKS
+    assert sorted(BRIEF | IN_REAL_TIME) == BENCHMARKS
 
 
-@pytest.mark.parametrize("program", PROGRAMS, ids=lambda file: file.stem)
-def test_a_benchmark_or_script_imports_only_names_that_exist(program: Path) -> None:
-    imported = [
-        (node.module, one.name)
-        for node in ast.walk(ast.parse(program.read_text()))
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in PACKAGES
-        for one in node.names
-    ]
-    assert [pair for pair in imported if not defines(*pair)] == []
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_a_benchmark_guards_a_claim_of_the_validation_pages(name: str) -> None:
+    pages = (page.read_text() for page in (ROOT / "docs" / "validation").glob("*.md"))
+    assert any(f"benchmarks.{name}" in page for page in pages)
+
+
+@pytest.mark.slow
+def test_every_script_and_every_part_of_a_benchmark_is_importable() -> None:
+    files = [*ROOT.glob("scripts/*.py"), *ROOT.glob("scripts/faults/[a-z]*.py"), *ROOT.glob("benchmarks/support/*.py")]
+    modules = sorted(".".join(file.relative_to(ROOT).with_suffix("").parts) for file in files)
+    # The counter of operations switches the compiler off before it imports the kernels.
+    alone = [name for name in modules if name.endswith(".operations")]
+    for names in ([name for name in modules if name not in alone], alone):
+        program = f"import importlib\nfor name in {names}: importlib.import_module(name)"
+        subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True, timeout=PATIENCE_S)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(BRIEF))
+def test_a_benchmark_measures(name: str, tmp_path: Path) -> None:
+    if name in NEEDS_SHARED_DATA and not (ROOT.parent / "shared" / "data").is_dir():
+        absent("the data of other arms are not beside the checkout, in ../shared/data")
+    assert re.search(r"\d", output_of(name, BRIEF[name], tmp_path))
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("name", sorted(IN_REAL_TIME))
+def test_a_benchmark_in_real_time_measures(name: str, tmp_path: Path) -> None:
+    assert re.search(r"\d", output_of(name, IN_REAL_TIME[name], tmp_path))

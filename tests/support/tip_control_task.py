@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 import model
-from benchmarks.tip_closed_loop import Task
+from benchmarks.support.tip_closed_loop import Task
 from model.inverse.static_map import StaticMap
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.tip_dynamics import TipDynamics

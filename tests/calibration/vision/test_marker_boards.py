@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.boards import BOARDS, LENS, TIP_IN_BOARD, Occlusion, measure, ours, patches, poses, printed
+from benchmarks.support.boards import BOARDS, LENS, TIP_IN_BOARD, Occlusion, measure, ours, patches, poses, printed
 from calibration.vision.board import Board
 from calibration.vision.charuco import CharucoBoard
 from calibration.vision.tag_grid import TagGrid

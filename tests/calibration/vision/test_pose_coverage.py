@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.other_renderer import BoardPose
+from benchmarks.support.other_renderer import BoardPose
 from benchmarks.vision import CHI2_95_3, SETTINGS, TIP_IN_BOARD, Setting, measure, motion, others, ours
 from rig.simulator.scene import ImageDegradation
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.boards import BOARDS
+from benchmarks.support.boards import BOARDS
 from calibration.vision.board import Board
 from calibration.vision.checkerboard import Checkerboard
 from calibration.vision.warm_up import warm_up

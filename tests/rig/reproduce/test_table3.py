@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 import model
-from benchmarks.table3_rules import ERROR_DEFINITIONS, table3, verdict
 from rig.reproduce.positions import PRINTED
+from scripts.table3_rules import ERROR_DEFINITIONS, table3, verdict
 
 
 def test_what_section_6_calls_15_93_and_11_71_percent_are_differences_of_table_3_in_points() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.tip_closed_loop import Truth, simulate
+from benchmarks.support.tip_closed_loop import Truth, simulate
 from rig.config.tip_controllers import CONTROLLERS
 from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory
 from rig.tip_control.registry import UnknownControllerError, controller_class

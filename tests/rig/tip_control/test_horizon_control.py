@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.tip_closed_loop import Truth, simulate
+from benchmarks.support.tip_closed_loop import Truth, simulate
 from model.inverse.static_map import StaticMap
 from rig.tip_control import horizon
 from rig.tip_control.estimation.estimator import TipEstimator

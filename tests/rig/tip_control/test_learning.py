@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import model
-from benchmarks.tip_closed_loop import CYCLE_S, Task, Truth, simulate
+from benchmarks.support.tip_closed_loop import CYCLE_S, Task, Truth, simulate
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.learning import STEP_S, DisturbanceLearner, PathPeriod, Repetition, smooth
 from runs.interpolation import interpolated

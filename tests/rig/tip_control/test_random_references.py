@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 import protocols
 from benchmarks import tip_references
-from benchmarks.random_tip_paths import stated_rig
-from benchmarks.tip_closed_loop import CYCLE_S, Task, Truth, simulate
+from benchmarks.support.random_tip_paths import stated_rig
+from benchmarks.support.tip_closed_loop import CYCLE_S, Task, Truth, simulate
 from model.arrays import Array
 from protocols import BadInputError, SetPointTrajectory
 from rig.config.loader import load

@@ -15,8 +15,9 @@ from typer.testing import Result
 
 import protocols
 import runs
-from benchmarks import tip_lost_controller, virtual_tip_run
-from benchmarks.random_tip_paths import stated_rig
+from benchmarks import tip_lost_controller
+from benchmarks.support import virtual_tip_run
+from benchmarks.support.random_tip_paths import stated_rig
 from rig.config import loader
 from rig.config.schema import RigConfig
 from rig.tip_control.session import TipControlSession

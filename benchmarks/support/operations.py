@@ -1,4 +1,4 @@
-"""`python benchmarks/operations.py VARIANT NODES`: floating-point operations that one simulated second needs.
+"""`python -m benchmarks.support.operations VARIANT NODES`: floating-point operations that one simulated second needs.
 
 Runs the kernels' own Python source on numbers that remember where they come from. Counted are additions,
 multiplications, divisions and square roots (one each; a fused multiply-add is two) that the tips, the carried state or
@@ -19,9 +19,9 @@ from typing import Any
 os.environ["NUMBA_DISABLE_JIT"] = "1"
 
 import numpy as np
-from rod import DT, path_of_sine
 
 import model.laws.quadratic_compliance
+from benchmarks.rod import DT, path_of_sine
 from model import Arm
 from model.dynamics import Dynamics
 from model.kernels.arguments import Line, PressureWrench, Rod

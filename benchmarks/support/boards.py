@@ -1,6 +1,4 @@
-"""Boards of which a part is covered: error, Cramer-Rao bound and coverage, for docs/validation/vision.md.
-
-    python -m benchmarks.boards [--poses 1000] [--seed 0] [--only charuco] [--bounds]
+"""Boards of which a part is covered: error, Cramer-Rao bound and coverage, for `benchmarks.vision`.
 
 Every pose is measured anew from one picture: with the whole board, with a third of its area under a matt patch anywhere
 on it, and with a third under a strip along each of its sides, which shortens the board. One camera of 1280x960 pixels
@@ -10,7 +8,6 @@ are exact.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -18,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.other_renderer import PRINT_PX, BoardPose, OtherRenderer
+from benchmarks.support.other_renderer import PRINT_PX, BoardPose, OtherRenderer
 from calibration.images import Image
 from calibration.vision.board import Board
 from calibration.vision.charuco import CharucoBoard
@@ -280,39 +277,30 @@ def row(name: str, found: BoardErrors, whole: BoardErrors) -> str:
     return f"| {name} | {sizes} | {ratios} | {bound:.2f} | {100 * axis:.1f} / {100 * ellipsoid:.1f} | {found.lost} |"
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--poses", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", default="", help="part of a board's name")
-    parser.add_argument("--renderer", default="", help="part of a renderer's name")
-    parser.add_argument("--bounds", action="store_true", help="only the bounds by covered side, without pictures")
-    asked = parser.parse_args()
-    cv2.setNumThreads(1)
-    where = list(poses(asked.poses, asked.seed))
-    boards = {name: board for name, board in BOARDS.items() if asked.only in name}
-    if asked.bounds:
-        print("| board | corners | bound of the whole board [um] | left | right | top | bottom |")
-        print("|---|---|---|---|---|---|---|")
-        for name, board in boards.items():
+def print_bounds(poses_drawn: int, seed: int, only: str) -> None:
+    """Print the Cramer-Rao bounds by covered side, without pictures."""
+    where = list(poses(poses_drawn, seed))
+    print("| board | corners | bound of the whole board [um] | left | right | top | bottom |")
+    print("|---|---|---|---|---|---|---|")
+    for name, board in BOARDS.items():
+        if only in name:
             print(bound_row(name, board, where), flush=True)
-        return
+
+
+def print_errors(poses_drawn: int, seed: int, only: str) -> None:
+    """Print error and coverage of each board, whole and with a part covered, by each renderer."""
+    where = list(poses(poses_drawn, seed))
     print(
         "| board, renderer | error of the tip: mean / median / rms / stated rms [um] "
         "| ratio to whole: mean / median / rms | ratio of the bounds | held axes / ellipsoid [%] | lost |"
     )
     print("|---|---|---|---|---|---|")
-    for name, board in boards.items():
-        for renderer, draw in renderers(board, asked.seed).items():
-            if asked.renderer not in renderer:
-                continue
+    for name, board in BOARDS.items():
+        if only not in name:
+            continue
+        for renderer, draw in renderers(board, seed).items():
             whole = None
-            for occlusion_name, chosen in covers(board, asked.seed).items():
+            for occlusion_name, chosen in covers(board, seed).items():
                 found = measure(board, where, chosen, draw)
                 whole = whole or found
                 print(row(f"{name}, {occlusion_name}, {renderer}", found, whole), flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.inline_pipeline import InlinePipeline
+from benchmarks.support.inline_pipeline import InlinePipeline
 from model.arrays import Array
 from protocols import SetPointTrajectory
 from protocols.tip_reference import TipMotion

@@ -1,6 +1,6 @@
 """Table 3 of the paper: which rules for E_i can give its three errors at all.
 
-Run: python -m benchmarks.table3_rules
+Run: python -m scripts.table3_rules
 
 The experiment is not published, but Table 3 says how far three models lie from it. Distances obey the triangle
 inequality, so with d the mean normalised distance between two models over the same set-points,
