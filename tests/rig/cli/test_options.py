@@ -1,30 +1,17 @@
-"""Options of all commands: one name has one meaning, and the reference lists it."""
+"""Options of all commands: one name has one meaning, and the table of the documentation lists it."""
 
 from __future__ import annotations
 
-import re
 from collections import defaultdict
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
 
 from rig.cli.app import app
+from scripts.option_table import display, options, rows
 from tests.support.command_line import status_of
-
-REFERENCE = Path(__file__).parents[3] / "docs" / "reference" / "command-line.md"
-_CLICK_OWN = {"--help", "--install-completion", "--show-completion"}
-
-
-def options(command: Any, name: str = "rig") -> Iterator[tuple[str, Any]]:
-    """Every option of a command and its sub-commands, with the name of the command."""
-    for parameter in command.params:
-        if parameter.param_type_name == "option" and not _CLICK_OWN & set(parameter.opts):
-            yield name, parameter
-    for part, below in getattr(command, "commands", {}).items():
-        yield from options(below, f"{name} {part}")
 
 
 def meanings() -> dict[str, dict[tuple[object, ...], list[str]]]:
@@ -44,29 +31,17 @@ def meanings() -> dict[str, dict[tuple[object, ...], list[str]]]:
     return found
 
 
-def documented() -> dict[str, tuple[set[str], str]]:
-    """The commands and the meaning of every option in the table of the reference."""
-    _, _, section = REFERENCE.read_text().partition("## Options\n")
-    rows = re.findall(
-        r"^\| `(--[a-z-]+)(?:\\\||[^|])*\| (.*?) \| (.*?) \|$", section.partition("\n## ")[0], re.MULTILINE
-    )
-    return {name: (set(re.findall(r"`(.*?)`", commands)), meaning) for name, meaning, commands in rows}
-
-
 @pytest.mark.parametrize("name", sorted(meanings()))
 def test_an_option_means_the_same_in_every_command(name: str) -> None:
     assert len(meanings()[name]) == 1, dict(meanings()[name])
 
 
-def test_every_option_is_documented_with_its_commands() -> None:
-    table = documented()
+def test_the_table_of_the_documentation_has_every_option_with_its_meaning_and_commands() -> None:
+    table = {name.strip(","): (meaning, commands) for names, meaning, commands in rows() for name in names.split()}
     for name, by_meaning in meanings().items():
-        ((_, commands),) = by_meaning.items()
-        if name.startswith("--no-") and f"--{name.removeprefix('--no-')}" in meanings():
-            continue  # the row of the switch names both
-        assert name in table, name
-        assert table[name][0] == {command.removeprefix("rig").strip() or "rig" for command in commands}, name
-    assert set(table) <= set(meanings())
+        (((meaning, *_), commands),) = by_meaning.items()
+        assert table[name] == (meaning, [command.removeprefix("rig").strip() or "rig" for command in commands]), name
+        assert name in display("")
 
 
 def commands(command: Any, *names: str) -> Iterator[tuple[str, ...]]:
