@@ -52,7 +52,7 @@ class Setup:
     sections: tuple[SectionMount, ...] = ()
 
     def __post_init__(self) -> None:
-        n = self.arm.geometry.actuators
+        n = self.arm.actuators
         for name, neutral in (("actuator_turn_rad", 0.0), ("sensor_offset_pa", 0.0), ("sensor_gain", 1.0)):
             if not getattr(self, name):
                 object.__setattr__(self, name, (neutral,) * n)
@@ -65,11 +65,13 @@ class Setup:
             gravity = Rotation.from_rotvec(self.gravity_turn_rad).apply(arm.gravity_m_s2)
             arm = replace(arm, gravity_m_s2=_three(gravity))
         if any(self.actuator_turn_rad):
-            turned = tuple(
-                (math.cos(t) * x - math.sin(t) * y, math.sin(t) * x + math.cos(t) * y)
-                for t, (x, y) in zip(self.actuator_turn_rad, arm.geometry.actuator_xy_m, strict=True)
-            )
-            arm = arm.with_segment(geometry=replace(arm.geometry, actuator_xy_m=turned))
+            turns = iter(self.actuator_turn_rad)
+            for k, segment in enumerate(arm.segments):
+                turned = tuple(
+                    (math.cos(t) * x - math.sin(t) * y, math.sin(t) * x + math.cos(t) * y)
+                    for (x, y), t in zip(segment.geometry.actuator_xy_m, turns, strict=False)
+                )
+                arm = arm.with_segment(k, geometry=replace(segment.geometry, actuator_xy_m=turned))
         return arm
 
     def without_baseline(self, baseline: Setup) -> Setup:

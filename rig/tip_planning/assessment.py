@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.identify.memory_parameters import ALL_NAMES
-from calibration.identify.parameters import groups, known
+from calibration.identify.parameters import groups
+from calibration.identify.segments import known_of, number_of
 from calibration.identify.setup import Setup
 from model import batch, sensitivities
 from model.arrays import Array
@@ -99,11 +100,11 @@ def _propagated(
     gradient = sensitivities.statics(arm, pressure, changes, weights).tip_by[:, axes]
     shares: dict[str, float] = {}
     needed = np.zeros((len(pressure), drive.valves))
-    for name, parameter in known(arm.actuators).items():
+    for name, parameter in known_of(arm).items():
         # At rest nothing is remembered.
-        if name.startswith(NOT_OF_THE_ARM) or name in ALL_NAMES:
+        if name.startswith(NOT_OF_THE_ARM) or number_of(name) in ALL_NAMES:
             continue
-        std = stated.get(name, parameter.uncertainty(parameter.read(start)))
+        std = stated.get(number_of(name), parameter.uncertainty(parameter.read(start)))
         changed = parameter.write(start, parameter.read(start) + std)
         tips = batch.statics(changed.turned_arm, changed.pressure_pa(pressure)).tip_m
         shift = np.nan_to_num(tips - reference)[:, axes]

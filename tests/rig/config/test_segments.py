@@ -100,7 +100,7 @@ def test_neither_and_both_forms_are_refused_at_the_line_of_the_arm() -> None:
         ("length_mm: 90", "length_mm: 0.9", "arm, segments #2, geometry, length_mm", "the diameter of a tube"),
         ("  length_mm: 110", "  lenght_mm: 110", "arm, segments #1, geometry, lenght_mm", "one of length_mm"),
         ("actuator: 6,", "actuator: 7,", "sensors #6, actuator", "from 1 to 6: the arm has 6 in its segments"),
-        ("at_mm: 117.5", "at_mm: 215", "sections, middle, at_mm", "less than the length of the arm, 215 mm"),
+        ("at_mm: 110", "at_mm: 215", "sections, middle, at_mm", "less than the length of the arm, 215 mm"),
         ("length_mm: 15,", "length_mm: -15,", "arm, segments #2, coupling, length_mm", "a number from 0"),
     ],
 )  # fmt: skip
