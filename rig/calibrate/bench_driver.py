@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -19,8 +18,8 @@ from rig.control.interlocks import evaluation
 from rig.control.interlocks.base import Sample, Trip
 from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.control.step import StallAllowance
-from rig.hardware.bench import Bench
 from rig.hardware.cards.base import CardError
+from rig.hardware.safe_state import SafeOutputs
 from rig.valves.metering import MeteringRegulator
 
 _LONGEST_INTERVALS = 1.5
@@ -28,7 +27,7 @@ _LONGEST_INTERVALS = 1.5
 
 
 class TrippedError(Exception):
-    """An interlock ended the procedure; the valves are safe, or vented where the `trip` vents."""
+    """An interlock ends the procedure; the armed bench is then made safe, or vented where the `trip` vents."""
 
     def __init__(self, trip: Trip) -> None:
         super().__init__(trip.message)
@@ -52,7 +51,7 @@ class BenchLog:
 
 
 class BenchDriver:
-    """Drives an armed bench. Every control cycle goes through the interlocks of a run; a trip makes safe and raises."""
+    """Drives an armed bench. Every control cycle goes through the interlocks of a run; a trip raises `TrippedError`."""
 
     def __init__(
         self,
@@ -94,16 +93,16 @@ class BenchDriver:
         for now in self._period(seconds, until):
             rows.take(*self._listen())
             state, command = control.step(self._prepared, state, self._sample(now), setpoint_pa, still)
-            self._bench.write(command.outputs)
             if command.trip is not None:
                 raise TrippedError(command.trip)
+            self._bench.write(command.outputs)
         return rows.log()
 
     def open_valve(self, valve: int, offset_v: float, seconds: float, band_pa: float = math.inf) -> BenchLog:
         """Open one flow-metering valve to an offset from its closed voltage, for `seconds` or until the pressure
         changes by `band_pa`; the other valves are in their safe state.
         """
-        command_v = np.array(self._prepared.safe_output)
+        command_v = SafeOutputs.of(self._config.valves).held.copy()
         settings = self._prepared.valves[valve]
         assert isinstance(settings, MeteringRegulator)
         command_v[valve] = settings.opening_v(offset_v)
@@ -178,21 +177,6 @@ class BenchDriver:
 
     def _row_buffer(self) -> _RowBuffer:
         return _RowBuffer(None if self._longest_stop_ns is None else self._scan_interval_s)
-
-
-@contextmanager
-def made_safe(bench: Bench) -> Iterator[None]:
-    """Arm the bench and sample; write the safe state whatever happens inside, and vent for a trip that vents."""
-    vent = False
-    try:
-        bench.arm()
-        bench.start()
-        yield
-    except TrippedError as error:
-        vent = error.trip.vent
-        raise
-    finally:
-        bench.make_safe(vent=vent)
 
 
 class _RowBuffer:

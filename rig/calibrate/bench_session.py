@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import os
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from protocols import SetPointTrajectory
-from rig.calibrate.bench_driver import BenchClock, BenchDriver, TrippedError, made_safe
+from rig.calibrate.bench_driver import BenchClock, BenchDriver, TrippedError
 from rig.config.schema import RigConfig
 from rig.control.control_loop import ValveOutputs
 from rig.execution.plan import RunPlan, StartError
@@ -88,9 +87,14 @@ def virtual(config: RigConfig, seed: int, *, moving_arm: bool = True) -> Iterato
     """The simulated bench in this process, armed; every card of the rig is a mock."""
     plant = Plant(config, seed, t0_ns=0, moving_arm=moving_arm)
     bench = Bench(config, {name: plant.card(name) for name in config.cards}, lambda: plant.t_ns)
-    with made_safe(bench):
+    vents = False
+    with bench.armed(vent=lambda: vents):
         plant.advance(POWER_UP_NS)
-        yield bench, VirtualClock(plant, _period_ns(config)), plant
+        try:
+            yield bench, VirtualClock(plant, _period_ns(config)), plant
+        except TrippedError as error:
+            vents = error.trip.vent
+            raise
 
 
 @contextmanager
@@ -104,42 +108,41 @@ def real(config: RigConfig, rig_file: Path) -> Iterator[tuple[ValveOutputs, Benc
     with _watched(config, rig_file) as (memory, watchdog):
         bench = open_bench(config)
         memory.card_holder_pid = os.getpid()
+
+        def written() -> None:
+            memory.publish_stage("control", Stage.DONE)
+            _verify_venting(config, bench, vent=memory.vents)
+
         try:
-            bench.arm()
-            bench.start()
-            memory.control_granted = enable_realtime_scheduling(CONTROL_PRIORITY)
-            # The first scans are on their way.
-            time.sleep(POWER_UP_NS * 1e-9)
-            timing = timing_limits(config, memory.granted)
-            clock = RealTimeClock(memory, _period_ns(config), watchdog, timing)
-            # Imports and compilation at first use make a control cycle late: no valve may be open then, unwatched.
-            warming = BenchDriver(config, NullOutputs(bench), clock, lambda: None, longest_stop_ns=timing.simulator_ns)
-            warming.regulate(np.zeros(config.actuators), _WARM_UP_S)
-            memory.publish_stage("control", Stage.RUNNING)
-            yield GuardedOutputs(bench, memory), clock
-        except TrippedError as error:
-            memory.vented = memory.vented or error.trip.vent
-            raise
+            with bench.armed(vent=lambda: memory.vents, written=written):
+                memory.control_granted = enable_realtime_scheduling(CONTROL_PRIORITY)
+                # The first scans are on their way.
+                time.sleep(POWER_UP_NS * 1e-9)
+                timing = timing_limits(config, memory.granted)
+                clock = RealTimeClock(memory, _period_ns(config), watchdog, timing)
+                # Imports and compilation at first use make a cycle late: no valve may be open then, unwatched.
+                still = NullOutputs(bench)
+                warming = BenchDriver(config, still, clock, lambda: None, longest_stop_ns=timing.simulator_ns)
+                warming.regulate(np.zeros(config.actuators), _WARM_UP_S)
+                memory.publish_stage("control", Stage.RUNNING)
+                try:
+                    yield GuardedOutputs(bench, memory), clock
+                except TrippedError as error:
+                    memory.vented = memory.vented or error.trip.vent
+                    raise
         finally:
-            try:
-                bench.make_safe(vent=memory.vents)
-                since_ns = time.monotonic_ns()
-                memory.publish_stage("control", Stage.DONE)
-                _verify_venting(config, bench, vent=memory.vents, since_ns=since_ns)
-            finally:
-                memory.publish_stage("control", Stage.DONE)
-                bench.close()
-                gc.enable()
-                disable_realtime_scheduling()
+            memory.publish_stage("control", Stage.DONE)
+            bench.close()
+            gc.enable()
+            disable_realtime_scheduling()
 
 
-def _verify_venting(config: RigConfig, bench: Bench, *, vent: bool, since_ns: int) -> None:
-    """Watch the chambers vent; raise CardError where the pressures do not confirm it, after what was being raised."""
-    verification = VentVerification(config, bench, vent=vent, since_ns=since_ns)
+def _verify_venting(config: RigConfig, bench: Bench, *, vent: bool) -> None:
+    """Watch the chambers vent; raise CardError where the pressures do not confirm it."""
+    verification = VentVerification(config, bench, vent=vent, since_ns=time.monotonic_ns())
     outcome = verification.outcome(real_time(lambda: None))
     if not outcome.confirmed:
-        pending = sys.exception()
-        raise CardError(f"{pending or ''}; {outcome.sentence}".removeprefix("; ")) from pending
+        raise CardError(outcome.sentence)
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from rig.execution.plan import RunPlan
 from rig.experiment.preflight import peak_pa, trough_pa
 from rig.experiment.prepare import PreparedRun
 from rig.experiment.run import RunResult
-from rig.hardware.safe_state import safe_outputs
+from rig.hardware.safe_state import SafeOutputs
 from rig.realtime.scheduling import obtainable, remedies
 from rig.realtime.timing_limits import timing_sentence
 from runs.printable_text import printable
@@ -69,12 +69,12 @@ def check_screen(prepared: PreparedRun) -> Group:
         if config.has_real_valves and (refused := remedies(granted)):
             facts.add_row("", refused)
     peak = peak_bar(plan)
-    table = ColumnTable()
+    table, safe_outputs = ColumnTable(), SafeOutputs.of(config.valves).held.tolist()
     for head in ("valve", "actuators", "output", "peak [bar]", "limit [bar]", "safe state"):
         # On a narrow terminal words may wrap; a number must not.
         number = "bar" in head
         table.add_column(head, justify="right" if number else "left", overflow="fold", min_width=5 if number else None)
-    for i, (valve, safe) in enumerate(zip(config.valves, safe_outputs(config), strict=True), 1):
+    for i, (valve, safe) in enumerate(zip(config.valves, safe_outputs, strict=True), 1):
         actuators = ", ".join(str(a) for a in valve.actuators)
         highest = max(peak[a - 1] for a in valve.actuators)
         where = f"{valve.card} AO {valve.channel}"

@@ -15,7 +15,7 @@ from rig.conformance.check import Check, NonconformityError, NotApplicableError
 from rig.conformance.pressure_checks import PRESSURE_CHECKS
 from rig.conformance.second_process import holding, in_second_process
 from rig.hardware.cards.base import CardError, Scans
-from rig.hardware.safe_state import open_outputs
+from rig.hardware.safe_state import open_safe_state
 
 FIRST_SCANS_S = 2.0
 """Further time for the first scans of a card: no machine is so busy that there are none."""
@@ -63,9 +63,9 @@ def _reopened(subject: CardSubject, *, inputs: bool) -> tuple[float, str]:
             silent_s = time.monotonic() - last
         if np.all(np.isnan(before)) or np.all(np.isnan(after)):
             raise NotApplicableError(f"the card has no read-back before a write; opened in {took_s * 1e3:.1f} ms")
-        if np.all(np.abs(after - before) <= subject.output_tolerance):
+        if np.all(np.abs(after - before) <= subject.safe.tolerance):
             return took_s, "kept"
-        if silent_s < subject.silence_s or np.any(np.abs(after - subject.safe_output) > subject.output_tolerance):
+        if silent_s < subject.silence_s or np.any(np.abs(after - subject.safe.held) > subject.safe.tolerance):
             raise NonconformityError(
                 f"outputs at {subject.stated(before)} stand at {subject.stated(after)} once the card was closed and "
                 f"opened again{' and started' if inputs else ''}: neither may write"
@@ -87,7 +87,7 @@ def read_back(subject: CardSubject) -> str:
             slowest_s = max(slowest_s, time.monotonic() - began)
             if np.all(np.isnan(found)):
                 raise NotApplicableError("the card has no read-back: an output that does not obey is not detected")
-            if not np.all(np.abs(found - written) <= subject.output_tolerance):
+            if not np.all(np.abs(found - written) <= subject.safe.tolerance):
                 raise NonconformityError(
                     f"{subject.stated(written)} were written and {subject.stated(found)} read back"
                 )
@@ -106,7 +106,7 @@ def bad_values(subject: CardSubject) -> str:
             raise NonconformityError(f"NaN was accepted; the outputs stand at {subject.stated(found)}")
         card.write(np.array([c.high + 100.0 for c in subject.setup.outputs]))
         found = settled_readback(card, np.array([c.high for c in subject.setup.outputs]), subject)
-        if np.any(found > np.array([c.high for c in subject.setup.outputs]) + subject.output_tolerance):
+        if np.any(found > np.array([c.high for c in subject.setup.outputs]) + subject.safe.tolerance):
             raise NonconformityError(f"the outputs stand at {subject.stated(found)}, beyond range_V")
     return "NaN refused, clipped to range_V"
 
@@ -242,13 +242,13 @@ def second_opener(subject: CardSubject) -> str:
                 )
             return "the card admits one process, and names it"
         found = np.array(answer["stands"])
-        if not np.all(np.isnan(found) | (np.abs(found - written) <= subject.output_tolerance)):
+        if not np.all(np.isnan(found) | (np.abs(found - written) <= subject.safe.tolerance)):
             raise NonconformityError(
                 f"the second process wrote {subject.stated(written)} and reads back {subject.stated(found)}"
             )
         seen = settled_readback(card, written, subject)
         # The device may have vented by itself since.
-        stands = np.minimum(np.abs(seen - written), np.abs(seen - subject.safe_output)) <= subject.output_tolerance
+        stands = np.minimum(np.abs(seen - written), np.abs(seen - subject.safe.held)) <= subject.safe.tolerance
         if not np.all(np.isnan(seen) | stands):
             raise NonconformityError(
                 f"a second process set {subject.stated(written)} and the first process still reads back "
@@ -269,9 +269,9 @@ def killed_owner(subject: CardSubject) -> str:
     failure = ""
     while True:
         try:
-            with closing(open_outputs(subject.config, subject.name)) as outputs:
-                alone = outputs.readback()
-                outputs.arm()
+            with closing(open_safe_state(subject.config, subject.name)) as card:
+                alone = card.readback()
+                card.arm()
                 break
         except CardError as error:
             failure = str(error)
@@ -294,10 +294,10 @@ def silence(subject: CardSubject) -> str:
     time.sleep(patience_s + subject.timing.settled_s)
     with closing(subject.open(inputs=False)) as card:
         found = card.readback()
-    safe = subject.safe_output
+    safe = subject.safe.held
     if np.all(np.isnan(found)):
         raise NotApplicableError("the card has no read-back")
-    if not np.all(np.abs(found - safe) <= subject.output_tolerance):
+    if not np.all(np.abs(found - safe) <= subject.safe.tolerance):
         raise NonconformityError(
             f"{patience_s * 1e3:g} ms after the last write the outputs stand at {subject.stated(found)}; "
             "the driver states that it vents by itself"

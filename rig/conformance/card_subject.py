@@ -15,7 +15,7 @@ from rig.config.schema import RigConfig
 from rig.conformance.check import NotApplicableError
 from rig.conformance.timing import DEFAULT_TIMING, CheckTiming
 from rig.hardware.cards.base import Card, CardSetup, Scans, card_setup, card_type
-from rig.hardware.safe_state import READBACK_TOLERANCE
+from rig.hardware.safe_state import SafeOutputs
 from rig.valves.base import ValveSection
 
 LEAST_IDLE = 0.25
@@ -58,11 +58,6 @@ class CardSubject:
         steps = enumerate(self.setup.outputs)
         return np.array([c.low + (c.high - c.low) * min(1.0, fraction + 0.02 * i) for i, c in steps])
 
-    @property
-    def output_tolerance(self) -> Array:
-        """Largest deviation of a read-back."""
-        return np.array([(c.high - c.low) * READBACK_TOLERANCE for c in self.setup.outputs])
-
     def stated(self, outputs: Array) -> str:
         """Array of the outputs with their unit, for messages."""
         units = {valve.output_unit for valve in self.valves} or {"V"}
@@ -74,9 +69,9 @@ class CardSubject:
         return [valve for valve in self.config.valves if valve.card == self.name]
 
     @property
-    def safe_output(self) -> Array:
-        """The safe value of each output."""
-        return np.array([valve.safe_output() for valve in self.valves])
+    def safe(self) -> SafeOutputs:
+        """The safe value of each output, and the largest deviation of a read-back."""
+        return SafeOutputs.of(self.valves)
 
 
 def needs_outputs(subject: CardSubject) -> None:
@@ -90,7 +85,7 @@ def settled_readback(card: Card, written: Array, subject: CardSubject) -> Array:
     until = time.monotonic() + subject.timing.settled_s
     while True:
         found = card.readback()
-        right = np.all(np.isnan(found) | (np.abs(found - written) <= subject.output_tolerance))
+        right = np.all(np.isnan(found) | (np.abs(found - written) <= subject.safe.tolerance))
         if right or time.monotonic() > until:
             return found
         time.sleep(0.002)

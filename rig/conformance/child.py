@@ -25,7 +25,7 @@ from rig.conformance.messages import WHERE, CheckJob, Sender, end_with, message
 from rig.conformance.source_checks import CAMERA_CHECKS, TRACKER_CHECKS, SourceSubject
 from rig.conformance.timing import DEFAULT_TIMING
 from rig.hardware.cards.base import CardError, card_type
-from rig.hardware.safe_state import cards_with_outputs, open_outputs
+from rig.hardware.safe_state import cards_with_outputs, open_safe_state
 
 _RETRY_S = 0.01
 
@@ -85,8 +85,8 @@ def _made_safe(config: RigConfig, card: str, freed_s: float) -> str:
     until = time.monotonic() + freed_s
     while True:
         try:
-            with closing(open_outputs(config, card)) as outputs:
-                outputs.arm()
+            with closing(open_safe_state(config, card)) as opened:
+                opened.arm()
         except (Exception, SystemExit) as error:  # the code of another package may raise anything
             if time.monotonic() > until:
                 return str(error) or type(error).__name__

@@ -103,7 +103,7 @@ def _judge(subject: CardSubject, valve: ValveSection, reached_pa: Array, raised:
 
 def _vent(subject: CardSubject, card: Card, sensors: Bench) -> str:
     """Write the outputs that vent, and wait until the sensors show it; return what they show."""
-    card.write(np.array([valve.vent_output for valve in subject.valves]))
+    card.write(subject.safe.vented)
     config = subject.config.model_copy(update={"valves": tuple(_measured_valves(subject).values())})
     verification = VentVerification(config, sensors, vent=True, since_ns=time.monotonic_ns())
     outcome = verification.outcome(real_time(lambda: None))

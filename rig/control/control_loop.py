@@ -21,6 +21,7 @@ from rig.control.setpoints import Moment, RunSetPoints
 from rig.control.stream_follower import StreamFollower
 from rig.execution.plan import RunPlan, sample_rows
 from rig.hardware.bench import BenchScans
+from rig.hardware.safe_state import SafeOutputs
 from runs.records import SolveStatus, blank
 
 
@@ -65,6 +66,7 @@ class ControlLoop:
         """Lines between computer and cards that were damaged."""
         self.repeated = 0
         """Scans that the cards have delivered twice."""
+        self._safe_outputs = SafeOutputs.of(config.valves)
         self._has_voltage = np.array([valve.output_unit == "V" for valve in config.valves])
         self._scan_t_ns = 0
         self._excuse = control.StallAllowance()
@@ -125,6 +127,8 @@ class ControlLoop:
     ) -> tuple[NDArray[np.void], Trip | None]:
         """Run one cycle; return its row (reused: copy it to keep it) and why the run must stop, else None.
 
+        With a trip nothing is written: the caller leaves the armed bench, which writes the safe state at once.
+
         `periods` is the number of control periods since the last cycle: more than one after a missed deadline.
         """
         taken, dt_s = self.read_scans(), periods * self.period_ns * 1e-9
@@ -149,16 +153,21 @@ class ControlLoop:
             silences=self._setpoints.silences,
         )
         self._state, command = control.step(self._prepared, self._state, sample, setpoint_pa, rate_pa_s)
-        self._bench.write(command.outputs)
+        outputs = command.outputs
+        if command.trip is None:
+            self._bench.write(outputs)
+        else:
+            # The record has what the caller's bench writes as it is left.
+            outputs = self._safe_outputs.values(vent=command.trip.vent)
         row = self._row
         row["t_ns"] = self._scan_t_ns
         row["cycle"] = number
         row["protocol_s"] = protocol_s
         row["setpoint_pa"] = setpoint_pa
         row["measured_pa"] = self._pressure_pa
-        row["valve_v"] = np.where(self._has_voltage, command.outputs, np.nan)
+        row["valve_v"] = np.where(self._has_voltage, outputs, np.nan)
         if not self._has_voltage.all():
-            row["valve_output"] = command.outputs
+            row["valve_output"] = outputs
         if self._auxiliary is not None:
             row["aux"] = self._auxiliary.value
         row["scans"] = taken

@@ -15,6 +15,7 @@ from rig.control.interlocks import evaluation
 from rig.control.interlocks.base import Sample, Trip
 from rig.control.limiter import reference_pa
 from rig.control.sensor_state import RegulatorDemand, SensorState
+from rig.hardware.safe_state import SafeOutputs
 from rig.valves.base import Regulator, RegulatorState
 
 UNMEASURED_PERIODS = 3.0
@@ -34,8 +35,8 @@ class ControlSettings:
     """The settings of a rig in SI."""
 
     period_s: float
-    safe_output: tuple[float, ...]
-    vent_output: tuple[float, ...]
+    armed_output: tuple[float, ...]
+    """The output of each valve while its regulator has none: that of the armed bench."""
     closed_output: tuple[float | None, ...]
     """The output that closes each valve; None for a valve that keeps its output without a sample."""
     valves: tuple[Regulator, ...]
@@ -50,7 +51,7 @@ RESTART_S = 0.1
 
 
 class ControlState(NamedTuple):
-    """State between control steps. Once `trip` is set every command is the safe one, or vents as the trip says.
+    """State between control steps. Once `trip` is set there are no more outputs.
 
     `restarted_ns` is the end of the last stall after which the timers of the interlocks were reset.
     """
@@ -63,7 +64,7 @@ class ControlState(NamedTuple):
 
 
 class ControlOutput(NamedTuple):
-    """Valve outputs (V,), each in its unit, to write now, and the trip if they are the safe ones."""
+    """Valve outputs (V,) to write now, each in its unit; or the trip that ends the run, and no outputs (0,)."""
 
     outputs: NDArray[np.float64]
     trip: Trip | None
@@ -86,8 +87,7 @@ def prepare(config: RigConfig) -> ControlSettings:
     """Convert a rig to settings in SI, once per run."""
     return ControlSettings(
         period_s=1.0 / config.control.rate_hz,
-        safe_output=tuple(valve.safe_output() for valve in config.valves),
-        vent_output=tuple(valve.safe_output(vent=True) for valve in config.valves),
+        armed_output=tuple(SafeOutputs.of(config.valves).held.tolist()),
         closed_output=tuple(valve.closed_output for valve in config.valves),
         valves=tuple(valve.regulator(config.limits, config.control) for valve in config.valves),
         valve_of=config.valve_of,
@@ -108,7 +108,7 @@ def step(
     setpoint_pa: NDArray[np.float64],
     rate_pa_s: NDArray[np.float64],
 ) -> tuple[ControlState, ControlOutput]:
-    """Return the valve outputs for a sample, the set-points (N,) [Pa] and their rates of change (N,) [Pa/s].
+    """Return the outputs, or a trip, for a sample, the set-points (N,) [Pa] and their rates of change (N,) [Pa/s].
 
     Without a new scan the valves keep their outputs for three periods of the bench's time; then flow-metering valves
     are closed, and finally the samples count as stale. After a stall of this program each reference restarts at the
@@ -117,15 +117,14 @@ def step(
     if state.trip is None:
         state = _step(settings, state, sample, setpoint_pa.tolist(), rate_pa_s.tolist())
     if state.trip is not None:
-        ending = settings.vent_output if state.trip.vent else settings.safe_output
-        return state, ControlOutput(np.array(ending), state.trip)
+        return state, ControlOutput(np.empty(0), state.trip)
     # While the time of a simulated bench is stopped there are no new scans. Valves that are closed for that would be
     # closed in all the time that is simulated.
     bench_t_ns = sample.t_ns - sample.late_ns
     unmeasured = bench_t_ns - sample.scan_t_ns > UNMEASURED_PERIODS * settings.period_s * 1e9
     outputs = []
-    for valve, safe, closed in zip(state.valves, settings.safe_output, settings.closed_output, strict=True):
-        output = safe if math.isnan(valve.output) else valve.output
+    for valve, armed, closed in zip(state.valves, settings.armed_output, settings.closed_output, strict=True):
+        output = armed if math.isnan(valve.output) else valve.output
         outputs.append(closed if unmeasured and closed is not None else output)
     return state, ControlOutput(np.array(outputs), None)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.schema import RigConfig
-from rig.hardware.safe_state import SafeOutputs
+from rig.hardware.bench import Bench
 from runs.records import blank, pulse_dtype
 
 PAUSE_FRAMES = 2
@@ -18,7 +18,7 @@ PAUSE_FRAMES = 2
 class TriggerPulses:
     """Pulses of the camera trigger: one per frame period. Jitter shortens an interval by one control period at most."""
 
-    def __init__(self, config: RigConfig, outputs: SafeOutputs, clock: Callable[[], int]) -> None:
+    def __init__(self, config: RigConfig, bench: Bench, clock: Callable[[], int]) -> None:
         """`clock` returns the time [ns]; the edge of a pulse is stamped by it before and after the write."""
         camera = next(iter(config.cameras.values()))
         assert camera.trigger is not None
@@ -26,7 +26,7 @@ class TriggerPulses:
         self._cycles = round(rate_hz / camera.rate_hz)
         self._width = 1 if width_ms is None else round(width_ms * 1e-3 * rate_hz)
         self._cycle_ns = round(1e9 / rate_hz)
-        self._outputs, self._clock = outputs, clock
+        self._bench, self._clock = bench, clock
         self._row: NDArray[np.void] = blank((), pulse_dtype())
         self._due: int | None = None
         self._falls = self._pulse = self._quiet_until_ns = self._rise_ns = 0
@@ -42,14 +42,14 @@ class TriggerPulses:
             CardError: the output cannot be written.
         """
         if self._high and number >= self._falls:
-            self._outputs.write_trigger(high=False)
+            self._bench.write_trigger(high=False)
             self._high = False
         if self._due is not None and number < self._due:
             return None
         before_ns = self._clock()
         if before_ns < self._quiet_until_ns:
             return None
-        self._outputs.write_trigger(high=True)
+        self._bench.write_trigger(high=True)
         after_ns = self._clock()
         self._high, self._rise_ns = True, (before_ns + after_ns) // 2
         # A write that took long delays the next pulse, too: a camera that is still busy takes none.

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from runs.journal.journal import JournalWriter
 
 UNRECORDED = "the record could not be written"
-"""Begin of the message of a run that ends because its journal fails."""
+"""Prefix of the message of a run that ends because its journal fails."""
 
 
 def sample_rows(config: RigConfig) -> np.dtype[np.void]:

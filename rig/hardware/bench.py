@@ -16,7 +16,7 @@ from rig.config.input_sections import AuxiliaryInput
 from rig.config.sections import Sensor
 from rig.hardware.cards.base import Card, CardError, DigitalInputCard, Scans, SelfClockedCard, card_setup, open_cards
 from rig.hardware.driver_calls import as_error
-from rig.hardware.safe_state import SafeOutputs
+from rig.hardware.safe_state import SafeState
 
 LONGEST_MEAN_PERIODS = 2
 TIME_TOLERANCE_NS = 5_000_000
@@ -70,8 +70,8 @@ class BenchScans:
         return newest
 
 
-class Bench(SafeOutputs):
-    """The open cards of a rig: outputs that can be made safe, and inputs. Methods may raise `CardError`."""
+class Bench:
+    """The open cards of a rig: their inputs, their outputs, and the safe state. Methods may raise `CardError`."""
 
     def __init__(
         self, config: BenchConfig, cards: Mapping[str, Card], clock: Callable[[], int] = time.monotonic_ns
@@ -80,7 +80,9 @@ class Bench(SafeOutputs):
 
         A part of them suffices: signals of the others are NaN.
         """
-        super().__init__(config, dict(cards))
+        self._cards, self._valves = dict(cards), config.valves
+        self.safe_state = SafeState(config, self._cards)
+        self._columns = self.safe_state.columns
         self._sensors = config.sensors_by_actuator
         # A sensor is linear in its signal: two points define it.
         at_0, at_1 = ([float(s.pressure_pa(np.array(v))) for s in self._sensors] for v in (0.0, 1.0))
@@ -108,6 +110,19 @@ class Bench(SafeOutputs):
         """Period [ns] and drift [ppm] of the cards that sample by clocks of their own, by number in the rig file."""
         clocks = ((i, card.clock) for i, card in enumerate(self._cards.values()) if isinstance(card, SelfClockedCard))
         return {number: (clock.period_ns, clock.drift_ppm) for number, clock in clocks if clock is not None}
+
+    @contextmanager
+    def armed(
+        self, *, vent: Callable[[], bool] = lambda: False, written: Callable[[], None] = lambda: None
+    ) -> Iterator[tuple[str, ...]]:
+        """Arm and begin to sample; on every exit write the safe state, as `SafeState.armed` does.
+
+        Raises:
+            CardError: the bench cannot be armed or sampled; or its safe state has failed, after what ended the block.
+        """
+        with self.safe_state.armed(vent, written) as unverified:
+            self.start()
+            yield unverified
 
     def start(self) -> None:
         """Begin sampling on every card that has sensors or auxiliary inputs."""
@@ -195,9 +210,9 @@ class Bench(SafeOutputs):
         return longest
 
     def readback(self) -> NDArray[np.float64]:
-        """As `SafeOutputs.readback`, timed."""
-        with self._timed(2, *self.columns):
-            return super().readback()
+        """As `SafeState.readback`, timed."""
+        with self._timed(2, *self._columns):
+            return self.safe_state.readback()
 
     def _scans(self, cards: Scans) -> BenchScans:
         """Scans of the signals (n, N + I): sensors, then auxiliary inputs."""
@@ -216,7 +231,7 @@ class Bench(SafeOutputs):
     def write(self, outputs: NDArray[np.float64]) -> None:
         """Set every valve (V,), each in its unit."""
         self._commanded = None
-        for name, column in self.columns.items():
+        for name, column in self._columns.items():
             with as_error(CardError, f"card {name}: write of its driver failed"), self._timed(1, name):
                 self._cards[name].write(outputs[column])
         self._commanded = outputs.copy()
@@ -230,7 +245,7 @@ class Bench(SafeOutputs):
         if self._commanded is None:
             return ""
         stands = self.readback()
-        off = np.abs(stands - self._commanded) > self.output_tolerance
+        off = np.abs(stands - self._commanded) > self.safe_state.outputs.tolerance
         for i in np.flatnonzero(off).tolist():
             unit = self._valves[i].output_unit
             return (
@@ -249,8 +264,17 @@ class Bench(SafeOutputs):
         if self._commanded is None:
             return False
         stands = self.readback()
-        off = np.abs(stands - self._commanded) > self.output_tolerance
-        return bool(np.all(np.abs(stands - self.vent_outputs)[off] <= self.output_tolerance[off]))
+        safe = self.safe_state.outputs
+        off = np.abs(stands - self._commanded) > safe.tolerance
+        return bool(np.all(np.abs(stands - safe.vented)[off] <= safe.tolerance[off]))
+
+    def write_trigger(self, *, high: bool) -> None:
+        """Set the digital outputs that trigger the cameras."""
+        self.safe_state.write_trigger(high=high)
+
+    def close(self) -> None:
+        """Release every card; the outputs keep their values."""
+        self.safe_state.close()
 
 
 def open_bench(config: BenchConfig, *, by_instruction: bool = False) -> Bench:

@@ -1,14 +1,16 @@
-"""Making the outputs safe: the outputs of the safe state, the camera trigger low, writing and repeating.
+"""The safe state of the valves: what it is, and the one way to write it, to read it back and to compare.
 
-Control, the watchdog, the supervisor, the observer, virtual time and `rig vent` all use this module.
+`armed` writes it on every exit of what drives the valves: control, virtual time and calibrations. Watchdog,
+supervisor and observer write it by `RigSafeState` when control cannot, and `rig vent` by `open_safe_state`.
+`rig.hardware.vent_verification` then confirms it by the pressures.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from contextlib import closing, suppress
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -17,20 +19,54 @@ from numpy.typing import NDArray
 from rig.config.bench import BenchConfig
 from rig.hardware.cards.base import Card, CardBusyError, CardError, DigitalOutputCard, card_setup, open_cards
 from rig.hardware.driver_calls import as_error, release
+from rig.valves.base import ValveSection
 
 UNSAFE = "the safe state could not be written, shut the air off by hand"
-"""Begin of the message of a failed safe state."""
+"""Prefix of the message of a failed safe state."""
 WRITE_ATTEMPTS = 10
 """Attempts to write a safe state before the card counts as failed."""
 READBACK_TOLERANCE = 1 / 2000
 """Of the output's range: two counts of a 12-bit card."""
 RETRY_S = 0.002
-"""Pause between attempts to write the safe state."""
+"""Pause between attempts to write the safe state: shorter than a control period."""
 
 
-def safe_outputs(config: BenchConfig, *, vent: bool = False) -> tuple[float, ...]:
-    """The safe output of each valve: vented, or held where the rig file says so and `vent` is false."""
-    return tuple(valve.safe_output(vent=vent) for valve in config.valves)
+@dataclass(frozen=True)
+class SafeOutputs:
+    """The safe outputs (V,) of valves, each in its unit.
+
+    `held` closes the valves whose pressure the rig file holds, and vents the others; `vented` vents all. `tolerance` is
+    the largest deviation of a read-back.
+    """
+
+    held: NDArray[np.float64]
+    vented: NDArray[np.float64]
+    tolerance: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, valves: Sequence[ValveSection]) -> SafeOutputs:
+        """The safe outputs of these valves."""
+        held = [
+            valve.closed_output if valve.safe_state == "hold" and valve.closed_output is not None else valve.vent_output
+            for valve in valves
+        ]
+        spans = [high - low for low, high in (valve.output_range for valve in valves)]
+        vented = [valve.vent_output for valve in valves]
+        return cls(np.array(held), np.array(vented), np.array(spans) * READBACK_TOLERANCE)
+
+    def values(self, *, vent: bool = False) -> NDArray[np.float64]:
+        """The outputs to write (V,); `vent` also vents held valves."""
+        return self.vented if vent else self.held
+
+    @property
+    def holds(self) -> NDArray[np.bool_]:
+        """The valves (V,) that the safe state does not vent."""
+        return np.asarray(self.held != self.vented)
+
+    def departed(self, stands: NDArray[np.float64], tolerance: float | None = None) -> NDArray[np.bool_]:
+        """The valves (V,) that are neither safe nor vented; without a read-back (NaN) none is."""
+        allowed = self.tolerance if tolerance is None else tolerance
+        return np.asarray(np.minimum(np.abs(stands - self.held), np.abs(stands - self.vented)) > allowed)
 
 
 def armed_sentence(unverified: int) -> str:
@@ -40,17 +76,13 @@ def armed_sentence(unverified: int) -> str:
     return f"armed: the safe state was written, but not read back: {unverified} card(s) cannot read their outputs back"
 
 
-class SafeOutputs:
-    """Open cards of a rig, as outputs that can be made safe. Methods may raise `CardError`."""
+class SafeState:
+    """The safe state of open cards. Methods may raise `CardError`."""
 
     def __init__(self, config: BenchConfig, cards: Mapping[str, Card]) -> None:
         """`cards` are open, by their names in the rig, set up by `card_setup`; they may be some of the rig's."""
         self._cards, self._valves = cards, config.valves
-        self.safe_outputs: NDArray[np.float64] = np.array(safe_outputs(config))
-        self.vent_outputs: NDArray[np.float64] = np.array(safe_outputs(config, vent=True))
-        self.output_tolerance: NDArray[np.float64] = np.array(
-            [(v.output_range[1] - v.output_range[0]) * READBACK_TOLERANCE for v in config.valves]
-        )
+        self.outputs = SafeOutputs.of(config.valves)
         columns = {name: [i for i, v in enumerate(self._valves) if v.card == name] for name in cards}
         self.columns = {name: column for name, column in columns.items() if column}
         """Valves of each card that has any, in the order of its outputs."""
@@ -68,7 +100,7 @@ class SafeOutputs:
             CardError: one or more cards could not be written; it names each.
         """
         failures = []
-        outputs = self.vent_outputs if vent else self.safe_outputs
+        outputs = self.outputs.values(vent=vent)
         for name, column in self.columns.items():
             if failure := _retry(partial(self._cards[name].write, outputs[column])):
                 failures.append(f"card {name}: {failure}")
@@ -94,10 +126,10 @@ class SafeOutputs:
         """
         self.make_safe(vent=vent)
         stands = self.readback()
-        outputs = self.vent_outputs if vent else self.safe_outputs
+        outputs = self.outputs.values(vent=vent)
         for i in sorted(i for column in self.columns.values() for i in column):
             valve, safe = self._valves[i], outputs[i]
-            if abs(stands[i] - safe) > self.output_tolerance[i]:
+            if abs(stands[i] - safe) > self.outputs.tolerance[i]:
                 unit = valve.output_unit
                 raise CardError(
                     f"valve {i + 1} (card {valve.card}, output {valve.channel}) reads back "
@@ -105,6 +137,29 @@ class SafeOutputs:
                     "drives the card"
                 )
         return tuple(name for name, column in self.columns.items() if np.isnan(stands[column]).any())
+
+    @contextmanager
+    def armed(self, vent: Callable[[], bool], written: Callable[[], None]) -> Iterator[tuple[str, ...]]:
+        """Arm, and write the safe state on every exit: the one way from moving valves to safe ones.
+
+        Yields what `arm` returns. At the exit `vent` says whether held valves vent, too, and `written` is called once
+        the safe state is written; a CardError of it counts as a failure of the safe state.
+
+        Raises:
+            CardError: the cards cannot be armed; or the safe state has failed, after what ended the block.
+        """
+        ended: BaseException | None = None
+        try:
+            yield self.arm()
+        except BaseException as error:
+            ended = error
+            raise
+        finally:
+            try:
+                self.make_safe(vent=vent())
+                written()
+            except CardError as error:
+                raise CardError(combined_fault(str(ended or ""), str(error))) from ended
 
     def readback(self) -> NDArray[np.float64]:
         """The outputs (V,), NaN where a card has no read-back."""
@@ -114,17 +169,15 @@ class SafeOutputs:
                 outputs[column] = self._cards[name].readback()
         return outputs
 
-    def unsafe_output(self) -> str:
+    def departure(self) -> str:
         """Message about a valve that is neither safe nor vented; empty if there is none or the cards have no read-back.
 
         Raises:
             CardError: a card cannot be read back.
         """
         stands = self.readback()
-        for i in range(len(stands)):
-            known = (self.safe_outputs[i], self.vent_outputs[i])
-            if all(abs(stands[i] - v) > self.output_tolerance[i] for v in known):
-                return f"valve {i + 1} stands at {stands[i]:.3f} {self._valves[i].output_unit}"
+        for i in np.flatnonzero(self.outputs.departed(stands)).tolist():
+            return f"valve {i + 1} stands at {stands[i]:.3f} {self._valves[i].output_unit}"
         return ""
 
     def close(self) -> None:
@@ -132,14 +185,14 @@ class SafeOutputs:
         release(self._cards.values())
 
 
-def open_outputs(config: BenchConfig, *names: str) -> SafeOutputs:
+def open_safe_state(config: BenchConfig, *names: str) -> SafeState:
     """Open cards of a rig for their outputs only; control may use the inputs of the same cards.
 
     Raises:
         CardError: a card cannot be opened.
     """
     setups = (replace(card_setup(config, name), inputs=(), digital_inputs=()) for name in names)
-    return SafeOutputs(config, open_cards(config, setups))
+    return SafeState(config, open_cards(config, setups))
 
 
 def cards_with_outputs(config: BenchConfig) -> tuple[str, ...]:
@@ -148,7 +201,7 @@ def cards_with_outputs(config: BenchConfig) -> tuple[str, ...]:
     return tuple(name for name, setup in setups.items() if setup.outputs or setup.digital_outputs)
 
 
-def followed_by(reason: str, failure: str) -> str:
+def combined_fault(reason: str, failure: str) -> str:
     """A fault and the failure that followed; a failure that repeats the fault stands for both."""
     return failure if not reason or reason in failure else f"{reason}; then {failure}"
 
@@ -167,75 +220,74 @@ def failure_of(write: Callable[[], None], patience_s: float = 0.0) -> str:
             return ""
 
 
-def make_safe(config: BenchConfig, *, vent: bool) -> None:
-    """Open every card of a rig and write its safe state, also if another card fails.
+class RigSafeState:
+    """The safe state of a rig that another process drives: what the watchdog, the supervisor and the observer use.
 
-    Raises:
-        CardError: one or more cannot be opened or written.
-    """
-    failures: list[CardError] = []
-    for name in cards_with_outputs(config):
-        try:
-            with closing(open_outputs(config, name)) as outputs:
-                outputs.make_safe(vent=vent)
-        except CardError as error:
-            failures.append(error)
-    if len(failures) == 1:
-        raise failures[0]
-    if failures:
-        raise CardError("; ".join(map(str, failures)))
-
-
-def unsafe_output(config: BenchConfig) -> str:
-    """Open every card and return a message about a valve that is neither safe nor vented.
-
-    Empty if there is none, or if a card cannot be opened or has no read-back.
-    """
-    for name in cards_with_outputs(config):
-        with suppress(CardError), closing(open_outputs(config, name)) as outputs:
-            if off := outputs.unsafe_output():
-                return off
-    return ""
-
-
-class WatchdogOutputs:
-    """Cards with outputs, open for writing; if one allows one process only, all are opened when they are needed.
-
-    Such a card is open in control, so the watchdog can write only once control is dead.
+    Each call opens the cards that have outputs and closes them again, unless `keep_open` has kept them.
     """
 
     def __init__(self, config: BenchConfig) -> None:
-        """Test whether two processes can open the cards at once; control must not have opened them yet.
+        self._config = config
+        self._kept: SafeState | None = None
+
+    def keep_open(self) -> None:
+        """Keep the cards open, if two processes can have them at once; control must not have opened them yet.
+
+        A card that admits one process only is open in control: it can be written only once control is dead.
 
         Raises:
             CardError: a card cannot be opened at all.
         """
-        self._config = config
-        names = cards_with_outputs(config)
-        outputs = open_outputs(config, *names)
-        self._outputs: SafeOutputs | None = outputs
+        names = cards_with_outputs(self._config)
+        kept = open_safe_state(self._config, *names)
         try:
-            open_outputs(config, *names).close()
+            open_safe_state(self._config, *names).close()
         except CardBusyError:
-            outputs.close()
-            self._outputs = None
+            kept.close()
+        else:
+            self._kept = kept
 
     @property
-    def shared(self) -> bool:
+    def kept_open(self) -> bool:
         """True if the cards can be written while control has them open."""
-        return self._outputs is not None
+        return self._kept is not None
 
     def make_safe(self, *, vent: bool) -> None:
-        """Write the safe state. Raises CardError: a card cannot be opened or written."""
-        if self._outputs is not None:
-            self._outputs.make_safe(vent=vent)
+        """Write the safe state of every card, also if another card fails.
+
+        Raises:
+            CardError: one or more cards cannot be opened or written.
+        """
+        if self._kept is not None:
+            self._kept.make_safe(vent=vent)
             return
-        make_safe(self._config, vent=vent)
+        failures: list[CardError] = []
+        for name in cards_with_outputs(self._config):
+            try:
+                with closing(open_safe_state(self._config, name)) as card:
+                    card.make_safe(vent=vent)
+            except CardError as error:
+                failures.append(error)
+        if len(failures) == 1:
+            raise failures[0]
+        if failures:
+            raise CardError("; ".join(map(str, failures)))
+
+    def departure(self) -> str:
+        """Message about a valve that is neither safe nor vented.
+
+        Empty if there is none, or if a card cannot be opened or has no read-back.
+        """
+        for name in cards_with_outputs(self._config):
+            with suppress(CardError), closing(open_safe_state(self._config, name)) as card:
+                if departure := card.departure():
+                    return departure
+        return ""
 
     def close(self) -> None:
         """Release the cards; the outputs keep their values."""
-        if self._outputs is not None:
-            self._outputs.close()
+        if self._kept is not None:
+            self._kept.close()
 
 
 def _trigger_cards(config: BenchConfig, cards: Mapping[str, Card]) -> dict[str, DigitalOutputCard]:

@@ -16,7 +16,7 @@ from rig.hardware.call_limit import LONGEST_CALL_S, awaited, begun, within
 from rig.hardware.cards.base import AbsentCardError, CardBusyError, CardError
 from rig.hardware.lock import described, held_by_unseen, holders, runs_of
 from rig.hardware.running import signal_run
-from rig.hardware.safe_state import SafeOutputs, cards_with_outputs, open_outputs, safe_outputs
+from rig.hardware.safe_state import SafeOutputs, SafeState, cards_with_outputs, open_safe_state
 from rig.hardware.vent_verification import LONGEST_VENTING_S, UNCONFIRMED, verify_venting
 
 REPEATED_S = 0.25
@@ -120,7 +120,7 @@ class Venting:
 
         After a killed process the watchdog writes the safe state.
         """
-        if self._running and safe_outputs(self._config) != safe_outputs(self._config, vent=True):
+        if self._running and SafeOutputs.of(self._config.valves).holds.any():
             self._wait_for_end(set(holders(self._config)))
             self.begin()
             self.finish_writing()
@@ -146,35 +146,35 @@ class Venting:
     def _vent_card(self, name: str) -> _CardOutcome:
         """Vent one card for REPEATED_S and read it back."""
         try:
-            outputs = self._opened(name)
+            card = self._opened(name)
         except CardError as error:
             return _CardOutcome(failures=(str(error),))
-        if outputs is None:
+        if card is None:
             return _CardOutcome(absent=True)
         try:
-            _vent_repeatedly(outputs, NOTICED_S)
+            _vent_repeatedly(card, NOTICED_S)
             self._request_end()
-            _vent_repeatedly(outputs, REPEATED_S - NOTICED_S)
+            _vent_repeatedly(card, REPEATED_S - NOTICED_S)
             failures = []
             unverified: tuple[str, ...] = ()
             try:
-                unverified = outputs.arm(vent=True)
+                unverified = card.arm(vent=True)
             except CardError as error:
                 failures.append(str(error))
-            if outputs.trigger_failure:
-                failures.append(outputs.trigger_failure)
+            if card.trigger_failure:
+                failures.append(card.trigger_failure)
             return _CardOutcome(unverified, tuple(failures))
         finally:
-            outputs.close()
+            card.close()
 
-    def _opened(self, name: str) -> SafeOutputs | None:
+    def _opened(self, name: str) -> SafeState | None:
         """Open a card; None for a simulated card of a run that has ended. Raises CardError."""
         seen: dict[int, float] = {}
         requested = False
         while True:
             waited_s = time.monotonic() - self._began
             try:
-                return open_outputs(self._config, name)
+                return open_safe_state(self._config, name)
             except AbsentCardError:
                 if not self._of_run or waited_s > ENDED_S:
                     raise
@@ -241,11 +241,11 @@ def _kill_overdue(holders: tuple[int, ...], seen: dict[int, float]) -> None:
                 os.kill(holder, signal.SIGKILL)
 
 
-def _vent_repeatedly(outputs: SafeOutputs, seconds: float) -> None:
+def _vent_repeatedly(card: SafeState, seconds: float) -> None:
     until = time.monotonic() + seconds
     while True:
         with contextlib.suppress(CardError):  # the final `arm` reports failures
-            outputs.make_safe(vent=True)
+            card.make_safe(vent=True)
         if time.monotonic() >= until:
             return
         time.sleep(PAUSE_S)

@@ -19,9 +19,10 @@ from model.units import PA_PER_BAR
 from rig.config.bench import BenchConfig
 from rig.hardware.bench import Bench, BenchScans, open_bench
 from rig.hardware.cards.base import CardError
+from rig.hardware.safe_state import SafeOutputs
 
 UNCONFIRMED = "the safe state is NOT confirmed, shut the air off by hand"
-"""Begin of the message where the pressures do not show that the chambers vent."""
+"""Prefix of the message where the pressures do not show that the chambers vent."""
 VENTING_S = 1.0
 """Default of the first wait; a chamber vents in a few tenths of a second."""
 LONGEST_VENTING_S = 30.0
@@ -74,10 +75,11 @@ class VentVerification:
         since_ns: int = 0,
     ) -> None:
         self._bench, self._patience_s, self._since_ns = bench, patience_s, since_ns
+        holds = SafeOutputs.of(config.valves).holds.tolist()
         venting = {
             a - 1: valve.vented_pa
-            for valve in config.valves
-            if vent or valve.safe_output() == valve.vent_output
+            for valve, held in zip(config.valves, holds, strict=True)
+            if vent or not held
             for a in valve.actuators
         }
         self._venting: NDArray[np.int64] = np.array(sorted(venting), np.int64)

@@ -15,7 +15,7 @@ from rig.control.plan_follower import StampedPlan
 from rig.control.trigger import TriggerPulses
 from rig.hardware.bench import Bench, BenchScans, open_bench
 from rig.hardware.cards.base import CardError
-from rig.hardware.safe_state import followed_by
+from rig.hardware.safe_state import combined_fault
 from rig.hardware.vent_verification import VentOutcome, VentVerification, real_time
 from rig.realtime.child_process import (
     ChildJob,
@@ -62,32 +62,26 @@ def main() -> int:
     fault = ""
     crash: Exception | None = None
     try:
-        memory.unverified_cards = len(bench.arm())
-        bench.start()
-        _warm_up(job, bench)
-        memory.publish_clocks(bench.clocks)
-        memory.control_granted = enable_realtime_scheduling(CONTROL_PRIORITY)
-        memory.publish_stage("control", Stage.READY)
-        fault = _run(job, memory, bench, supervisor)
+        with bench.armed(vent=lambda: memory.vents, written=memory.publish_safe) as unverified:
+            memory.unverified_cards = len(unverified)
+            _warm_up(job, bench)
+            memory.publish_clocks(bench.clocks)
+            memory.control_granted = enable_realtime_scheduling(CONTROL_PRIORITY)
+            memory.publish_stage("control", Stage.READY)
+            fault = _run(job, memory, bench, supervisor)
     except CardError as error:
-        fault = str(error)
+        fault = combined_fault(fault, str(error))
     except Exception as error:
         crash, fault = error, f"the control process failed: {type(error).__name__}: {error}"
-    finally:
-        try:
-            bench.make_safe(vent=memory.vents)
-            memory.safe_ns = time.monotonic_ns()
-        except CardError as error:
-            fault = followed_by(fault, str(error))
-        else:
-            if bench.trigger_failure:
-                fault = followed_by(fault, bench.trigger_failure)
-            vented = _verify_venting(job, memory, bench)
-            if supervisor.exited:
-                report_end("", lambda: vented)
-            # Pressures that cannot be read here may be readable by the supervisor, which opens the cards again.
-            if not vented.confirmed and vented.answered and not memory.watchdog_trip_ns:
-                fault = followed_by(fault, vented.sentence)
+    if memory.safe_ns:
+        if failure := bench.safe_state.trigger_failure:
+            fault = combined_fault(fault, failure)
+        vented = _verify_venting(job, memory, bench)
+        if supervisor.exited:
+            report_end("", lambda: vented)
+        # Pressures that cannot be read here may be readable by the supervisor, which opens the cards again.
+        if not vented.confirmed and vented.answered and not memory.watchdog_trip_ns:
+            fault = combined_fault(fault, vented.sentence)
     memory.publish_stage("control", Stage.FAILED if fault else Stage.DONE, fault)
     bench.close()
     disable_realtime_scheduling()
@@ -238,6 +232,7 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
         if trip is not None:
             # Before the safe state is written: the watchdog, too, then vents.
             memory.vented = memory.vented or trip.vent
+            valves.undisturbed()
             return trip.message
         if loop.finished:
             return ""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import mmap
 import os
+import time
 from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
 from pathlib import Path
@@ -235,6 +236,10 @@ class SharedState:
             self.vent_requested = True
         if vents or self.stop_request is Stop.NONE:
             self.stop_request = reason
+
+    def publish_safe(self) -> None:
+        """Publish that this process has written the safe state now."""
+        self.safe_ns = time.monotonic_ns()
 
     @property
     def vents(self) -> bool:

@@ -13,11 +13,11 @@ from rig.hardware.safe_state import UNSAFE, armed_sentence
 from rig.hardware.vent_verification import UNCONFIRMED
 from rig.realtime.child_process import require_libraries
 from rig.realtime.data_recorder import DataRecorder
+from rig.realtime.failsafe import Shutdown
 from rig.realtime.operator_session import OperatorSession
 from rig.realtime.process_group import PROCESSES, WATCHDOG_TRIPPED, ProcessGroup
 from rig.realtime.scheduling import PLANNING_NICENESS, REAL_TIME, Scheduling, obtainable, remedies, steal_time_ms
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, Stop
-from rig.realtime.shutdown import Shutdown
 from rig.realtime.timing_limits import TimingProfile, timing_limits, timing_sentence
 from rig.simulator.plant_launcher import PlantProcess, started
 from rig.tip_control.monitor import LOST_S, TipControlMonitor
@@ -107,7 +107,7 @@ class Supervisor:
         try:
             status, message = self.supervise()
         finally:
-            self.shutdown.make_safe(self.timing)
+            self.shutdown.await_safe_state(self.timing)
         # The last frame is still being measured, and the live page may have shown it already: it belongs in the record.
         self.processes.await_exit("observer", LAST_FRAME_TIMEOUT_S)
         self.record.finish()
@@ -148,7 +148,7 @@ class Supervisor:
                 return Status.ABORTED, STOP_MESSAGES[stop]
             if fault := self.processes.fault(self.timing):
                 # First of all, because the exit of a process may take long.
-                self.shutdown.make_safe(self.timing)
+                self.shutdown.await_safe_state(self.timing)
                 fault = self.processes.completed(fault, self.timing)
                 self._event(Level.FAULT, fault.source, fault.message)
                 return _aborted(fault.message, self._tip_monitor.loss)

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 
 from rig.hardware.cards.base import CardError
-from rig.hardware.safe_state import WatchdogOutputs, failure_of, followed_by
+from rig.hardware.safe_state import RigSafeState, combined_fault, failure_of
 from rig.hardware.vent_verification import LONGEST_VENTING_S, verify_venting
 from rig.realtime.child_process import (
     await_device_access,
@@ -49,8 +49,9 @@ def main() -> int:
     if not await_device_access(memory, supervisor, lambda: not memory.simulator_starting):
         memory.publish_stage("watchdog", Stage.DONE)
         return 0
+    safe_state = RigSafeState(job.plan.config)
     try:
-        outputs = WatchdogOutputs(job.plan.config)
+        safe_state.keep_open()
     except CardError as error:
         memory.publish_stage("watchdog", Stage.FAILED, str(error))
         return 1
@@ -60,34 +61,34 @@ def main() -> int:
     reason = "the watchdog failed"
     ended = 0
     try:
-        reason = _watch(memory, job.supervisor_pid, outputs, lambda: timing_limits(job.plan.config, memory.granted))
+        reason = _watch(memory, job.supervisor_pid, safe_state, lambda: timing_limits(job.plan.config, memory.granted))
     finally:
-        if reason and not outputs.shared:
+        if reason and not safe_state.kept_open:
             ended = memory.card_holder_pid
             _kill(ended or memory.control_pid)  # only its exit releases the card
         # A safe state that control has written is not written again: another program may have vented held valves since.
-        failure = "" if not reason and memory.safe_ns else _make_safe(outputs, memory)
+        failure = "" if not reason and memory.safe_ns else _make_safe(safe_state, memory)
     # The outputs are safe; the rest is not urgent.
     if reason:
         memory.watchdog_trip_ns = time.monotonic_ns()
         _kill(memory.control_pid)
         time.sleep(0.005)
         # A control process that was only slow may have written once more before it died.
-        failure = _make_safe(outputs, memory)
-    message = followed_by(reason, failure) if failure else reason
+        failure = _make_safe(safe_state, memory)
+    message = combined_fault(reason, failure) if failure else reason
     memory.publish_stage("watchdog", Stage.FAILED if failure else Stage.DONE, message)
     if ended:
         report(f"{reason}: the process that held the card was ended to make the valves safe")
-    outputs.close()
+    safe_state.close()
     disable_realtime_scheduling()
     if (reason and _supervisor_exits(memory, supervisor)) or (not memory.safe_ns and supervisor.exited):
         report_end(failure and message, lambda: verify_venting(job.plan.config, vent=memory.vents))
     return 1 if failure else 0
 
 
-def _make_safe(outputs: WatchdogOutputs, memory: SharedState, patience_s: float = RETRY_S) -> str:
+def _make_safe(safe_state: RigSafeState, memory: SharedState, patience_s: float = RETRY_S) -> str:
     """Write the safe state; retry a failing card for `patience_s`. Returns the reason of a failure, else empty."""
-    return failure_of(lambda: outputs.make_safe(vent=memory.vents), patience_s)
+    return failure_of(lambda: safe_state.make_safe(vent=memory.vents), patience_s)
 
 
 def _supervisor_exits(memory: SharedState, supervisor: ProcessMonitor) -> bool:
@@ -102,7 +103,7 @@ def _supervisor_exits(memory: SharedState, supervisor: ProcessMonitor) -> bool:
 
 
 def _watch(
-    memory: SharedState, supervisor_pid: int, outputs: WatchdogOutputs, decide: Callable[[], TimingLimits]
+    memory: SharedState, supervisor_pid: int, safe_state: RigSafeState, decide: Callable[[], TimingLimits]
 ) -> str:
     """Return why the watchdog has to write the safe state; empty if control has written it.
 
@@ -128,7 +129,7 @@ def _watch(
             return "" if memory.stage("control") in (Stage.DONE, Stage.FAILED) else "the control process died"
         if not vented and memory.vents:
             # At once: control does the same, but in its next cycle only.
-            _make_safe(outputs, memory, patience_s=0.0)
+            _make_safe(safe_state, memory, patience_s=0.0)
             vented = True
         running = memory.stage("control") == Stage.RUNNING
         if running and not final:

@@ -25,6 +25,7 @@ import rig.config.loader
 from protocols import BadInputError
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
+from rig.hardware.safe_state import SafeOutputs
 from rig.simulator.faults import Faults
 from rig.simulator.plant import Plant, PlantCard
 from rig.simulator.registers import Registers
@@ -51,10 +52,7 @@ class SimulatedCard:
         self._columns = [s.channel for s in sensors]
         self._columns += [i.channel for i in config.inputs.values() if i.card == name]
         self._channels = [v.channel for v in config.valves if v.card == name]
-        valves = [i for i, v in enumerate(config.valves) if v.card == name]
-        self._safe_outputs = np.array(
-            [[config.valves[i].safe_output(vent=vent) for i in valves] for vent in (False, True)]
-        )
+        self._safe_outputs = SafeOutputs.of([valve for valve in config.valves if valve.card == name])
         self.registers = Registers.create(card.device, card.outputs, card.inputs, sections=len(config.sections))
         self.faults = self.registers.faults
         self._card.faults = Faults()  # faults act in the mock card of the run's processes; this one only samples
@@ -69,8 +67,7 @@ class SimulatedCard:
 
     def driven(self) -> bool:
         """True while the valves are neither safe nor vented."""
-        off = np.abs(self._outputs[self._channels] - self._safe_outputs) > SAFE_TOLERANCE_V
-        return bool(off.all(axis=0).any())
+        return bool(self._safe_outputs.departed(self._outputs[self._channels], SAFE_TOLERANCE_V).any())
 
     def take_outputs(self) -> None:
         """Pass the registers of the outputs to the valves of the plant."""

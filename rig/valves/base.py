@@ -129,11 +129,6 @@ class ValveSection(Section, ABC):
         """The output that stops the flow when control has no sample; None if the valve keeps its output then."""
         return None
 
-    def safe_output(self, *, vent: bool = False) -> float:
-        """The output of the safe state: vented, or closed where the rig file holds the pressure and not `vent`."""
-        held = self.safe_state == "hold" and not vent
-        return self.closed_output if held and self.closed_output is not None else self.vent_output
-
     @property
     def fills_at_power_up(self) -> bool:
         """True if 0 V, the voltage of an attached card, fills the chambers."""

@@ -11,7 +11,6 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Iterator, Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +21,7 @@ from rig.hardware.bench import Bench
 from rig.hardware.cameras.base import CameraError, FrameSet
 from rig.hardware.cards.base import CardError
 from rig.hardware.driver_calls import TipSourceError
-from rig.hardware.safe_state import armed_sentence, failure_of, followed_by
+from rig.hardware.safe_state import armed_sentence, combined_fault
 from rig.hardware.trackers.base import TrackerReading
 from rig.hardware.vent_verification import VentOutcome, VentVerification
 from rig.observation.frame_sources import ReadingSequence, silence
@@ -134,46 +133,49 @@ class _VirtualRun:
     def run(self, pipeline: FramePipeline | InlineFrames, open_record: OpenRecord) -> RunFooter:
         """Arm, run cycles until the run ends, write the safe state."""
         self._pipeline = pipeline
-        unverified = self._bench.arm()
-        self._bench.start()
-        self._plant.advance(START_NS)
-        self._journal = open_record(START_NS)
-        self._record = DataRecorder(
-            self._plan, self._memory, self._journal, self._operator, START_NS, lambda: self._plant.t_ns
-        )
-        self._event(START_NS, Level.INFO, "control", armed_sentence(len(unverified)))
-        cycle = 0
-        now = START_NS
+        ending: tuple[Status, str] | None = None
+        unsafe = ""
         try:
-            while True:
-                now = START_NS + cycle * self._loop.period_ns
-                ending = self._cycle(cycle, now)
-                if ending is not None:
-                    break
-                cycle += 1
-        except (CardError, TipSourceError) as error:
-            self._event(now, Level.FAULT, "observer" if isinstance(error, TipSourceError) else "control", str(error))
-            ending = Status.ABORTED, str(error)
-        except FrameProcessError as error:
-            self._event(now, Level.FAULT, "observer", str(error))
-            for traceback in getattr(error, "__notes__", ()):
-                self._journal.event(Event(now, Level.FAULT, "observer", traceback))
-            ending = Status.ABORTED, str(error)
-        finally:
-            unsafe = failure_of(partial(self._bench.make_safe, vent=self._vents))
+            with self._bench.armed(vent=lambda: self._vents) as unverified:
+                self._plant.advance(START_NS)
+                self._journal = open_record(START_NS)
+                self._record = DataRecorder(
+                    self._plan, self._memory, self._journal, self._operator, START_NS, lambda: self._plant.t_ns
+                )
+                self._event(START_NS, Level.INFO, "control", armed_sentence(len(unverified)))
+                now, ending = self._cycles()
+        except CardError as error:
+            if ending is None:
+                raise
+            unsafe = str(error)
         self._receive_all_but(0)
         self._record.finish()
         vented = self._vented(now)
         unsafe = unsafe or ("" if vented.confirmed else vented.sentence)
         if unsafe:
             self._event(now, Level.FAULT, "control", unsafe)
-            ending = Status.ABORTED, followed_by(ending[1], unsafe)
+            ending = Status.ABORTED, combined_fault(ending[1], unsafe)
         else:
             self._event(now, Level.INFO, "control", f"the valves are in their safe state; {vented.sentence}")
         if failure := self._record.failure:
             ending = Status.ABORTED, failure
         counters = self._record.counters()
         return RunFooter(now, *ending, {name: counters[name] for name in _COUNTERS if name in counters})
+
+    def _cycles(self) -> tuple[int, tuple[Status, str]]:
+        """Run cycles until the run ends; return when, and how."""
+        cycle, now = 0, START_NS
+        try:
+            while (ending := self._cycle(cycle, now)) is None:
+                cycle += 1
+                now = START_NS + cycle * self._loop.period_ns
+        except (CardError, TipSourceError, FrameProcessError) as error:
+            source = "control" if isinstance(error, CardError) else "observer"
+            self._event(now, Level.FAULT, source, str(error))
+            for note in getattr(error, "__notes__", ()):
+                self._journal.event(Event(now, Level.FAULT, source, note))
+            ending = Status.ABORTED, str(error)
+        return now, ending
 
     def _vented(self, now: int) -> VentOutcome:
         """Watch the chambers vent from the time of the safe state."""

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 from rig.config.schema import RigConfig
 from rig.control.trigger import TriggerPulses
+from rig.hardware.bench import Bench
 from rig.hardware.cameras.base import CameraError
 from rig.hardware.cameras.trigger import RECENT_PULSES, PulseMatcher
-from rig.hardware.safe_state import SafeOutputs
 from rig.realtime.ring import RingBuffer
 from rig.simulator.mock_camera import Exposure, MockCamera
 from rig.simulator.plant import Plant
@@ -32,13 +32,13 @@ class TriggeredExposures:
     def __init__(
         self,
         config: RigConfig,
-        outputs: SafeOutputs,
+        bench: Bench,
         plant: Plant,
         cameras: Mapping[str, MockCamera],
         record: RingBuffer,
     ) -> None:
         """`record` takes the rows of the pulses."""
-        self._pulses = TriggerPulses(config, outputs, lambda: plant.t_ns)
+        self._pulses = TriggerPulses(config, bench, lambda: plant.t_ns)
         self._cameras = tuple(cameras.values())
         self._matchers = [PulseMatcher(camera) for camera in config.cameras.values()]
         self._running: deque[tuple[int | None, ...]] = deque()

@@ -22,7 +22,7 @@ import numpy as np
 
 import rig.config.loader
 from rig.hardware.cards.base import CardError
-from rig.hardware.safe_state import safe_outputs
+from rig.hardware.safe_state import SafeOutputs
 from rig.simulator.faults import Faults
 from rig.simulator.registers import Registers
 from scripts.rig_process import children, strict
@@ -99,7 +99,7 @@ class TrialRun:
         """What ends a fault once the run has ended."""
         self.rig_file.write_text(_limited(edit(rig_text(device, bench)), limits or {}))
         self.protocol.write_text(protocol)
-        self._safe_v = np.array(safe_outputs(rig.config.loader.load(self.rig_file)))
+        self._safe_v = SafeOutputs.of(rig.config.loader.load(self.rig_file).valves).held
         self._chunks: list[bytes] = []
         self._listening = threading.Event()
         self._listening.set()

@@ -17,7 +17,7 @@ from rig.execution.plan import NullOperator
 from rig.experiment import run as experiment
 from rig.experiment.options import RunOptions
 from rig.experiment.prepare import prepare
-from rig.hardware.bench import Bench as Cards
+from rig.hardware.safe_state import SafeOutputs
 from rig.simulator.faults import Faults
 from rig.simulator.plant import Plant
 from rig.virtual.executor import START_NS
@@ -48,7 +48,7 @@ class FaultyPlant(Plant):
 
     def __init__(self, config: RigConfig, seed: int, t0_ns: int) -> None:
         super().__init__(config, seed, t0_ns)
-        self._safe_v = Cards(config, {}).safe_outputs
+        self._safe_v = SafeOutputs.of(config.valves).held
         self._due = True
         self.safe_ns: int | None = None
         type(self).made = self

@@ -15,6 +15,7 @@ import numpy as np
 import runs
 from rig.config.loader import load
 from rig.hardware.cards.comedi_device import Device
+from rig.hardware.safe_state import SafeOutputs
 from runs.run import Run
 from tests.board.conftest import CARD
 from tests.board.monitor import Monitor
@@ -89,7 +90,7 @@ class BoardRun:
         self.rig_file = emulated_rig(folder)
         protocol = folder / "ramp.yaml"
         protocol.write_text(RAMP)
-        self.safe_output = [valve.safe_output(vent=False) for valve in load(self.rig_file).valves]
+        self.safe_output = SafeOutputs.of(load(self.rig_file).valves).held.tolist()
         self._monitor, self._out = monitor, folder / "runs"
         monitor.set("reset", value=True)  # another test may have left the outputs at any voltage
         wait_until(lambda: monitor.get(FIRST_SENSOR) < VENTED_V, SHORT_S, "the chamber is vented")

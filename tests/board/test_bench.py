@@ -11,6 +11,7 @@ import pytest
 
 import runs
 from rig.config.loader import load
+from rig.hardware.safe_state import SafeOutputs
 from tests.board.board_run import OUT_V, emulated_rig
 from tests.board.conftest import OpenBoard, reload_driver
 from tests.board.monitor import Monitor
@@ -95,5 +96,5 @@ def test_a_run_regulates_the_simulated_chambers_through_the_driver(bench: Monito
     held = (run.pressure.protocol_s > 12) & (run.pressure.protocol_s < 15)
     assert held.any()
     np.testing.assert_allclose(run.pressure.measured_bar[held, 0], 0.3, atol=0.03)
-    vent_output = [valve.safe_output(vent=False) for valve in load(rig_file).valves]
+    vent_output = SafeOutputs.of(load(rig_file).valves).held.tolist()
     np.testing.assert_allclose(bench.outputs_v, vent_output, atol=OUT_V)

@@ -43,7 +43,7 @@ def triggered(board: Monitor, tmp_path: Path) -> Iterator[tuple[Bench, TriggerPu
     path.write_text(text.replace(size, f"{size}\n    {TRIGGER}"))
     config = load(str(path))
     bench = open_bench(config)
-    bench.arm()
+    bench.safe_state.arm()
     yield bench, TriggerPulses(config, bench, time.monotonic_ns)
     bench.close()
 
@@ -58,7 +58,7 @@ def test_the_trigger_pulses_are_at_the_board_when_their_rows_say(
         time.sleep(max(0.0, began + number * CYCLE_S - time.monotonic()))
         if (row := pulses.cycle(number)) is not None:
             rows.append((int(row["t_ns"]), float(row["write_s"]) * 1e9))
-    bench.make_safe()
+    bench.safe_state.make_safe()
     levels = [(value >> CHANNEL & 1, t_ns) for value, t_ns in board.digital_writes(before_ns)]
     rises = np.array([t_ns for k, (high, t_ns) in enumerate(levels) if high and not (k and levels[k - 1][0])], float)
     stamped, width_ns = np.array(rows, float).T

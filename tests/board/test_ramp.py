@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import runs
 from rig.config.loader import load
+from rig.hardware.safe_state import SafeOutputs
 from runs.records import Status
 from runs.run import Run
 from tests.board.board_run import OUT_V, emulated_rig
@@ -43,5 +44,5 @@ def test_ramp_a_regulates_the_simulated_chambers_at_the_rate_of_the_rig(bench: M
     assert run.status == Status.FINISHED
     assert run.header.control_hz == RATE_HZ
     np.testing.assert_allclose(settled_bar(run), LEVELS_BAR, atol=REGULATED_BAR)
-    vent_output = [valve.safe_output(vent=False) for valve in load(rig_file).valves]
+    vent_output = SafeOutputs.of(load(rig_file).valves).held.tolist()
     np.testing.assert_allclose(bench.outputs_v, vent_output, atol=OUT_V)

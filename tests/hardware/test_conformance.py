@@ -12,7 +12,7 @@ from rig.conformance.card_checks import CARD_CHECKS
 from rig.conformance.card_subject import CardSubject
 from rig.conformance.check import Check, CheckVerdict
 from rig.conformance.timing import CheckTiming
-from rig.hardware.safe_state import make_safe
+from rig.hardware.safe_state import RigSafeState
 from tests.hardware.rig_of_the_machine import LOOPED
 
 EMULATED_S = 400.0
@@ -28,6 +28,6 @@ def test_the_comedi_driver_conforms(check: Check[CardSubject], monkeypatch: pyte
     monkeypatch.setattr(card_checks, "MOST_SLOW", EMULATED_SLOW)
     config, slow = load(LOOPED), CheckTiming(settled_s=EMULATED_S, freed_s=EMULATED_S)
     result = check.result("daq", CardSubject(config, "daq", Path(LOOPED), timing=slow))
-    make_safe(config, vent=False)
+    RigSafeState(config).make_safe(vent=False)
     expected = CheckVerdict.SKIPPED if check.name in SKIPPED else CheckVerdict.PASS
     assert result.verdict is expected, result

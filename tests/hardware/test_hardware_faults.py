@@ -73,7 +73,7 @@ def test_the_failsafe_makes_the_card_safe_and_ends_its_holders(memory: SharedSta
 def test_a_card_whose_outputs_another_program_locks_is_not_armed(locked: None, memory: SharedState) -> None:
     bench = open_bench(load(LOOPED))
     with pytest.raises(CardError, match="the safe state could not be written, shut the air off by hand"):
-        bench.arm()
+        bench.safe_state.arm()
     bench.close()
     assert "cannot be written" in force_safe_state(load(LOOPED), memory)
 

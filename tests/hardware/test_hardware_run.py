@@ -36,12 +36,12 @@ def valves_open(open_card: OpenCard) -> None:
 def test_a_bench_on_the_card_arms_reads_and_is_made_safe(open_card: OpenCard, valves_open: None) -> None:
     bench = open_bench(load(LOOPED))
     try:
-        bench.arm()
-        np.testing.assert_allclose(bench.readback(), bench.safe_outputs, atol=COUNT_V)
+        bench.safe_state.arm()
+        np.testing.assert_allclose(bench.readback(), bench.safe_state.outputs.held, atol=COUNT_V)
         bench.start()
         bench.write(np.array([1.0, 2.0, 3.0]))
         np.testing.assert_allclose(bench.read().pressure_pa, [[1e4, 2e4, 3e4]], atol=10)
-        bench.make_safe()
+        bench.safe_state.make_safe()
     finally:
         bench.close()
     np.testing.assert_allclose(open_card((), bipolar(*VALVES)).readback(), [0.0, 0.0, 0.0], atol=COUNT_V)

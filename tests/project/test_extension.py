@@ -18,6 +18,7 @@ from rig.config import loader
 from rig.control.sensor_state import RegulatorDemand, SensorState
 from rig.hardware.bench import open_bench
 from rig.hardware.cameras.base import open_camera
+from rig.hardware.safe_state import SafeOutputs
 from rig.hardware.trackers.base import open_tracker
 from rig.valves.iso6358 import ATMOSPHERE_PA
 from scripts.faults import virtual
@@ -57,10 +58,10 @@ def test_the_example_card_and_camera_are_opened_by_their_names(
     )
     config = loader.parse(text, "rig.yaml")
     bench = open_bench(config)
-    bench.arm()
+    bench.safe_state.arm()
     bench.start()
     assert bench.read().signals.tolist() == [[1.0] * config.actuators]
-    assert bench.readback().tolist() == bench.safe_outputs.tolist()
+    assert bench.readback().tolist() == bench.safe_state.outputs.held.tolist()
     bench.close()
     (name,) = config.cameras
     camera = open_camera(config, name)
@@ -117,9 +118,10 @@ def test_the_examples_of_the_page_are_complete_extensions(known: dict[str, Any])
     known["Pulse"](actuators=(1, 2), level_bar=0.3, duration_s=1.0).play(TrajectoryBuilder())
     assert played == [("pulse", [30_000.0, 30_000.0]), ("pulse", [0.0, 0.0])]
     valve = known["InvertedValve"](type="inverted", actuators=(1,), card="daq", channel=0, span_bar=(0.0, 2.0))
-    assert valve.safe_output() == 10.0
+    (safe_v,) = SafeOutputs.of([valve]).held
+    assert safe_v == 10.0
     truth = valve.simulated(mock_rig().simulator.valve)
-    assert truth.pa_at_zero + truth.pa_per_unit * valve.safe_output() == pytest.approx(ATMOSPHERE_PA)
+    assert truth.pa_at_zero + truth.pa_per_unit * safe_v == pytest.approx(ATMOSPHERE_PA)
     full = valve.regulator(mock_rig().limits, mock_rig().control).command(0.0, 0.005, 0.0, 2e5, 0.0)
     assert truth.pa_at_zero + truth.pa_per_unit * full.output == pytest.approx(ATMOSPHERE_PA + 2e5)
     curve = {"c1_bar_per_V": 0.1, "c2_bar_per_V2": 0.01}

@@ -81,7 +81,7 @@ def play(
     """Run the regulator against the plant. `disturb(t, plant, volts (n, N))` may change the plant or the readings."""
     plant = Plant(config, seed, 0, moving_arm=moving_arm)
     bench = Bench(config, {name: plant.card(name) for name in config.cards}, lambda: plant.t_ns)
-    bench.arm()
+    bench.safe_state.arm()
     bench.start()
     plant.advance(BEGIN_NS)
     settings = control.prepare(config)
@@ -99,12 +99,12 @@ def play(
         target, rate = setpoint(t_s)
         sample = control.Sample(now, int(scans.t_ns[-1]), volts[-1], pressure)
         state, command = control.step(settings, state, sample, target, rate)
-        bench.write(command.outputs)
-        played.t_s.append(t_s)
-        played.rows.append((target, plant.pressure_pa, pressure, command.outputs))
         if command.trip is not None:
             played.trip = command.trip
             break
+        bench.write(command.outputs)
+        played.t_s.append(t_s)
+        played.rows.append((target, plant.pressure_pa, pressure, command.outputs))
     return played
 
 

@@ -227,7 +227,7 @@ def test_an_interlock_ends_the_drive_and_the_valves_vent(truth: RigConfig) -> No
         driver = BenchDriver(truth, bench, clock, lambda: None)
         with pytest.raises(TrippedError, match="changes by"):
             driver.open_valve(0, 3.0, 1.0)  # far open: faster than the limit
-    assert np.allclose(bench.readback(), bench.safe_outputs, atol=1e-3)
+    assert np.allclose(bench.readback(), bench.safe_state.outputs.held, atol=1e-3)
 
 
 def test_a_frozen_sensor_ends_the_drive_while_the_valve_is_open(truth: RigConfig) -> None:
@@ -277,4 +277,4 @@ def test_an_exception_leaves_the_valves_safe(truth: RigConfig) -> None:
     with pytest.raises(ZeroDivisionError):
         interrupted()
     (bench,) = left
-    assert np.allclose(bench.readback(), bench.safe_outputs, atol=1e-3)
+    assert np.allclose(bench.readback(), bench.safe_state.outputs.held, atol=1e-3)

@@ -72,7 +72,7 @@ def starved(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[BenchDriver, Star
     plant = Plant(config, 1, 10**12, moving_arm=False)
     clock = StarvedClock(plant, SimulatedCard(config, "daq", plant), monkeypatch)
     bench = open_bench(config)
-    bench.arm()
+    bench.safe_state.arm()
     bench.start()
     yield BenchDriver(config, bench, clock, lambda: None, longest_stop_ns=1000 * MS), clock, bench
     bench.close()

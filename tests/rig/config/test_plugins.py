@@ -17,6 +17,7 @@ from rig.config.card_sections import CARD_DRIVERS
 from rig.config.schema import RigConfig
 from rig.doctor.devices import rig_devices
 from rig.hardware.bench import open_bench
+from rig.hardware.safe_state import SafeOutputs
 from rig.valves.registry import UninstalledValve
 from runs.records import RunHeader
 from tests.support.command_line import status_of
@@ -107,10 +108,10 @@ def header(text: str) -> RunHeader:
 def test_a_card_of_a_package_is_opened_with_its_own_keys(site: Path) -> None:
     config = loader.parse(rig_text(), "my.yaml")
     bench = open_bench(config)
-    bench.arm()
+    bench.safe_state.arm()
     bench.start()
     assert bench.read().signals.tolist() == [[2.0, 2.0, 2.0]]
-    assert bench.readback().tolist() == bench.safe_outputs.tolist()
+    assert bench.readback().tolist() == bench.safe_state.outputs.held.tolist()
     bench.close()
 
 
@@ -298,4 +299,4 @@ def test_a_valve_of_a_package_regulates(site: Path) -> None:
     config = loader.parse(with_slow_valve(rig_text()), "my.yaml")
     state = config.valves[1].regulator(config.limits, config.control).command(0.0, 0.005, 0.0, 1e5, 0.0)
     assert state.output == pytest.approx(5.0)
-    assert np.isfinite(config.valves[1].safe_output())
+    assert np.isfinite(SafeOutputs.of(config.valves).held).all()

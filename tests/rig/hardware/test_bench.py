@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from rig.config.card_sections import CardConfig
 from rig.config.schema import RigConfig
 from rig.hardware.bench import DRIVER_CALLS, Bench
 from rig.hardware.cards.base import CardBusyError, CardError, CardSetup, Scans, card_setup
-from rig.hardware.safe_state import armed_sentence, make_safe
+from rig.hardware.safe_state import UNSAFE, RigSafeState, armed_sentence
 from rig.hardware.vent import vent
 from tests.support.plant_bench import mock_rig
 
@@ -161,19 +162,61 @@ def test_the_longest_call_into_a_driver_is_known_with_its_card(
 def test_every_card_is_made_safe_even_if_another_fails(bench: Bench, cards: dict[str, FakeCard]) -> None:
     cards["daq"].broken = True
     with pytest.raises(CardError, match="card daq: no answer"):
-        bench.make_safe()
+        bench.safe_state.make_safe()
     assert cards["other"].outputs.tolist() == [5.0]
 
 
 def test_arming_writes_the_safe_state_and_checks_the_readback(bench: Bench, cards: dict[str, FakeCard]) -> None:
-    bench.arm()
+    bench.safe_state.arm()
     assert bench.readback().tolist() == [0.0, 5.0]
     cards["other"].outputs = np.array([4.0])
     cards["other"].deaf = True
     with pytest.raises(
         CardError, match=r"valve 2 \(card other, output 1\) reads back 4.000 V instead of the commanded 5.000 V"
     ):
-        bench.arm()
+        bench.safe_state.arm()
+
+
+@pytest.mark.parametrize("vents", [False, True])
+@pytest.mark.parametrize("ending", [None, CardError("a cable was pulled"), ZeroDivisionError(), KeyboardInterrupt()])
+def test_every_exit_of_an_armed_bench_writes_the_safe_state(
+    bench: Bench, cards: dict[str, FakeCard], ending: BaseException | None, vents: bool
+) -> None:
+    told: list[list[float]] = []
+    with (
+        nullcontext() if ending is None else pytest.raises(type(ending)),
+        bench.armed(vent=lambda: vents, written=lambda: told.append(bench.readback().tolist())) as unverified,
+    ):
+        assert (unverified, bench.readback().tolist()) == ((), [0.0, 5.0])
+        assert all(card.started for card in cards.values())
+        bench.write(np.array([6.0, 7.0]))
+        if ending is not None:
+            raise ending
+    assert told == [[0.0, 0.0 if vents else 5.0]]
+
+
+def test_a_bench_that_cannot_be_armed_is_made_safe(bench: Bench, cards: dict[str, FakeCard]) -> None:
+    cards["other"].outputs, cards["other"].deaf = np.array([7.0]), True
+    cards["daq"].outputs = np.array([7.0])
+    with pytest.raises(CardError, match=r"reads back 7\.000 V"), bench.armed():
+        pytest.fail("it was not armed")
+    assert cards["daq"].outputs.tolist() == [0.0]
+
+
+def test_a_safe_state_that_fails_at_the_exit_is_reported_after_what_ended_the_block(
+    bench: Bench, cards: dict[str, FakeCard]
+) -> None:
+    told: list[str] = []
+
+    def drive() -> None:
+        with bench.armed(written=lambda: told.append("safe")):
+            cards["daq"].broken = True
+            raise CardError("a cable was pulled")
+
+    with pytest.raises(CardError, match=f"^a cable was pulled; then {UNSAFE}: card daq: no answer$"):
+        drive()
+    assert told == []
+    assert cards["other"].outputs.tolist() == [5.0]
 
 
 def test_valves_are_written_to_their_own_cards(bench: Bench, cards: dict[str, FakeCard]) -> None:
@@ -190,9 +233,9 @@ def test_starting_and_closing_reach_every_card(bench: Bench, cards: dict[str, Fa
 
 def test_valves_of_one_card_are_made_safe_by_it_alone(cards: dict[str, FakeCard]) -> None:
     bench = Bench(two_card_rig(), {"other": cards["other"]})
-    bench.arm()
+    bench.safe_state.arm()
     assert cards["other"].outputs.tolist() == [5.0]
-    bench.arm(vent=True)
+    bench.safe_state.arm(vent=True)
     assert cards["other"].outputs.tolist() == [0.0]
     assert np.isnan(cards["daq"].outputs).all()
 
@@ -201,7 +244,7 @@ def test_a_card_without_read_back_is_armed(
     bench: Bench, cards: dict[str, FakeCard], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cards["other"], "readback", lambda: np.array([np.nan]))
-    assert bench.arm() == ("other",)
+    assert bench.safe_state.arm() == ("other",)
     assert cards["other"].outputs.tolist() == [5.0]
 
 
@@ -221,7 +264,7 @@ def test_an_unexpected_error_of_one_card_does_not_stop_the_safe_state_of_others(
 
     monkeypatch.setattr(rig.hardware.cards.base, "card_type", lambda card: opened)
     with pytest.raises(CardError, match=f"card daq: {bug.__name__}: oddly broken"):
-        make_safe(two_card_rig(), vent=False)
+        RigSafeState(two_card_rig()).make_safe(vent=False)
     assert cards["other"].outputs.tolist() == [5.0]
     with pytest.raises(CardError, match=f"card daq: {bug.__name__}: oddly broken"):
         vent(two_card_rig())
@@ -251,7 +294,7 @@ def test_an_unexpected_error_of_a_read_back_is_an_error_of_the_card(
 
     monkeypatch.setattr(cards["other"], "readback", unplugged)
     with pytest.raises(CardError, match="card other cannot be read back: OSError: cable pulled"):
-        bench.arm()
+        bench.safe_state.arm()
 
 
 def test_an_unexpected_error_of_a_driver_names_card_and_method(
@@ -275,14 +318,14 @@ def test_scans_of_a_wrong_shape_are_an_error_of_the_card(bench: Bench, cards: di
 
 
 def test_a_valve_may_stand_safe_or_vented_and_nowhere_else(bench: Bench, cards: dict[str, FakeCard]) -> None:
-    bench.arm()
-    assert bench.unsafe_output() == ""
-    bench.arm(vent=True)
-    assert bench.unsafe_output() == ""
+    bench.safe_state.arm()
+    assert bench.safe_state.departure() == ""
+    bench.safe_state.arm(vent=True)
+    assert bench.safe_state.departure() == ""
     cards["other"].outputs = np.array([7.0])
-    assert bench.unsafe_output() == "valve 2 stands at 7.000 V"
+    assert bench.safe_state.departure() == "valve 2 stands at 7.000 V"
     cards["other"].outputs = np.array([np.nan])
-    assert bench.unsafe_output() == ""
+    assert bench.safe_state.departure() == ""
 
 
 def test_a_card_that_cannot_be_opened_does_not_stop_the_safe_state_of_others(
@@ -295,7 +338,7 @@ def test_a_card_that_cannot_be_opened_does_not_stop_the_safe_state_of_others(
 
     monkeypatch.setattr(rig.hardware.cards.base, "open_card", opened)
     with pytest.raises(CardError, match="card daq is not there"):
-        make_safe(two_card_rig(), vent=True)
+        RigSafeState(two_card_rig()).make_safe(vent=True)
     assert cards["other"].outputs.tolist() == [0.0]
     with pytest.raises(CardError, match="card daq is not there"):
         vent(two_card_rig())

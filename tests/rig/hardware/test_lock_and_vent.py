@@ -24,7 +24,7 @@ from rig.hardware.cards import kernel_devices
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.cards.kernel_devices import AttachedDevice, ComediModule, processes_with
 from rig.hardware.lock import cards_locked, holders, lock_file
-from rig.hardware.safe_state import SafeOutputs, open_outputs
+from rig.hardware.safe_state import SafeState, open_safe_state
 from rig.hardware.vent import vent
 from rig.realtime import control_process as control
 from rig.realtime.shared_state import SharedState
@@ -43,7 +43,7 @@ LATE = (
     "signal.signal(signal.SIGTERM, lambda *_: told.append(True))\n"
     "with cards_locked(config, 'a run that is long in ending'):\n"
     "    print('held', flush=True)\n    while not told:\n        time.sleep(0.01)\n"
-    "    time.sleep(0.4)\n    open_bench(config).make_safe()\n"
+    "    time.sleep(0.4)\n    open_bench(config).safe_state.make_safe()\n"
 )
 
 
@@ -182,14 +182,14 @@ def test_a_process_that_opens_a_card_briefly_is_left_alone(
     began = time.monotonic()
     with subprocess.Popen(["sleep", "60"]) as one, subprocess.Popen(["sleep", "60"]) as another:
 
-        def opened(config: RigConfig, card: str) -> SafeOutputs:
+        def opened(config: RigConfig, card: str) -> SafeState:
             if (since := time.monotonic() - began) < 0.6:
                 holder = one.pid if since < 0.3 else another.pid
                 # A holder that releases it at this moment is not found.
                 raise CardBusyError(card, (holder,) if since > 0.05 else ())
-            return open_outputs(config, card)
+            return open_safe_state(config, card)
 
-        monkeypatch.setattr(rig.hardware.vent, "open_outputs", opened)
+        monkeypatch.setattr(rig.hardware.vent, "open_safe_state", opened)
         vent(config)
         assert one.poll() is None
         assert another.poll() is None
@@ -204,12 +204,12 @@ def test_a_run_on_a_one_opener_card_is_signalled_to_end_before_a_process_is_kill
     file.write_text(text())
     with run_that(HOLD, file) as run, subprocess.Popen(["sleep", "60"]) as control:
 
-        def opened(config: RigConfig, card: str) -> SafeOutputs:
+        def opened(config: RigConfig, card: str) -> SafeState:
             if run.poll() is None:
                 raise CardBusyError(card, (control.pid,))
-            return open_outputs(config, card)
+            return open_safe_state(config, card)
 
-        monkeypatch.setattr(rig.hardware.vent, "open_outputs", opened)
+        monkeypatch.setattr(rig.hardware.vent, "open_safe_state", opened)
         vent(config)
         assert run.returncode == -signal.SIGTERM
         assert control.poll() is None

@@ -18,7 +18,7 @@ from rig.config.schema import RigConfig
 from rig.execution.plan import RunPlan
 from rig.hardware.bench import open_bench
 from rig.hardware.cards.base import CardBusyError
-from rig.hardware.safe_state import WatchdogOutputs, open_outputs
+from rig.hardware.safe_state import RigSafeState, open_safe_state
 from rig.hardware.vent import vent
 from rig.realtime.child_process import ChildJob, ended_within, spawn
 from rig.realtime.failsafe import force_safe_state
@@ -75,14 +75,15 @@ def volts(device: str) -> list[float]:
 def test_a_second_opener_is_refused_with_the_holder(config: RigConfig) -> None:
     first = open_bench(config)
     with pytest.raises(CardBusyError, match=f"one process at a time and is open already by process {os.getpid()}"):
-        open_outputs(config, *config.cards)
+        open_safe_state(config, *config.cards)
     first.close()
     open_bench(config).close()
 
 
 def test_the_watchdog_releases_a_one_opener_card_and_opens_it_to_write(config: RigConfig, device: str) -> None:
-    watchdog = WatchdogOutputs(config)
-    assert not watchdog.shared
+    watchdog = RigSafeState(config)
+    watchdog.keep_open()
+    assert not watchdog.kept_open
     control = open_bench(config)
     with pytest.raises(CardBusyError):
         watchdog.make_safe(vent=False)
@@ -94,8 +95,9 @@ def test_the_watchdog_releases_a_one_opener_card_and_opens_it_to_write(config: R
 
 def test_the_watchdog_keeps_any_other_card_open(device: str) -> None:
     config = rig.config.loader.parse(rig_text(device, one_opener=False), "rig.yaml")
-    watchdog = WatchdogOutputs(config)
-    assert watchdog.shared
+    watchdog = RigSafeState(config)
+    watchdog.keep_open()
+    assert watchdog.kept_open
     control = open_bench(config)
     watchdog.make_safe(vent=False)
     assert volts(device) == [0.0, 0.0]
@@ -112,8 +114,9 @@ def test_the_watchdog_does_not_open_a_card_that_has_no_outputs(device: str) -> N
         )
         config = rig.config.loader.parse(text, "rig.yaml")
         assert set(config.cards) == {"aux", "daq"}
-        watchdog = WatchdogOutputs(config)
-        assert watchdog.shared
+        watchdog = RigSafeState(config)
+        watchdog.keep_open()
+        assert watchdog.kept_open
         watchdog.close()
 
 

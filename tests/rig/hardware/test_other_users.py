@@ -296,7 +296,7 @@ def test_vent_reports_a_holder_that_it_cannot_signal(
 ) -> None:
     file = tmp_path / "rig.yaml"
     file.write_text(re.sub(r"device: \S*comedi0", f"device: {NODE}", rig.config.loader.text("pci1716")))
-    monkeypatch.setattr(rig.hardware.vent, "open_outputs", Outputs)
+    monkeypatch.setattr(rig.hardware.vent, "open_safe_state", Outputs)
     monkeypatch.setattr(rig.hardware.vent, "verify_venting", lambda config, vent: VentOutcome(True, ""))
     monkeypatch.setattr(rig.hardware.vent, "ENDED_S", 0.3)
     with holder(file, shared, 0) as process:
@@ -319,7 +319,7 @@ def test_vent_reports_a_holder_that_it_cannot_see(
     """As in a container, where the table of locks does not list the processes of the host."""
     file = tmp_path / "rig.yaml"
     file.write_text(re.sub(r"device: \S*comedi0", f"device: {NODE}", rig.config.loader.text("pci1716")))
-    monkeypatch.setattr(rig.hardware.vent, "open_outputs", Outputs)
+    monkeypatch.setattr(rig.hardware.vent, "open_safe_state", Outputs)
     monkeypatch.setattr(rig.hardware.vent, "verify_venting", lambda config, vent: VentOutcome(True, ""))
     rig.hardware.vent.vent(real_rig())
     monkeypatch.setattr(lock, "LOCKS", tmp_path / "none")

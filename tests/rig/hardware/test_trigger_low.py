@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 import rig.config.loader
 from rig.config.schema import RigConfig
-from rig.hardware import safe_state
 from rig.hardware.bench import Bench, open_bench
 from rig.hardware.cards.base import CardError
-from rig.hardware.safe_state import SafeOutputs, WatchdogOutputs
+from rig.hardware.safe_state import RigSafeState, SafeOutputs, SafeState
 from rig.hardware.vent import vent
 from rig.simulator.mock_card import MockCard
 from rig.simulator.registers import Registers
@@ -45,11 +44,12 @@ def on_card(registers: Registers, second: bool = False) -> RigConfig:
 def test_every_way_to_make_a_bench_safe_sets_the_trigger_low(registers: Registers, second: bool) -> None:
     config = on_card(registers, second)
     digital = registers if not second else Registers.attach(f"lowered-{os.getpid()}b")
-    bench, watchdog = open_bench(config), WatchdogOutputs(config)
+    watchdog, bench = RigSafeState(config), open_bench(config)
+    watchdog.keep_open()
     ways = (
-        bench.make_safe,
+        bench.safe_state.make_safe,
         lambda: watchdog.make_safe(vent=False),
-        lambda: safe_state.make_safe(config, vent=True),
+        lambda: RigSafeState(config).make_safe(vent=True),
         lambda: vent(config),
     )
     for number, make_safe in enumerate(ways, 1):
@@ -82,11 +82,11 @@ class BrokenLine:
 
 def test_a_trigger_that_cannot_be_set_low_leaves_the_valves_safe_and_is_reported() -> None:
     card = BrokenLine()
-    outputs = SafeOutputs(triggered_rig(), {"daq": card})  # type: ignore[dict-item]
-    outputs.make_safe()
-    np.testing.assert_allclose(card.volts, outputs.safe_outputs)
+    safe_state = SafeState(triggered_rig(), {"daq": card})  # type: ignore[dict-item]
+    safe_state.make_safe()
+    np.testing.assert_allclose(card.volts, safe_state.outputs.held)
     assert card.order[:2] == ["valves", "trigger"]
-    assert outputs.trigger_failure == "the camera trigger of card daq could not be set low: gone"
+    assert safe_state.trigger_failure == "the camera trigger of card daq could not be set low: gone"
 
 
 def test_rig_vent_reports_a_trigger_that_it_cannot_set_low(
@@ -100,7 +100,7 @@ def test_rig_vent_reports_a_trigger_that_it_cannot_set_low(
     registers.outputs["value"][:2] = 7.0
     with pytest.raises(CardError, match="the camera trigger of card daq could not be set low: gone"):
         vent(config)
-    np.testing.assert_allclose(registers.outputs["value"][:2], safe_state.safe_outputs(config, vent=True), atol=1e-3)
+    np.testing.assert_allclose(registers.outputs["value"][:2], SafeOutputs.of(config.valves).vented, atol=1e-3)
 
 
 def test_a_card_without_digital_outputs_cannot_trigger() -> None:

@@ -20,7 +20,7 @@ from protocols import SetPointTrajectory
 from rig.config.schema import RigConfig
 from rig.execution.plan import RunPlan
 from rig.hardware import call_limit
-from rig.hardware.safe_state import UNSAFE
+from rig.hardware.safe_state import UNSAFE, RigSafeState
 from rig.realtime import watchdog_process
 from rig.realtime.child_process import ChildJob, await_device_access, ended_within, supervisor_monitor
 from rig.realtime.failsafe import FailsafeThread, force_safe_state
@@ -307,7 +307,7 @@ def test_a_driver_that_never_returns_from_the_safe_write_is_reported_and_control
     config: RigConfig, memory: SharedState, sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     released = threading.Event()
-    monkeypatch.setattr("rig.realtime.failsafe.make_safe", lambda config, *, vent: released.wait())
+    monkeypatch.setattr(RigSafeState, "make_safe", lambda self, *, vent: released.wait())
     monkeypatch.setattr("rig.realtime.failsafe.within", partial(call_limit.within, limit_s=0.05))
     memory.control_pid = sleeper.pid
     assert "has not returned within 0.05 s" in force_safe_state(config, memory)

@@ -51,7 +51,7 @@ def test_after_a_stall_the_pressures_return_within_the_rate_limit(moving: RunPla
     """The plant continues during the stall with unchanged valves, like a real one."""
     plant = Plant(moving.config, 1, 0, moving_arm=False)
     bench = Bench(moving.config, {name: plant.card(name) for name in moving.config.cards})
-    bench.arm()
+    bench.safe_state.arm()
     bench.start()
     loop = ControlLoop(moving, bench)
     still, standing = round(still_s * 1e9) // CYCLE_NS, round(at_s * 1e9) // CYCLE_NS

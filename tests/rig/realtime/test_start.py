@@ -22,7 +22,7 @@ from rig.experiment.prepare import prepare
 from rig.hardware import runtime_folder
 from rig.hardware.bench import BenchScans
 from rig.hardware.cards.base import CardError
-from rig.realtime import child_process, control_process, process_group, shutdown, supervisor
+from rig.realtime import child_process, control_process, process_group, supervisor
 from rig.realtime.child_process import ChildJob
 from rig.realtime.control_socket import ControlSocket, socket_of, socket_paths
 from rig.realtime.process_group import ProcessGroup
@@ -110,7 +110,7 @@ def test_valves_that_no_process_can_make_safe_are_reported_though_the_run_did_no
     for name in ("watchdog", "control"):
         child(parent.processes, name, "").wait()
     parent.memory.heartbeat("control", 1)
-    monkeypatch.setattr(shutdown, "force_safe_state", lambda *_: "no answer")
+    monkeypatch.setattr("rig.realtime.failsafe.force_safe_state", lambda *_: "no answer")
     assert parent.end() == "the safe state could not be written, shut the air off by hand: no answer"
 
 

@@ -173,7 +173,7 @@ def test_a_full_disk_hides_no_fault_of_a_process(
 ) -> None:
     recorded(parent, plan, FullDisk())
     child(parent.processes, "observer", "").wait()
-    monkeypatch.setattr(parent.shutdown, "make_safe", lambda _: None)
+    monkeypatch.setattr(parent.shutdown, "await_safe_state", lambda _: None)
     assert parent.supervise() == (Status.ABORTED, "the observer process died (exit status 0)")
 
 
@@ -304,10 +304,10 @@ def test_what_an_unplugged_card_says_is_stated_once(
 
     def opened_then_unplugged(*words: object) -> object:
         bench = opened(*words)  # type: ignore[arg-type]
-        bench.arm()
+        bench.safe_state.arm()
         for card in bench._cards.values():
             monkeypatch.setattr(card, "write", unplugged)
-        monkeypatch.setattr(bench, "arm", lambda: ())
+        monkeypatch.setattr(bench.safe_state, "arm", lambda: ())
         return bench
 
     monkeypatch.setattr(control_process, "open_bench", opened_then_unplugged)
@@ -319,7 +319,7 @@ def test_what_an_unplugged_card_says_is_stated_once(
     assert memory.message("control") == unsafe
     memory.publish_stage("watchdog", Stage.FAILED, unsafe)
     monkeypatch.setattr(own_parent.processes, "await_exit", lambda *_: True)
-    monkeypatch.setattr("rig.realtime.shutdown.force_safe_state", lambda *_: unsafe)
+    monkeypatch.setattr("rig.realtime.failsafe.force_safe_state", lambda *_: unsafe)
     events = Events()
     recorded(own_parent, own_plan, events)
     own_parent.record.event(Level.FAULT, "control", unsafe)
@@ -332,7 +332,7 @@ def test_a_failed_safe_state_that_control_has_reported_is_not_called_unreported(
 ) -> None:
     unsafe = f"{UNSAFE}: card daq: {GONE}"
     own_parent.memory.publish_stage("control", Stage.FAILED, unsafe)
-    monkeypatch.setattr("rig.realtime.shutdown.force_safe_state", lambda *_: "it has gone")
+    monkeypatch.setattr("rig.realtime.failsafe.force_safe_state", lambda *_: "it has gone")
     monkeypatch.setattr(own_parent.processes, "await_exit", lambda *_: True)
     events = Events()
     recorded(own_parent, own_plan, events)

@@ -110,7 +110,7 @@ def test_a_running_plant_gives_every_scan_once_at_its_clocks_pace(mock: Mock) ->
 def test_the_register_moves_the_valve_and_the_valve_moves_the_pressure(mock: Mock) -> None:
     mock.plant()
     bench = mock.bench()
-    bench.arm()
+    bench.safe_state.arm()
     bench.start()
     time.sleep(0.02)
     assert abs(bench.read().pressure_pa).max() < 0.02e5

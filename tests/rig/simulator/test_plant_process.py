@@ -75,7 +75,7 @@ def test_pressures_are_regulated_where_control_and_plant_run_seldom(clock: Clock
     card = SimulatedCard(plan.config, next(iter(plan.config.cards)), plant)
     bench = open_bench(plan.config)
     loop = ControlLoop(plan, bench, time_may_stop=True)
-    bench.arm()
+    bench.safe_state.arm()
     bench.start()
     for cycle in range(1000):
         clock.now_ns += 60 * MS

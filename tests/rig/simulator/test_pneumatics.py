@@ -263,7 +263,7 @@ def test_a_rig_without_a_simulator_section_is_refused() -> None:
 def test_the_bench_arms_and_reads_the_plant() -> None:
     plant = Plant(mock_rig(), 1, 0, moving_arm=False)
     bench = Bench(mock_rig(), {"daq": plant.card("daq")})
-    bench.arm()
+    bench.safe_state.arm()
     bench.start()
     plant.advance(10_000_000)
     scans = bench.read()

@@ -13,7 +13,7 @@ from rig.config import consistency, loader
 from rig.config.schema import RigConfig
 from rig.hardware.bench import Bench
 from rig.hardware.cards.base import card_setup
-from rig.hardware.safe_state import safe_outputs
+from rig.hardware.safe_state import SafeOutputs
 from rig.simulator.plant import Plant
 from tests.support.bus_rig import bus_rig, bus_text
 from tests.support.plant_bench import play, staircase
@@ -33,8 +33,8 @@ def test_the_card_is_set_up_in_bar() -> None:
 
 
 def test_the_vent_level_is_not_the_bottom_of_the_range() -> None:
-    assert safe_outputs(bus_rig()) == (0.0, 0.0)
-    assert safe_outputs(bus_rig(", vent_bar: 0.05")) == (0.05, 0.05)
+    assert SafeOutputs.of(bus_rig().valves).held.tolist() == [0.0, 0.0]
+    assert SafeOutputs.of(bus_rig(", vent_bar: 0.05").valves).held.tolist() == [0.05, 0.05]
 
 
 def test_a_broken_sensor_is_reported_in_its_unit() -> None:
@@ -53,7 +53,7 @@ def test_an_external_write_is_reported_in_bar() -> None:
     plant = Plant(config, 1, 0)
     card = plant.card("daq")
     bench = Bench(config, {"daq": card})
-    bench.arm()
+    bench.safe_state.arm()
     bench.write(np.array([0.4, 0.0]))
     card.write(np.array([0.0, 0.0]))
     assert "valve 1 reads back 0.000 bar instead of the commanded 0.400 bar" in bench.external_write()

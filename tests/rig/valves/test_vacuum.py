@@ -16,7 +16,7 @@ from rig.control.interlocks import evaluation
 from rig.control.interlocks.conditions import PressureRange
 from rig.control.sensor_state import RegulatorDemand
 from rig.experiment.preflight import check
-from rig.hardware.safe_state import safe_outputs
+from rig.hardware.safe_state import SafeOutputs
 from rig.hardware.vent_verification import VentVerification
 from tests.support.plant_bench import play, staircase
 from tests.support.vacuum_rig import vacuum_text
@@ -71,7 +71,7 @@ def test_a_chamber_that_is_sucked_empty_where_no_vacuum_is_permitted_ends_the_ru
 
 
 def test_the_safe_state_is_the_atmosphere_and_not_the_bottom_of_the_range() -> None:
-    assert safe_outputs(vacuum_rig()) == (5.0, 5.0)
+    assert SafeOutputs.of(vacuum_rig().valves).held.tolist() == [5.0, 5.0]
 
 
 @pytest.mark.parametrize(("pressure_bar", "vented"), [(0.05, True), (-0.05, True), (0.2, False), (-0.2, False)])
