@@ -9,6 +9,7 @@ from rig.execution.plan import OperatorInterface, RunPlan
 from rig.realtime.control_socket import ControlSocket
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.operator_commands import CommandKind, CommandResult, OperatorCommand, user_name
+from rig.realtime.outcome import Ending
 from rig.realtime.shared_state import SharedState, Stop
 from rig.realtime.stream_receiver import StreamReceiver
 from runs.records import Level, Status
@@ -28,7 +29,7 @@ class OperatorSession:
         self._socket: ControlSocket | None = None
         self._shown = 0.0
         self._shown_prompt = -1
-        self.ending: tuple[Status, str] | None = None
+        self.ending: Ending | None = None
         """Status and reason with which a command ends the run; None while it continues."""
 
     def open(self) -> str:
@@ -50,17 +51,17 @@ class OperatorSession:
         else:
             self._socket.serve(timeout_s, self.handle)
 
-    def end_requested(self) -> tuple[Status, str] | None:
+    def end_requested(self) -> Ending | None:
         """Read the terminal; return the status and reason with which the operator ends the run, else None."""
         if reason := self._operator.stop_requested():
-            return Status.INTERRUPTED, reason
+            return Ending(Status.INTERRUPTED, reason)
         if self._operator.pause_toggled():
             self._command_of_terminal(CommandKind.RESUME if self._memory.paused else CommandKind.PAUSE)
         return self.ending
 
     def start_cancelled(self) -> str:
         """Why the operator wants no run, before it has begun; else empty."""
-        return self._operator.stop_requested() or (self.ending[1] if self.ending else "")
+        return self._operator.stop_requested() or (self.ending.message if self.ending else "")
 
     def update(self, record: DataRecorder) -> None:
         """Handle the prompt of the protocol, and show the progress every SHOW_S."""
@@ -96,7 +97,7 @@ class OperatorSession:
                 vents = action is CommandKind.VENT
                 memory.request_stop(Stop.VENT if vents else Stop.SAFE)
                 sentence = f"{'vented' if vents else 'stopped'} by {who}"
-                self.ending = self.ending or (Status.INTERRUPTED, sentence)
+                self.ending = self.ending or Ending(Status.INTERRUPTED, sentence)
                 return CommandResult(True, sentence)
             case CommandKind.PAUSE | CommandKind.RESUME:
                 paused = action is CommandKind.PAUSE

@@ -9,12 +9,12 @@ from dataclasses import replace
 from rig.execution.plan import OpenRecord, OperatorInterface, RunPlan, StartError, StoppedError
 from rig.execution.stop_signals import VENTED
 from rig.hardware.cards.base import CardError, card_type
-from rig.hardware.safe_state import UNSAFE, armed_sentence
-from rig.hardware.vent_verification import UNCONFIRMED
+from rig.hardware.safe_state import armed_sentence
 from rig.realtime.child_process import require_libraries
 from rig.realtime.data_recorder import DataRecorder
 from rig.realtime.failsafe import Shutdown
 from rig.realtime.operator_session import OperatorSession
+from rig.realtime.outcome import Ending, EndOfRun, outcome
 from rig.realtime.process_group import PROCESSES, WATCHDOG_TRIPPED, ProcessGroup
 from rig.realtime.scheduling import PLANNING_NICENESS, REAL_TIME, Scheduling, obtainable, remedies, steal_time_ms
 from rig.realtime.shared_state import TIP_CONTROLLER, SharedState, Stage, Stop
@@ -56,7 +56,7 @@ def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> 
     with started(plan.config, plan.rig_file, plan.seed, waits_ns) as plant:
         supervisor = Supervisor(plan, operator, plant, expected)
         try:
-            outcome = supervisor.run(open_record)
+            footer = supervisor.run(open_record)
         except BaseException as error:
             failure = (
                 supervisor.end() or supervisor.control_failure or supervisor.shutdown.unconfirmed(supervisor.timing)
@@ -64,15 +64,8 @@ def run(plan: RunPlan, open_record: OpenRecord, operator: OperatorInterface) -> 
             if failure and failure not in str(error) and isinstance(error, Exception):
                 raise CardError(f"{error}; {failure}") from error
             raise
-        if failure := supervisor.end():
-            status, message = _aborted(outcome.message, failure)
-            return replace(outcome, status=status, message=message)
-        return outcome
-
-
-def _aborted(message: str, failure: str) -> tuple[Status, str]:
-    """The status of a run with a failure, and its message with the failure after what it already says."""
-    return Status.ABORTED, "; ".join(filter(None, (message, failure)))
+        status, message = Ending(footer.status, footer.message).aborted(supervisor.end())
+        return replace(footer, status=status, message=message)
 
 
 class Supervisor:
@@ -105,15 +98,15 @@ class Supervisor:
         self._start(open_record)
         stolen = steal_time_ms()
         try:
-            status, message = self.supervise()
+            ending = self.supervise()
         finally:
             self.shutdown.await_safe_state(self.timing)
         # The last frame is still being measured, and the live page may have shown it already: it belongs in the record.
         self.processes.await_exit("observer", LAST_FRAME_TIMEOUT_S)
         self.record.finish()
-        outcome = self._outcome(status, message, steal_time_ms() - stolen)
-        self.memory.publish_stage("supervisor", Stage.DONE, f"{outcome.status}: {outcome.message}".removesuffix(": "))
-        return outcome
+        status, message = self._outcome(ending)
+        self.memory.publish_stage("supervisor", Stage.DONE, f"{status}: {message}".removesuffix(": "))
+        return self._footer(status, message, steal_time_ms() - stolen)
 
     @property
     def control_failure(self) -> str:
@@ -131,7 +124,7 @@ class Supervisor:
             return "the watchdog did not end; check the valves and run `rig vent --rig` with this rig"
         return ""
 
-    def supervise(self) -> tuple[Status, str]:
+    def supervise(self) -> Ending:
         """Record and supervise until the run ends; return its status and the reason."""
         memory = self.memory
         while True:
@@ -142,21 +135,21 @@ class Supervisor:
             if ending := self._session.end_requested():
                 return ending
             if (stop := memory.stop_request) is Stop.VENT_COMMAND:
-                return Status.INTERRUPTED, STOP_MESSAGES[stop]
+                return Ending(Status.INTERRUPTED, STOP_MESSAGES[stop])
             if stop is not Stop.NONE:
                 self._event(Level.FAULT, "supervisor", STOP_MESSAGES[stop])
-                return Status.ABORTED, STOP_MESSAGES[stop]
+                return Ending(Status.ABORTED, STOP_MESSAGES[stop])
             if fault := self.processes.fault(self.timing):
                 # First of all, because the exit of a process may take long.
                 self.shutdown.await_safe_state(self.timing)
                 fault = self.processes.completed(fault, self.timing)
                 self._event(Level.FAULT, fault.source, fault.message)
-                return _aborted(fault.message, self._tip_monitor.loss)
+                return Ending(Status.ABORTED, fault.message).aborted(self._tip_monitor.loss)
             if failure := self.record.failure:
-                return Status.ABORTED, failure
+                return Ending(Status.ABORTED, failure)
             self.record.report(*self._tip_control_events(time.monotonic_ns()))
             if done:
-                return Status.FINISHED, self._tip_monitor.message(self.record.totals.plans)
+                return Ending(Status.FINISHED, self._tip_monitor.message(self.record.totals.plans))
             self._session.update(self.record)
             if self._plant is not None:
                 self._plant.set_tip_weight(self._plan.trajectory.weight_kg(memory.protocol_s))
@@ -255,39 +248,29 @@ class Supervisor:
             late = "" if niceness <= PLANNING_NICENESS else ": on a busy machine its plans may be late"
             self._event(Level.INFO, TIP_CONTROLLER_SOURCE, f"the tip controller runs with niceness {niceness}{late}")
 
-    def _outcome(self, status: Status, message: str, stolen: int) -> RunFooter:
-        """Verify the safe state and return the outcome of the run, which a failure of the end aborts."""
+    def _outcome(self, ending: Ending) -> Ending:
+        """Verify the safe state and return the outcome of the run."""
         memory = self.memory
         # Also after another fault: a chamber that does not vent is always reported.
-        if self.control_failure not in message:
-            status, message = _aborted(message, self.control_failure)
-            self._event(Level.FAULT, "control", self.control_failure)
-        if memory.watchdog_trip_ns and status is not Status.ABORTED:
-            status, message = _aborted(message, memory.message("watchdog") or WATCHDOG_TRIPPED)
-        safe_ns = memory.safe_ns or memory.watchdog_trip_ns
-        failure = self.shutdown.verify(self.timing)
+        failures = [("control", self.control_failure)]
+        if memory.watchdog_trip_ns and ending.status is not Status.ABORTED and not self.control_failure:
+            failures = [("watchdog", memory.message("watchdog") or WATCHDOG_TRIPPED)]
+        unsafe = self.shutdown.verify(self.timing)
         if written := self.shutdown.written_message:
             self._event(Level.FAULT, "supervisor", written)
-        if failure:
-            if failure not in message:
-                self._event(Level.FAULT, "watchdog", failure)
-            status, message = _aborted(message, "" if UNSAFE in message else failure)
-        elif UNCONFIRMED not in message:
-            writer = "supervisor" if written else "control" if memory.safe_ns else "watchdog"
-            vented = self.shutdown.confirm(self.timing)
-            if vented.confirmed:
-                self._event(Level.INFO, writer, f"the valves are in their safe state; {vented.sentence}")
-            else:
-                status, message = _aborted(message, vented.sentence)
-                self._event(Level.FAULT, "supervisor", vented.sentence)
-        if self.record.failure not in message:
-            status, message = _aborted(message, self.record.failure)
+        writer = "supervisor" if written or unsafe else "control" if memory.safe_ns else "watchdog"
+        end = EndOfRun(lambda: self.shutdown.confirm(self.timing), tuple(failures), unsafe, writer)
+        return outcome(ending, end, self._event).aborted(self.record.failure)
+
+    def _footer(self, status: Status, message: str, stolen: int) -> RunFooter:
+        memory = self.memory
         counters = {
             **self.record.counters(),
             **self._session.stream.counts,
             "stolen_cpu_ms": stolen,
             **memory.clock_counters(self._plan.config.cards),
         }
+        safe_ns = memory.safe_ns or memory.watchdog_trip_ns
         return RunFooter(safe_ns or time.monotonic_ns(), status, message, counters)
 
     def _event(self, level: Level, source: str, message: str) -> None:

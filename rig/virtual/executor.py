@@ -11,6 +11,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,13 +22,14 @@ from rig.hardware.bench import Bench
 from rig.hardware.cameras.base import CameraError, FrameSet
 from rig.hardware.cards.base import CardError
 from rig.hardware.driver_calls import TipSourceError
-from rig.hardware.safe_state import armed_sentence, combined_fault
+from rig.hardware.safe_state import armed_sentence
 from rig.hardware.trackers.base import TrackerReading
 from rig.hardware.vent_verification import VentOutcome, VentVerification
 from rig.observation.frame_sources import ReadingSequence, silence
 from rig.observation.observer import Observer
 from rig.observation.picture_recorder import PictureRecorder
 from rig.realtime.data_recorder import DataRecorder
+from rig.realtime.outcome import Ending, EndOfRun, outcome
 from rig.realtime.shared_state import SharedState
 from rig.simulator.mock_camera import Exposure, MockCamera
 from rig.simulator.mock_tracker import LEAD_S, MockTracker
@@ -133,7 +135,7 @@ class _VirtualRun:
     def run(self, pipeline: FramePipeline | InlineFrames, open_record: OpenRecord) -> RunFooter:
         """Arm, run cycles until the run ends, write the safe state."""
         self._pipeline = pipeline
-        ending: tuple[Status, str] | None = None
+        ending: Ending | None = None
         unsafe = ""
         try:
             with self._bench.armed(vent=lambda: self._vents) as unverified:
@@ -150,19 +152,12 @@ class _VirtualRun:
             unsafe = str(error)
         self._receive_all_but(0)
         self._record.finish()
-        vented = self._vented(now)
-        unsafe = unsafe or ("" if vented.confirmed else vented.sentence)
-        if unsafe:
-            self._event(now, Level.FAULT, "control", unsafe)
-            ending = Status.ABORTED, combined_fault(ending[1], unsafe)
-        else:
-            self._event(now, Level.INFO, "control", f"the valves are in their safe state; {vented.sentence}")
-        if failure := self._record.failure:
-            ending = Status.ABORTED, failure
+        ended = outcome(ending, EndOfRun(partial(self._vented, now), unsafe=unsafe), partial(self._event, now))
         counters = self._record.counters()
-        return RunFooter(now, *ending, {name: counters[name] for name in _COUNTERS if name in counters})
+        shown = {name: counters[name] for name in _COUNTERS if name in counters}
+        return RunFooter(now, *ended.aborted(self._record.failure), shown)
 
-    def _cycles(self) -> tuple[int, tuple[Status, str]]:
+    def _cycles(self) -> tuple[int, Ending]:
         """Run cycles until the run ends; return when, and how."""
         cycle, now = 0, START_NS
         try:
@@ -174,7 +169,7 @@ class _VirtualRun:
             self._event(now, Level.FAULT, source, str(error))
             for note in getattr(error, "__notes__", ()):
                 self._journal.event(Event(now, Level.FAULT, source, note))
-            ending = Status.ABORTED, str(error)
+            ending = Ending(Status.ABORTED, str(error))
         return now, ending
 
     def _vented(self, now: int) -> VentOutcome:
@@ -187,7 +182,7 @@ class _VirtualRun:
 
         return VentVerification(self._plan.config, self._bench, vent=self._vents, since_ns=now).outcome(clock())
 
-    def _cycle(self, cycle: int, now: int) -> tuple[Status, str] | None:
+    def _cycle(self, cycle: int, now: int) -> Ending | None:
         """Run one cycle and its frames; return how the run ends, None while it continues."""
         self._plant.set_tip_weight(self._plan.trajectory.weight_kg(self._loop.position.protocol_s))
         self._plant.advance(now)
@@ -212,10 +207,10 @@ class _VirtualRun:
         if trip is not None:
             self._vents = trip.vent
             self._event(now, Level.FAULT, "control", trip.message)
-            return Status.ABORTED, "; ".join(filter(None, (trip.message, self._tip_monitor.loss)))
+            return Ending(Status.ABORTED, trip.message).aborted(self._tip_monitor.loss)
         if self._loop.finished:
             self._record.drain()
-            return Status.FINISHED, self._tip_monitor.message(self._record.totals.plans)
+            return Ending(Status.FINISHED, self._tip_monitor.message(self._record.totals.plans))
         if self._loop.position.waiting and self._answered == self._loop.position.prompts_passed:
             message = self._plan.trajectory.prompts[self._answered].message
             self._answered += 1
@@ -224,11 +219,11 @@ class _VirtualRun:
             self._receive_all_but(FRAMES_IN_FLIGHT)
             self._record.drain()
             if failure := self._record.failure:
-                return Status.ABORTED, failure
+                return Ending(Status.ABORTED, failure)
             if time.monotonic() - self._shown > SHOW_S:
                 self._shown = time.monotonic()
                 if reason := self._operator.stop_requested():
-                    return Status.INTERRUPTED, reason
+                    return Ending(Status.INTERRUPTED, reason)
                 self._operator.show(self._record.progress())
         return None
 

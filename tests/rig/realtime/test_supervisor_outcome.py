@@ -22,6 +22,7 @@ from rig.hardware.vent_verification import UNCONFIRMED, VentOutcome
 from rig.realtime import control_process, process_group, supervisor
 from rig.realtime.child_process import ChildJob
 from rig.realtime.data_recorder import DataRecorder
+from rig.realtime.outcome import Ending
 from rig.realtime.process_group import ProcessFault, ProcessGroup
 from rig.realtime.scheduling import Scheduling
 from rig.realtime.shared_state import SETPOINTS, SharedState, Stage, Stop
@@ -209,13 +210,13 @@ def test_the_first_reason_for_the_end_is_reported_with_the_faults_that_follow(
     monkeypatch.setattr(own_parent.shutdown, "verify", lambda _: "")
     monkeypatch.setattr(own_parent.shutdown, "confirm", lambda _: VentOutcome(True, ""))
 
-    def supervise() -> tuple[Status, str]:
+    def supervise() -> Ending:
         own_parent.memory.safe_ns = 1
         own_parent.memory.publish_stage("control", Stage.FAILED if control else Stage.DONE, control)
         if watchdog:
             own_parent.memory.publish_stage("watchdog", Stage.DONE, watchdog)
             own_parent.memory.watchdog_trip_ns = 1
-        return ending
+        return Ending(*ending)
 
     monkeypatch.setattr(own_parent, "supervise", supervise)
     outcome = own_parent.run(lambda t_ns: journal())
@@ -323,7 +324,7 @@ def test_what_an_unplugged_card_says_is_stated_once(
     events = Events()
     recorded(own_parent, own_plan, events)
     own_parent.record.event(Level.FAULT, "control", unsafe)
-    outcome = own_parent._outcome(Status.ABORTED, unsafe, 0)
+    outcome = own_parent._outcome(Ending(Status.ABORTED, unsafe))
     assert (outcome.message, events.messages) == (unsafe, [unsafe])
 
 
@@ -336,5 +337,5 @@ def test_a_failed_safe_state_that_control_has_reported_is_not_called_unreported(
     monkeypatch.setattr(own_parent.processes, "await_exit", lambda *_: True)
     events = Events()
     recorded(own_parent, own_plan, events)
-    assert own_parent._outcome(Status.ABORTED, unsafe, 0).message == unsafe
+    assert own_parent._outcome(Ending(Status.ABORTED, unsafe)).message == unsafe
     assert events.messages == []
