@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from model.arrays import Array
 from rig.config.schema import RigConfig
 from rig.control import step as control
+from rig.control.bench_reader import BenchReader
 from rig.control.control_loop import ValveOutputs
 from rig.control.interlocks import evaluation
-from rig.control.interlocks.base import Sample, Trip
+from rig.control.interlocks.base import Trip
 from rig.control.sensor_state import RegulatorDemand, SensorState
-from rig.control.step import StallAllowance
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import SafeOutputs
 from rig.valves.metering import MeteringRegulator
@@ -70,20 +70,15 @@ class BenchDriver:
         self._config, self._bench, self._clock, self._check = config, bench, clock, check
         self._prepared = control.prepare(config)
         self._period_s = self._prepared.period_s
-        self._period_ns = round(self._period_s * 1e9)
-        self._signals = np.full(config.actuators, np.nan)
-        self._pressure_pa = np.full(config.actuators, np.nan)
+        self._readings = BenchReader(config, bench, time_may_stop=longest_stop_ns is not None)
         self._longest_stop_ns = longest_stop_ns
         self._scan_interval_s = 1.0 / min(card.sampling_hz for card in config.cards.values())
-        self._excuse = StallAllowance()
-        self._late_ns, self._passed_s = 0, self._period_s
-        self._scan_t_ns = 0
-        self._stops_closed = (True,) * len(config.emergency_stops)
+        self._passed_s = self._period_s
 
     @property
     def pressure_pa(self) -> Array:
         """The newest pressures (N,)."""
-        return self._pressure_pa
+        return self._readings.pressure_pa
 
     def regulate(self, setpoint_pa: Array, seconds: float, until: Callable[[], bool] | None = None) -> BenchLog:
         """Regulate pressures (N,) for `seconds`, or until `until` returns True."""
@@ -92,7 +87,7 @@ class BenchDriver:
         rows = self._row_buffer()
         for now in self._period(seconds, until):
             rows.take(*self._listen())
-            state, command = control.step(self._prepared, state, self._sample(now), setpoint_pa, still)
+            state, command = control.step(self._prepared, state, self._readings.sample(now), setpoint_pa, still)
             if command.trip is not None:
                 raise TrippedError(command.trip)
             self._bench.write(command.outputs)
@@ -113,7 +108,7 @@ class BenchDriver:
         before: int | None = None
         for now in self._period(seconds, None):
             rows.take(*self._listen())
-            sample = self._sample(now)
+            sample = self._readings.sample(now)
             # The reference follows the reading, so only level, rate and a frozen reading can trip.
             demands = [
                 RegulatorDemand(
@@ -122,10 +117,10 @@ class BenchDriver:
                 for i, pressure in enumerate(sample.pressure_pa.tolist())
             ]
             dt_s = self._period_s if before is None else (sample.scan_t_ns - before) * 1e-9
-            counted_s = self._period_s if sample.time_stopped and sample.stalled_ns else dt_s
+            timers_s = self._period_s if sample.time_stopped and sample.stalled_ns else dt_s
             new = sample.scan_t_ns != before
             states, trip = evaluation.evaluate(
-                self._prepared.limits, states, sample, demands, dt_s, new=new, counted_s=counted_s
+                self._prepared.limits, states, sample, demands, dt_s, new=new, timers_s=timers_s
             )
             before = sample.scan_t_ns
             if trip is not None:
@@ -138,7 +133,7 @@ class BenchDriver:
         return rows.log()
 
     def _period(self, seconds: float, until: Callable[[], bool] | None) -> Iterator[int]:
-        while self._longest_stop_ns is not None and not self._scan_t_ns:
+        while self._longest_stop_ns is not None and not self._readings.scan_t_ns:
             self._check()
             self._clock.next()
             self._listen()
@@ -151,29 +146,13 @@ class BenchDriver:
                 return
 
     def _listen(self) -> tuple[NDArray[np.int64], Array, Array]:
-        scans = self._bench.read()
-        self._stops_closed = scans.stops_closed
+        scans = self._readings.read()
         self._passed_s = self._period_s
         if self._longest_stop_ns is not None:
-            self._late_ns, self._passed_s = scans.late_ns, len(scans.t_ns) * self._scan_interval_s
-            if self._late_ns > self._longest_stop_ns:
-                raise CardError(f"the simulator has stalled for {self._late_ns * 1e-9:.1f} s")
-        if len(scans.t_ns):
-            self._scan_t_ns = int(scans.t_ns[-1])
-            self._pressure_pa, self._signals = scans.newest_pressure_pa(self._period_ns), scans.signals[-1]
+            self._passed_s = len(scans.t_ns) * self._scan_interval_s
+            if (late_ns := self._readings.late_ns) > self._longest_stop_ns:
+                raise CardError(f"the simulator has stalled for {late_ns * 1e-9:.1f} s")
         return scans.t_ns, scans.pressure_pa, scans.signals
-
-    def _sample(self, now: int) -> Sample:
-        return Sample(
-            now,
-            self._scan_t_ns,
-            self._signals,
-            self._pressure_pa,
-            stalled_ns=self._excuse.stalled_ns(now, self._late_ns),
-            time_stopped=self._longest_stop_ns is not None,
-            late_ns=self._late_ns,
-            stops_closed=self._stops_closed,
-        )
 
     def _row_buffer(self) -> _RowBuffer:
         return _RowBuffer(None if self._longest_stop_ns is None else self._scan_interval_s)

@@ -13,23 +13,20 @@ from numpy.typing import NDArray
 from model.units import PA_PER_BAR
 from rig.config.schema import RigConfig
 from rig.control import step as control
-from rig.control.interlocks.base import Sample, Trip
+from rig.control.bench_reader import BenchReader, Readable
+from rig.control.interlocks.base import Trip
 from rig.control.limiter import Limiter
 from rig.control.plan_follower import PlanFollower, SetPointSource, StampedPlan
 from rig.control.protocol_position import ProtocolPosition, advance, skip
 from rig.control.setpoints import Moment, RunSetPoints
 from rig.control.stream_follower import StreamFollower
 from rig.execution.plan import RunPlan, sample_rows
-from rig.hardware.bench import BenchScans
 from rig.hardware.safe_state import SafeOutputs
 from runs.records import SolveStatus, blank
 
 
-class ValveOutputs(Protocol):
+class ValveOutputs(Readable, Protocol):
     """What a control cycle needs of a bench."""
-
-    def read(self) -> BenchScans:
-        """Scans since the last call."""
 
     def write(self, outputs: NDArray[np.float64]) -> None:
         """Set every valve [V]."""
@@ -44,8 +41,7 @@ class ControlLoop:
         self.period_ns = round(1e9 / config.control.rate_hz)
         self.position = ProtocolPosition()
         self._bench = bench
-        self._time_may_stop = time_may_stop
-        self._simulator_late_ns = 0
+        self.readings = BenchReader(config, bench, time_may_stop=time_may_stop)
         self._trajectory = plan.trajectory
         self._prompts_s = tuple(prompt.at_s for prompt in plan.trajectory.prompts)
         self._starts_s = tuple(segment.start_s for segment in plan.trajectory.segments)
@@ -53,25 +49,14 @@ class ControlLoop:
         self._state = control.initial(self._prepared)
         self._row = blank((), sample_rows(config))
         self._auxiliary = _AuxiliaryMeans(config) if config.inputs else None
-        self._stops_closed = (True,) * len(config.emergency_stops)
         self._follower = _plan_follower(plan) if plan.controls_tip else None
         self._stream = StreamFollower(config, plan.trajectory) if plan.trajectory.streams else None
         live = tuple(source for source in (self._stream, self._follower) if source is not None)
         self._setpoints = RunSetPoints(plan.trajectory, live)
         self._limiter = Limiter.of(config)
         self._stopped = False
-        self.lost = 0
-        """Scans that the cards have dropped."""
-        self.damaged = 0
-        """Lines between computer and cards that were damaged."""
-        self.repeated = 0
-        """Scans that the cards have delivered twice."""
         self._safe_outputs = SafeOutputs.of(config.valves)
         self._has_voltage = np.array([valve.output_unit == "V" for valve in config.valves])
-        self._scan_t_ns = 0
-        self._excuse = control.StallAllowance()
-        self._pressure_pa: NDArray[np.float64] = np.full(config.actuators, np.nan)
-        self._signals: NDArray[np.float64] = np.full(config.actuators, np.nan)
 
     @property
     def finished(self) -> bool:
@@ -108,18 +93,9 @@ class ControlLoop:
 
     def read_scans(self) -> int:
         """Read the scans since the last call; return their number."""
-        scans = self._bench.read()
-        self.lost += scans.lost
-        self.damaged += scans.damaged
-        self.repeated += scans.repeated
-        self._simulator_late_ns = scans.late_ns
-        self._stops_closed = scans.stops_closed
+        scans = self.readings.read()
         if self._auxiliary is not None:
             self._auxiliary.add(scans.t_ns, scans.auxiliary)
-        if len(scans.t_ns):
-            self._scan_t_ns = int(scans.t_ns[-1])
-            self._pressure_pa = scans.newest_pressure_pa(self.period_ns)
-            self._signals = scans.signals[-1]
         return len(scans.t_ns)
 
     def cycle(
@@ -139,19 +115,7 @@ class ControlLoop:
         now = Moment(protocol_s, dt_s, self._stopped, self._limiter.last_pa)
         wanted = self._setpoints.at(now)
         setpoint_pa, rate_pa_s = self._limiter.limit(wanted, now, live=self._setpoints.live)
-        late_ns = self._simulator_late_ns if self._time_may_stop else 0
-        behind_ns = max(lateness_ns + missed * self.period_ns, late_ns)
-        sample = Sample(
-            t_ns=now_ns,
-            scan_t_ns=self._scan_t_ns,
-            signals=self._signals,
-            pressure_pa=self._pressure_pa,
-            stalled_ns=self._excuse.stalled_ns(now_ns, behind_ns),
-            time_stopped=self._time_may_stop,
-            late_ns=late_ns,
-            stops_closed=self._stops_closed,
-            silences=self._setpoints.silences,
-        )
+        sample = self.readings.sample(now_ns, lateness_ns + missed * self.period_ns, self._setpoints.silences)
         self._state, command = control.step(self._prepared, self._state, sample, setpoint_pa, rate_pa_s)
         outputs = command.outputs
         if command.trip is None:
@@ -160,11 +124,11 @@ class ControlLoop:
             # The record has what the caller's bench writes as it is left.
             outputs = self._safe_outputs.values(vent=command.trip.vent)
         row = self._row
-        row["t_ns"] = self._scan_t_ns
+        row["t_ns"] = sample.scan_t_ns
         row["cycle"] = number
         row["protocol_s"] = protocol_s
         row["setpoint_pa"] = setpoint_pa
-        row["measured_pa"] = self._pressure_pa
+        row["measured_pa"] = sample.pressure_pa
         row["valve_v"] = np.where(self._has_voltage, outputs, np.nan)
         if not self._has_voltage.all():
             row["valve_output"] = outputs

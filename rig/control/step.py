@@ -25,11 +25,6 @@ SHORTEST_STEP_PERIODS, LONGEST_STEP_PERIODS = 0.25, 4.0
 """Bounds of the time step between newest scans: the filters are designed for a steady rate."""
 
 
-STALLED_NS = 20_000_000
-EXCUSED_NS = 100_000_000
-"""Time for a card or its simulator to deliver the scans of a stall of this process."""
-
-
 @dataclass(frozen=True)
 class ControlSettings:
     """The settings of a rig in SI."""
@@ -68,19 +63,6 @@ class ControlOutput(NamedTuple):
 
     outputs: NDArray[np.float64]
     trip: Trip | None
-
-
-class StallAllowance:
-    """Remembers the last stall of a control loop, whose duration does not count against the bench for a while."""
-
-    def __init__(self) -> None:
-        self._stalled_ns = self._until_ns = 0
-
-    def stalled_ns(self, now_ns: int, behind_ns: int) -> int:
-        """Duration [ns] of a stall within the last EXCUSED_NS, 0 if there was none; `behind_ns`: the delay now."""
-        if behind_ns > STALLED_NS:
-            self._stalled_ns, self._until_ns = behind_ns, now_ns + EXCUSED_NS
-        return self._stalled_ns if now_ns < self._until_ns else 0
 
 
 def prepare(config: RigConfig) -> ControlSettings:
@@ -136,17 +118,17 @@ def _step(
     new = sample.scan_t_ns != state.scan_t_ns
     passed = settings.period_s if state.scan_t_ns is None else (sample.scan_t_ns - state.scan_t_ns) * 1e-9
     dt = min(max(passed, SHORTEST_STEP_PERIODS * settings.period_s), LONGEST_STEP_PERIODS * settings.period_s)
-    counted = max(dt, passed)
+    timers = max(dt, passed)
     if sample.stalled_ns and passed >= LONGEST_STEP_PERIODS * settings.period_s:
         state = _restart_references(settings, state, sample.t_ns, pressure, every_time=sample.time_stopped)
-        counted = dt if sample.time_stopped else counted
+        timers = dt if sample.time_stopped else timers
     demands = []
     for i, valve_index in enumerate(settings.valve_of):
         valve = state.valves[valve_index]
         reference = pressure[i] if math.isnan(valve.reference_pa) else valve.reference_pa
         demands.append(RegulatorDemand(setpoint[i], reference, valve.demand_pa_s, valve.integral_pa_s))
     sensors, trip = evaluation.evaluate(
-        limits, state.sensors, sample, demands, max(dt, passed), new=new, counted_s=counted
+        limits, state.sensors, sample, demands, max(dt, passed), new=new, timers_s=timers
     )
     if trip is not None or not new:
         return before._replace(trip=trip)

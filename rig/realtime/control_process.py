@@ -215,9 +215,9 @@ def _run(job: ChildJob, memory: SharedState, bench: Bench, supervisor: ProcessMo
             memory.streamed.push(loop.take_setpoint(setpoint, now))
         row, trip = loop.cycle(cycle, now, 1 + skipped, memory.prompts_answered, memory.paused, now - deadline, skipped)
         memory.samples.push(row)
-        memory.lost_scans = loop.lost
-        memory.damaged_lines = loop.damaged
-        memory.repeated_scans = loop.repeated
+        memory.lost_scans = loop.readings.lost
+        memory.damaged_lines = loop.readings.damaged
+        memory.repeated_scans = loop.readings.repeated
         call = bench.longest_call()
         if call is not None and call.took_ns > period:
             memory.slow_call, memory.slow_call_ns = call.number, call.took_ns

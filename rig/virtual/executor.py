@@ -190,7 +190,7 @@ class _VirtualRun:
             self._trigger.cycle(cycle)
         row, trip = self._loop.cycle(cycle, now, 1, self._answered, False, 0, 0)
         self._memory.samples.push(row)
-        self._memory.lost_scans, self._memory.protocol_s = self._loop.lost, self._loop.position.protocol_s
+        self._memory.lost_scans, self._memory.protocol_s = self._loop.readings.lost, self._loop.position.protocol_s
         self._unseen = min(self._unseen + 1, self._history_cycles)
         if self._tracker is not None:
             self._follow(self._tracker, now)

@@ -62,24 +62,24 @@ def evaluate(
     dt_s: float,
     *,
     new: bool,
-    counted_s: float | None = None,
+    timers_s: float | None = None,
 ) -> tuple[tuple[SensorState, ...], Trip | None]:
     """Check a sample; return the states after it and the first trip.
 
     `demands` (N,) are those on the valves since the last scan, `dt_s` before; without a `new` scan the states remain.
-    `counted_s` is the part of `dt_s` that counts for the timers: all of it unless the time of a simulation stopped.
+    `timers_s` is the part of `dt_s` that counts for the timers: all of it unless the time of a simulation stopped.
     """
     for interlock in s.sample:
         if trip := interlock.trip(sample, new=new):
             return states, trip
     if not new:
         return states, None
-    counted_s = dt_s if counted_s is None else counted_s
+    timers_s = dt_s if timers_s is None else timers_s
     first: Trip | None = None
     moved = []
     readings = zip(states, sample.signals.tolist(), sample.pressure_pa.tolist(), demands, strict=True)
     for i, (state, signal, pressure_pa, demand) in enumerate(readings):
-        after = sensor_state.updated(s.sensors[i], state, dt_s, signal, pressure_pa, demand, counted_s)
+        after = sensor_state.updated(s.sensors[i], state, dt_s, signal, pressure_pa, demand, timers_s)
         moved.append(after)
         for condition in s.actuators[i]:
             first = first or condition.trip(sample.t_ns, after, demand)
