@@ -28,7 +28,8 @@ def checked(folder: Path, *steps: str) -> tuple[Problem, ...]:
 
 IN_SPACE = ("tip-circle", "tip-eight", "tip-points")
 """Protocols that need three valves."""
-WITH_TWO_VALVES = [name for name, _ in protocols.named() if name not in IN_SPACE]
+OF_SIX_CHAMBERS = "two-sections"
+WITH_TWO_VALVES = [name for name, _ in protocols.named() if name not in (*IN_SPACE, OF_SIX_CHAMBERS)]
 
 
 @pytest.mark.parametrize(
@@ -36,6 +37,7 @@ WITH_TWO_VALVES = [name for name, _ in protocols.named() if name not in IN_SPACE
     [
         *((name, rig) for name in WITH_TWO_VALVES for rig in ("mock", "pci1716")),
         *((name, rig) for name in IN_SPACE for rig in ("mock-3", "pci1716-2")),
+        (OF_SIX_CHAMBERS, "mock-two-sections"),
     ],
 )
 def test_every_named_protocol_runs_on_the_named_rigs(name: str, rig: str) -> None:
