@@ -29,7 +29,6 @@ from rig.config.loader import load
 from rig.config.tip_controllers import CONTROLLERS, FEED_FORWARD
 from rig.tip_control.interface import TipControlSettings
 from rig.tip_control.learning import DisturbanceLearner, PathPeriod, Repetition
-from rig.tip_control.registry import controller_class
 from rig.tip_control.tip_dynamics import TipDynamics
 from runs.interpolation import interpolated
 
@@ -163,7 +162,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--paths", nargs="+", default=list(PATHS))
     parser.add_argument("--frequencies", nargs="+", type=float, default=[0.1, 0.5, 1.0])
-    parser.add_argument("--controllers", nargs="+", default=[FEED_FORWARD, *reversed(CONTROLLERS)])
+    parser.add_argument("--controllers", nargs="+", default=[FEED_FORWARD, *reversed(CONTROLLERS.built_in)])
     parser.add_argument("--repetitions", type=int, default=0, help="runs from which the last one learns")
     parser.add_argument("--effects", action="store_true", help="the arm has what the model does not assume")
     args = parser.parse_args()
@@ -171,9 +170,7 @@ def main() -> None:
     settings = TipControlSettings(arm, (0, 1, 2), LIMIT_PA, RATE_PA_S, 1 / 30, 0.04, 0.015)
     knowing, learner = replace(settings, learned=True), DisturbanceLearner(settings)
     feedforward = Feedforward(arm)
-    controllers = {
-        name: None if name == FEED_FORWARD else controller_class(name)(settings) for name in args.controllers
-    }
+    controllers = {name: None if name == FEED_FORWARD else CONTROLLERS[name](settings) for name in args.controllers}
     print(f"{args.arms} arms, seed {args.seed}; RMS 3-D distance to the true tip from the third period [mm]")
     print("path    Hz    controller          median    worst    solve p50 / p99 [ms]")
     for path in args.paths:
@@ -189,7 +186,7 @@ def main() -> None:
                         rest(effects)
                         if repetition < args.repetitions:
                             asked = repeated(learner, asked, run)
-                            current = None if name == FEED_FORWARD else controller_class(name)(knowing)
+                            current = None if name == FEED_FORWARD else CONTROLLERS[name](knowing)
                     errors.append(1e3 * run.rms_m(LEAD_IN_S + 2 / frequency, task.duration_s - END_S))
                     solves.append(run.solve_s)
                 times = 1e3 * np.concatenate(solves)

@@ -1,17 +1,17 @@
-"""The effects that a rig file can name; one line here registers an effect."""
+"""The effects that a rig file can name; one line here registers one, another package brings one as a plug-in."""
 
 from __future__ import annotations
 
-import functools
-import operator
-from typing import TYPE_CHECKING, Annotated
-
-from pydantic import Field
+from typing import TYPE_CHECKING
 
 from rig.arm_effects import effects
 from rig.arm_effects.base import ArmEffectSection
+from rig.sections.plugins import SectionRegistry
 
-ARM_EFFECTS: tuple[type[ArmEffectSection], ...] = (
+ARM_EFFECTS = SectionRegistry[ArmEffectSection](
+    "arm_effects",
+    "type",
+    ArmEffectSection,
     effects.CouplingSection,
     effects.CreepSection,
     effects.GainsSection,
@@ -23,5 +23,5 @@ ARM_EFFECTS: tuple[type[ArmEffectSection], ...] = (
 if TYPE_CHECKING:
     ArmEffectEntry = ArmEffectSection
 else:
-    ArmEffectEntry = Annotated[functools.reduce(operator.or_, ARM_EFFECTS), Field(discriminator="type")]
+    ArmEffectEntry = ARM_EFFECTS.section()
     """An entry of the rig file, of the registered effect that its key `type` names."""

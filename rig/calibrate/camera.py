@@ -18,6 +18,7 @@ from rig.calibrate.file_sections import OutputFile
 from rig.calibrate.view_collection import collect, pictures
 from rig.config.board_sections import BoardPattern
 from rig.config.calibration_files import views_beside
+from rig.config.drivers import Reality
 from rig.config.loader import load
 from rig.config.schema import RigConfig
 from runs.overwriting import refuse_existing, replacing
@@ -144,7 +145,7 @@ def _written(
     )
     made = request.output.write(content, file)
     figure = _draw_residuals(found, f"camera {name}", made.with_suffix(_PICTURE))
-    simulated = rig is not None and name in rig.cameras and rig.cameras[name].simulated
+    simulated = rig is not None and name in rig.cameras and rig.cameras[name].reality is not Reality.REAL
     return CalibratedCamera(name, found, made, figure, simulated)
 
 

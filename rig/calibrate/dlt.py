@@ -19,6 +19,7 @@ from rig.calibrate.file_sections import OutputFile
 from rig.config import calibration_schema
 from rig.config.board_sections import BoardPattern
 from rig.config.calibration_files import rounded, sha256_of
+from rig.config.drivers import Reality
 from rig.config.loader import load
 from rig.config.optics import placement_of, rigid
 from rig.config.schema import RigConfig
@@ -92,7 +93,7 @@ def run(request: DLTCalibrationRequest) -> DLTCalibration:
         )
     in_base = is_csv or bool(request.base)
     content = dlt_file(result, rig, tuple(used), board, in_base=in_base, note=request.output.note)
-    simulated = any(CAMERA_DRIVERS.simulates(camera.camera.driver) for camera in content.cameras)
+    simulated = any(CAMERA_DRIVERS.reality(camera.camera.driver) is not Reality.REAL for camera in content.cameras)
     file = request.output.write(content, request.output.path("dlt"))
     return DLTCalibration(result, content, file, simulated)
 

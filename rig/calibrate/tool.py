@@ -24,6 +24,7 @@ from rig.calibrate.view_collection import CAMERA_TIMEOUT_S, store
 from rig.config import calibration_schema
 from rig.config.arm_model import model_arm
 from rig.config.calibration_files import rounded, views_beside
+from rig.config.drivers import Reality
 from rig.config.loader import load
 from rig.config.optics import board_in_tip, board_of, board_section, camera_in_base, lens_of, placement_of
 from rig.config.schema import RigConfig
@@ -89,7 +90,7 @@ def run(request: ToolCalibrationRequest, operator: BenchOperator) -> ToolCalibra
     stated = board_in_tip(config)
     found = mount(straight, turned, board, lens_of(config.cameras[name]), tip, stated)
     made = request.output.write(tool_file(config, name, found, request.output.note), file)
-    return ToolCalibration(found, stated, made, config.cameras[name].simulated)
+    return ToolCalibration(found, stated, made, config.cameras[name].reality is not Reality.REAL)
 
 
 def tip_in_camera(config: RigConfig, name: str, std_m: float, std_rad: float) -> RigidTransform:
@@ -159,7 +160,7 @@ def _pictures_and_instructions(
     config: RigConfig, name: str, seed: int, operator: BenchOperator
 ) -> Iterator[tuple[Callable[[float], Image], Callable[[str], None]]]:
     """Yield how to take a picture with the cap at an angle [deg], and how to ask for an action."""
-    if config.cameras[name].is_mock:
+    if config.cameras[name].reality is Reality.SIMULATED:
         from rig.simulator.simulated_operator import RotatedCapCamera
 
         yield RotatedCapCamera(config, name, seed).picture, lambda text: operator.tell(f"(simulated hands) {text}")

@@ -16,6 +16,7 @@ from calibration.images import Image
 from calibration.view_coverage import ViewCoverage, view_geometry
 from calibration.views import View
 from calibration.vision.board import Board, grey
+from rig.config.drivers import Reality
 from rig.config.schema import RigConfig
 from rig.hardware.cameras.base import open_camera
 from runs.overwriting import replacing
@@ -33,7 +34,7 @@ def pictures(config: RigConfig, camera: str, board: Board, seed: int) -> Iterato
     Raises:
         CameraError: the camera cannot be opened, or gives none.
     """
-    if config.cameras[camera].is_mock:
+    if config.cameras[camera].reality is Reality.SIMULATED:
         from rig.simulator.simulated_operator import shown_boards
 
         yield from shown_boards(config, camera, board, seed)

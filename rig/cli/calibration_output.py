@@ -22,6 +22,7 @@ from rig.cli.output import ColumnTable, console, print_json
 from rig.cli.run_output import confirm
 from rig.config import calibration_schema
 from rig.config.calibration_files import read
+from rig.config.drivers import Reality
 from rig.config.optics import placement_of
 
 _WORST_SHOWN = 5
@@ -240,4 +241,4 @@ def pressure(done: PressureCalibration, *, as_json: bool) -> None:
             f"{v.volume_std_ml / v.volume_ml:.0%} more uncertainty, the same for all",
             soft_wrap=True,
         )
-    _print_file(done.file, any(card.simulated for card in config.cards.values()))
+    _print_file(done.file, any(card.reality is not Reality.REAL for card in config.cards.values()))

@@ -82,7 +82,7 @@ EXPECTED_ERRORS = {
     "calibration.parallel_map.NoClusterError": FAULT,
     "calibration.parallel_map.WorkerDiedError": FAULT,
     "rig.calibrate.bench_driver.TrippedError": FAULT,
-    "rig.sections.plugins.PluginError": BAD_INPUT,
+    "rig.sections.registry.PluginError": BAD_INPUT,
     "rig.study.execution.StudyStoppedError": FAULT,
     "rig.study.study.OtherStudyError": BAD_INPUT,
     "rig.execution.plan.StoppedError": INTERRUPTED,

@@ -15,7 +15,7 @@ from rig.cli.output import ColumnTable
 from rig.config.drivers import Finding
 from rig.config.schema import RigConfig
 from rig.conformance.check import CheckResult, CheckVerdict
-from rig.hardware.installed_drivers import InstalledDriver
+from rig.hardware.installed_drivers import InstalledObject
 from runs.overwriting import refuse_existing
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def findings_table(findings: Sequence[Finding]) -> Table:
     return table
 
 
-def drivers_table(rows: Sequence[InstalledDriver]) -> Table:
+def drivers_table(rows: Sequence[InstalledObject]) -> Table:
     """Return the drivers as a table; a plug-in that cannot be used has its fault in red."""
     found = ColumnTable("section", "name", "package", "what it does")
     for row in rows:
@@ -105,7 +105,7 @@ def drivers_table(rows: Sequence[InstalledDriver]) -> Table:
     return found
 
 
-def _about(row: InstalledDriver) -> str:
+def _about(row: InstalledObject) -> str:
     """What a driver drives, its keys, and what its outputs do once the program is dead."""
     about = row.about if row.about.endswith("..") else row.about.removesuffix(".")
     parts = [about + (" (simulated)" if row.simulated else "")]

@@ -182,7 +182,7 @@ def doctor(
 
 
 def drivers(json: AsJson = False) -> None:
-    """List the drivers of cards, cameras and trackers and the valve types, with their packages.
+    """List what a rig file can name: drivers, valves, boards, effects and controllers, with their packages.
 
     Status 1: an installed plug-in cannot be used.
     """
@@ -219,7 +219,7 @@ def check_drivers(
 
     rig_file = loader.path_of(rig)
     config = loader.load(rig_file)
-    real = [name for name, card in config.cards.items() if not card.simulated]
+    real = [name for name, card in config.cards.items() if not card.driven_by.simulated]
     if real and not supply_off:
         typer.echo(SUPPLY, err=True)
         if not sys.stdin.isatty():

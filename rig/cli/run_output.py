@@ -15,6 +15,7 @@ from rich.text import Text
 from model.units import PA_PER_BAR
 from rig.cli.exit_status import DONE, FAULT, INTERRUPTED
 from rig.cli.output import ColumnTable, facts_table
+from rig.config.drivers import Reality
 from rig.config.schema import RigConfig
 from rig.execution.plan import RunPlan
 from rig.experiment.preflight import peak_pa, trough_pa
@@ -95,12 +96,12 @@ def _counted(number: int, what: str) -> str:
 
 
 def _how_simulated(config: RigConfig) -> str:
-    emulated = [name for name, card in config.cards.items() if card.bench_is_simulated and not card.simulated]
+    emulated = [name for name, card in config.cards.items() if card.reality is Reality.EMULATED]
     if emulated:
         return f" (SIMULATED: card {', '.join(emulated)} is stated as an emulated board)"
-    real = [f"card {name}" for name, card in config.cards.items() if not card.simulated]
-    real += [f"camera {name}" for name, camera in config.cameras.items() if not camera.simulated]
-    real += [f"tracker {name}" for name, tracker in config.trackers.items() if not tracker.simulated]
+    real = [f"card {name}" for name, card in config.cards.items() if card.reality is Reality.REAL]
+    real += [f"camera {name}" for name, camera in config.cameras.items() if camera.reality is Reality.REAL]
+    real += [f"tracker {name}" for name, tracker in config.trackers.items() if tracker.reality is Reality.REAL]
     if real:
         verb = "is" if len(real) == 1 else "are"
         return f" (SIMULATED in part: {', '.join(real)} {verb} real)" if config.simulated else ""

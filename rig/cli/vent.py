@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from rig.cli.exit_status import BAD_INPUT, FAULT
 from rig.config.bench import BenchConfig, VentedBench
+from rig.config.drivers import Reality
 from rig.hardware.lock import described, locked_devices, outputs_of, runs_of
 from rig.hardware.running import RunningRig, UnreadableRecord, signal_run, signalled
 from rig.hardware.vent import Venting, VentResult, results
@@ -163,6 +164,6 @@ def _vented(bench: BenchConfig, vented: VentResult) -> str:
         gauge = confirmation or ": look at the gauge"
         cards = f"card {', '.join(vented.unverified)} has no read-back"
         return f"every output of rig {bench.name} was commanded to vent; {cards}{gauge}"
-    mock = all(card.simulated for card in bench.cards.values())
+    mock = all(card.reality is Reality.SIMULATED for card in bench.cards.values())
     simulated = " (simulated: no hardware was touched)" if mock else ""
     return f"every chamber of rig {bench.name} is open to the exhaust{simulated}{confirmation}"

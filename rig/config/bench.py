@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from rig.config.card_sections import AnyCard
+from rig.config.drivers import Reality
 from rig.config.input_sections import AuxiliaryInput, EmergencyStop
 from rig.config.sections import CameraTrigger, Sensor
 from rig.sections.base import Section
@@ -47,7 +48,7 @@ class BenchConfig(Section):
     @property
     def has_real_valves(self) -> bool:
         """True when a card of the rig is real hardware."""
-        return any(not card.is_mock for card in self.cards.values())
+        return any(card.reality is not Reality.SIMULATED for card in self.cards.values())
 
 
 class VentedBench(BenchConfig):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-import operator
 from abc import abstractmethod
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -13,6 +11,7 @@ from calibration.vision.marker_families import MARKERS, MarkerFamily
 from protocols.validation import ValidationFault, faults
 from rig.config.sections import Placement
 from rig.sections.base import Section
+from rig.sections.plugins import PluginSections, SectionRegistry, uninstalled
 from rig.sections.quantities import Index, LengthMm
 
 if TYPE_CHECKING:
@@ -48,8 +47,7 @@ class BoardPattern(Section):
     @property
     def pattern(self) -> BoardPattern:
         """The print alone, as calibration files state it."""
-        kind = next(kind for kind in PATTERN_KINDS if isinstance(self, kind))
-        return kind.model_validate(self.model_dump(include=set(kind.model_fields)))
+        return self
 
     @property
     def markers(self) -> tuple[str, range]:
@@ -79,6 +77,16 @@ class BoardConfig(BoardPattern):
     """
 
     placement: Placement
+
+    @classmethod
+    def print_kind(cls) -> type[BoardPattern]:
+        """The class of the print alone."""
+        return next(one for one in cls.__mro__ if issubclass(one, BoardPattern) and not issubclass(one, BoardConfig))
+
+    @property
+    def pattern(self) -> BoardPattern:
+        kind = self.print_kind()
+        return kind.model_validate(self.model_dump(include=set(kind.model_fields)))
 
 
 class SquaresPattern(BoardPattern):
@@ -205,8 +213,7 @@ class TagGridConfig(TagGridPattern, BoardConfig):
     """The grid of tags on the end cap."""
 
 
-PATTERN_KINDS: tuple[type[BoardPattern], ...] = (CheckerboardPattern, CharucoPattern, TagGridPattern)
-BOARD_KINDS: tuple[type[BoardConfig], ...] = (CheckerboardConfig, CharucoConfig, TagGridConfig)
+BOARDS = SectionRegistry[BoardConfig]("boards", "kind", BoardConfig, CheckerboardConfig, CharucoConfig, TagGridConfig)
 
 
 def with_default_kind(value: Any) -> Any:
@@ -225,17 +232,13 @@ if TYPE_CHECKING:
     AnyBoard = BoardConfig
     AnyPattern = BoardPattern
 else:
-
-    def _by_kind(kinds: tuple[type[BoardPattern], ...]) -> Any:
-        """The registered kind that the key `kind` names."""
-        return Annotated[
-            Annotated[functools.reduce(operator.or_, kinds), Field(discriminator="kind")],
-            BeforeValidator(with_default_kind),
-        ]
-
-    AnyBoard = _by_kind(BOARD_KINDS)
+    _default = BeforeValidator(with_default_kind)
+    AnyBoard = Annotated[BOARDS.section(), _default]
     """The board of the rig file."""
-    AnyPattern = _by_kind(PATTERN_KINDS)
+    _print_alone = PluginSections(
+        BOARDS, "kind", BoardPattern, lambda board: board.print_kind(), uninstalled(BoardPattern, "kind")
+    )
+    AnyPattern = Annotated[_print_alone.section, _default]
     """The board of a calibration file."""
 
 

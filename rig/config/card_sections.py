@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar, Literal
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from protocols.validation import ValidationFault, faults
-from rig.config.drivers import DeviceSection, Driver, DriverRegistry
+from rig.config.drivers import DeviceSection, Driver, DriverRegistry, Reality
 from rig.sections.quantities import Index, Positive, Word
 
 
@@ -25,11 +25,6 @@ class CardConfig(DeviceSection):
     """True for a driver whose cards are `DigitalOutputCard`s."""
     signal_units: ClassVar[tuple[str, ...] | None] = ("V",)
     """Units of the inputs and outputs; None for a card that takes every unit."""
-
-    @property
-    def bench_is_simulated(self) -> bool:
-        """True when the valves and sensors behind the card are simulated: a run on it is marked."""
-        return self.simulated
 
 
 class WiredCardConfig(CardConfig):
@@ -59,9 +54,9 @@ class ComediCardConfig(SampledCardConfig):
     emulated: bool = Field(default=False, description="the board is a virtual machine's: mark the runs as simulated")
 
     @property
-    def bench_is_simulated(self) -> bool:
-        """True for an emulated board. `simulated` is false: softrig asks before a valve moves, as on a real board."""
-        return self.emulated
+    def reality(self) -> Reality:
+        """As stated by `emulated`."""
+        return Reality.EMULATED if self.emulated else Reality.REAL
 
 
 class MockCardConfig(SampledCardConfig):
@@ -97,14 +92,6 @@ class NidaqmxCardConfig(WiredCardConfig):
     """A card with an NI-DAQmx driver."""
 
     driver: Literal["nidaqmx"]
-
-
-class UninstalledCardConfig(CardConfig):
-    """A card from an archive whose driver is not installed here."""
-
-    model_config = ConfigDict(extra="ignore")
-    writes_digital: ClassVar[bool] = True
-    signal_units: ClassVar[tuple[str, ...] | None] = None
 
 
 _KEPT = "outputs keep their values; the watchdog writes the safe state"
@@ -148,5 +135,5 @@ CARD_DRIVERS = DriverRegistry(
 if TYPE_CHECKING:
     AnyCard = CardConfig
 else:
-    AnyCard = CARD_DRIVERS.section(UninstalledCardConfig)
+    AnyCard = CARD_DRIVERS.section(writes_digital=True, signal_units=None)
     """A card of the rig file, by the model of its driver."""

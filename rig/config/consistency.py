@@ -15,6 +15,7 @@ from protocols.problems import closest
 from protocols.source_positions import path_text
 from protocols.validation import ValidationFault
 from rig.config import tip_source_consistency as tip_sources
+from rig.config.drivers import Reality
 from rig.config.sections import Sensor
 from rig.valves.registry import VALVES
 
@@ -127,7 +128,7 @@ def _stop_channels(cards: Cards, stops: Mapping[str, EmergencyStop | None]) -> I
 
 def check_units(cards: Cards, valves: Valves, sensors: Sensors, inputs: Inputs) -> Iterator[ValidationFault]:
     """Yield a fault for each number that the card would take or give in another unit."""
-    types = {f"`type: {name}`": kind.output_unit for name, kind in VALVES.built_in.items()}
+    types = {f"`type: {name}`": kind.output_unit for name, kind in ((name, VALVES[name]) for name in VALVES.built_in)}
     units = {f"`unit: {unit}`": unit for unit in get_args(Sensor.model_fields["unit"].annotation)}
     users = [((*path, "type"), user.card, user.output_unit, types) for path, _, user in _listed("valves", valves)]
     users += [((*path, "unit"), user.card, user.unit, units) for path, _, user in _listed("sensors", sensors)]
@@ -273,9 +274,15 @@ def _geometry(geometry: GeometryConfig) -> Iterator[ValidationFault]:
 def _simulator(
     cards: Cards, cameras: Cameras, trackers: Trackers, simulator: Simulator | None
 ) -> Iterator[ValidationFault]:
-    mocks = [f"cards, {name}" for name, card in tip_sources.valid(cards).items() if card.is_mock]
-    mocks += [f"cameras, {name}" for name, camera in tip_sources.valid(cameras).items() if camera.is_mock]
-    mocks += [f"trackers, {name}" for name, tracker in tip_sources.valid(trackers).items() if tracker.is_mock]
+    mocks = [f"cards, {name}" for name, card in tip_sources.valid(cards).items() if card.reality is Reality.SIMULATED]
+    mocks += [
+        f"cameras, {name}" for name, camera in tip_sources.valid(cameras).items() if camera.reality is Reality.SIMULATED
+    ]
+    mocks += [
+        f"trackers, {name}"
+        for name, tracker in tip_sources.valid(trackers).items()
+        if tracker.reality is Reality.SIMULATED
+    ]
     if mocks and simulator is None:
         yield ValidationFault(
             ("simulator",), f"is missing: a mock device ({mocks[0]}) needs the block that says what it simulates"

@@ -8,12 +8,14 @@ from __future__ import annotations
 import pkgutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, Field
 
 from rig.sections.base import Section
-from rig.sections.plugins import PluginError, PluginSections, Registry
+from rig.sections.plugins import PluginSections, own_keys, uninstalled
+from rig.sections.registry import PluginError, Registry
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,16 @@ class Finding:
     verdict: Literal["ok", "missing", "note"]
     found: str
     remedy: str = ""
+
+
+class Reality(StrEnum):
+    """Whether a device is real. A run on a device that is not is marked as simulated."""
+
+    REAL = "real"
+    EMULATED = "emulated"
+    """Another program stands for the hardware. softrig asks before a valve moves, as on a real device."""
+    SIMULATED = "simulated"
+    """A device of softrig's simulated bench, which also runs in virtual time."""
 
 
 Examine = Callable[[Any, str], Iterable[Finding]]
@@ -78,14 +90,9 @@ class DeviceSection(Section):
     driver: Annotated[str, Field(min_length=1)]
 
     @property
-    def is_mock(self) -> bool:
-        """True for a device of the simulated bench."""
-        return self.driver == "mock"
-
-    @property
-    def simulated(self) -> bool:
-        """True for a simulated device, of the bench or of another driver."""
-        return self.registry.simulates(self.driver)
+    def reality(self) -> Reality:
+        """Whether the device is real."""
+        return self.registry.reality(self.driver)
 
     @property
     def driven_by(self) -> Driver:
@@ -104,18 +111,19 @@ class DriverRegistry(Registry[Driver]):
         `base` has the keys that all sections share. has_outputs: the devices have outputs, whose state matters once the
         program is dead.
         """
-        super().__init__(f"softrig.{kind}", drivers, self._checked)
-        self.kind, self.base, self._has_outputs = kind, base, has_outputs
+        super().__init__(kind, drivers)
+        self.base, self._has_outputs = base, has_outputs
         base.registry = self
 
-    def section(self, unknown: type[BaseModel]) -> Any:
+    def section(self, **members: object) -> Any:
         """The type of a device's section in the rig file: the model of its driver.
 
-        `unknown` reads the section in an archive whose driver is not installed here.
+        `members` are attributes of the section in an archive whose driver is not installed here.
         """
+        unknown = uninstalled(self.base, "driver", **members)
         return PluginSections(self, "driver", self.base, lambda driver: driver.section, unknown).section
 
-    def _checked(self, found: object) -> Driver:
+    def checked(self, found: object) -> Driver:
         if not isinstance(found, Driver):
             raise TypeError(f"of type {type(found).__name__}, not a rig.config.drivers.Driver")
         if not (isinstance(found.section, type) and issubclass(found.section, self.base)):
@@ -124,12 +132,20 @@ class DriverRegistry(Registry[Driver]):
             raise TypeError("`open` is not a function")
         return found
 
-    def simulates(self, name: str | None) -> bool:
-        """True for a driver of simulated devices; False for one that is not installed."""
+    def facts(self, found: Driver) -> dict[str, Any]:
+        """What it drives, its own keys, and what its outputs do once the program is dead."""
+        keys = own_keys(found.section, self.base)
+        state = self.safe_state(found)
+        return {"about": found.about, "safe_state": state, "simulated": found.simulated, "keys": keys}
+
+    def reality(self, name: str | None) -> Reality:
+        """Whether the devices of a driver are real; those of one that is not installed are."""
+        if name == "mock":
+            return Reality.SIMULATED
         try:
-            return name is not None and self[name].simulated
+            return Reality.EMULATED if name is not None and self[name].simulated else Reality.REAL
         except PluginError:
-            return False
+            return Reality.REAL
 
     def safe_state(self, driver: Driver) -> str:
         """What the outputs do once the program is dead; empty for devices without outputs."""

@@ -16,6 +16,7 @@ from rig.config import consistency
 from rig.config.arm_sections import ArmConfig
 from rig.config.bench import BenchConfig
 from rig.config.board_sections import AnyBoard, MeasuredSection
+from rig.config.drivers import DeviceSection, Reality
 from rig.config.metadata import Metadata
 from rig.config.sections import (
     AnyCamera,
@@ -121,22 +122,14 @@ class RigConfig(BenchConfig):
         return self.model_copy(update={"board": self.sections[section].board, "sections": {}})
 
     @property
+    def devices(self) -> tuple[DeviceSection, ...]:
+        """Cards, cameras and trackers."""
+        return (*self.cards.values(), *self.tip_sources)
+
+    @property
     def simulated(self) -> bool:
-        """True when any device of the rig is simulated."""
-        cards = any(card.bench_is_simulated for card in self.cards.values())
-        return cards or any(source.simulated for source in self.tip_sources)
-
-    @property
-    def has_simulated_drivers(self) -> bool:
-        """True when a driver of the rig simulates its device, with random numbers from the seed of the run."""
-        cards = any(card.simulated for card in self.cards.values())
-        return cards or any(source.simulated for source in self.tip_sources)
-
-    @property
-    def has_mocks(self) -> bool:
-        """True when a device of the rig belongs to the simulated bench."""
-        cards = any(card.is_mock for card in self.cards.values())
-        return cards or any(source.is_mock for source in self.tip_sources)
+        """True when any device of the rig is not real: its runs are marked."""
+        return any(device.reality is not Reality.REAL for device in self.devices)
 
     @property
     def as_built(self) -> RigConfig:

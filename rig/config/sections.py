@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from model import variants
@@ -22,6 +22,7 @@ from rig.config.drivers import DeviceSection, Driver, DriverRegistry, resolved
 from rig.config.tip_controllers import CONTROLLERS, FEED_FORWARD, KNOWN
 from rig.sections.base import Section
 from rig.sections.control import Patience
+from rig.sections.plugins import RECORDED
 from rig.sections.quantities import (
     ActuatorNumber,
     BarSpan,
@@ -176,12 +177,6 @@ class CameraConfig(DeviceSection):
         return None if serial is None else resolved(serial)(self)
 
 
-class UninstalledCameraConfig(CameraConfig):
-    """A camera from an archive whose driver is not installed here."""
-
-    model_config = ConfigDict(extra="ignore")
-
-
 CAMERA_DRIVERS = DriverRegistry(
     "cameras",
     CameraConfig,
@@ -212,7 +207,7 @@ CAMERA_DRIVERS = DriverRegistry(
 if TYPE_CHECKING:
     AnyCamera = CameraConfig
 else:
-    AnyCamera = CAMERA_DRIVERS.section(UninstalledCameraConfig)
+    AnyCamera = CAMERA_DRIVERS.section()
     """A camera of the rig file, by the model of its driver."""
 
 
@@ -256,7 +251,8 @@ class TipControlSection(Section):
 
     @field_validator("controller")
     @classmethod
-    def _known(cls, name: str) -> str:
-        if name in (FEED_FORWARD, *CONTROLLERS) or _CLASS.fullmatch(name):
+    def _known(cls, name: str, info: ValidationInfo) -> str:
+        recorded = bool(info.context and info.context.get(RECORDED))
+        if recorded or name in (FEED_FORWARD, *CONTROLLERS.built_in) or _CLASS.fullmatch(name) or name in CONTROLLERS:
             return name
-        raise ValueError(f"one of {KNOWN}, or package:Class of your own")
+        raise ValueError(f"one of {', '.join((FEED_FORWARD, *CONTROLLERS))}, or package:Class of your own")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from protocols.problems import closest
 from protocols.validation import ValidationFault
+from rig.config.drivers import Reality
 
 if TYPE_CHECKING:
     from rig.config.arm_sections import ArmConfig
@@ -110,7 +111,7 @@ def check_board(cameras: Cameras, board: BoardConfig | None) -> Iterator[Validat
 def check_simulated_cameras(cameras: Cameras, simulator: Simulator | None) -> Iterator[ValidationFault]:
     if simulator is None:
         return
-    mocks = [name for name, camera in valid(cameras).items() if camera.is_mock]
+    mocks = [name for name, camera in valid(cameras).items() if camera.reality is Reality.SIMULATED]
     if simulator.scene is None and mocks:
         yield ValidationFault(("simulator", "scene"), f"is missing: what the simulated camera '{mocks[0]}' sees")
     for name in simulator.camera_errors:
@@ -160,8 +161,8 @@ def _output(path: Path, trigger: CameraTrigger, camera: CameraConfig, cards: Car
     if not card.writes_digital:
         expected = f"a card whose driver writes digital outputs: driver {card.driver} writes none"
         yield ValidationFault((*path, "card"), expected)
-    elif camera.is_mock != card.is_mock:
-        kind = "simulated" if camera.is_mock else "real"
+    elif (camera.reality is Reality.SIMULATED) != (card.reality is Reality.SIMULATED):
+        kind = "simulated" if camera.reality is Reality.SIMULATED else "real"
         yield ValidationFault((*path, "card"), f"a {kind} card, because the camera is {kind}")
     elif trigger.channel >= card.digital_outputs:
         count = card.digital_outputs

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from protocols.validation import ValidationFault, faults
@@ -78,12 +78,6 @@ class MockTrackerConfig(TrackerConfig):
         return self
 
 
-class UninstalledTrackerConfig(TrackerConfig):
-    """A tracker from an archive whose driver is not installed here."""
-
-    model_config = ConfigDict(extra="ignore")
-
-
 TRACKER_DRIVERS = DriverRegistry(
     "trackers",
     TrackerConfig,
@@ -106,5 +100,5 @@ TRACKER_DRIVERS = DriverRegistry(
 if TYPE_CHECKING:
     AnyTracker = TrackerConfig
 else:
-    AnyTracker = TRACKER_DRIVERS.section(UninstalledTrackerConfig)
+    AnyTracker = TRACKER_DRIVERS.section()
     """A tracker of the rig file, by the model of its driver."""

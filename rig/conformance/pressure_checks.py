@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from model.arrays import Array
 from model.units import PA_PER_BAR
+from rig.config.drivers import Reality
 from rig.conformance.card_subject import CardSubject, needs_outputs, polled
 from rig.conformance.check import Check, NonconformityError, NotApplicableError
 from rig.hardware.bench import Bench
@@ -26,7 +27,7 @@ LEAST, MOST = 0.5, 1.5
 def pressures(subject: CardSubject) -> str:
     """Each valve brings its own chambers to the pressure that its output stands for, and no others."""
     valves = _measured_valves(subject)
-    supplied = subject.config.cards[subject.name].bench_is_simulated
+    supplied = subject.config.cards[subject.name].reality is not Reality.REAL
     found = []
     with closing(subject.open()) as card:
         card.start()

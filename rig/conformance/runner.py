@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from rig.config.drivers import Reality
 from rig.config.schema import RigConfig
 from rig.conformance.card_checks import CARD_CHECKS
 from rig.conformance.check import Check, CheckResult, CheckVerdict
@@ -124,7 +125,7 @@ class Conformance:
     def _unplug_of(self, card: str) -> Callable[[], None] | None:
         """What makes a card disappear; a mock card by a fault of the simulator."""
         section = self._config.cards[card]
-        if section.is_mock:
+        if section.reality is Reality.SIMULATED:
             return lambda: _break(section.device)
         unplug = self._unplug
         return None if unplug is None else lambda: unplug(card)

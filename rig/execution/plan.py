@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from protocols import SetPointTrajectory
 from protocols.problems import bad_input
 from rig.config.card_sections import CardConfig
+from rig.config.drivers import Reality
 from rig.config.schema import RigConfig
 from rig.config.sections import CameraConfig, Variant
 from rig.config.tip_controllers import FEED_FORWARD
@@ -152,6 +153,6 @@ def require_mocks(rig: str, devices: Mapping[str, CardConfig | CameraConfig | Tr
     Raises:
         BadInputError: a device does not belong to the simulated bench.
     """
-    if others := [name for name, device in devices.items() if not device.is_mock]:
+    if others := [name for name, device in devices.items() if device.reality is not Reality.SIMULATED]:
         found = f"virtual time on rig {rig}, with {', '.join(others)}"
         raise bad_input("--fast", found, "softrig's simulated bench (driver: mock); omit --fast for this rig")

@@ -11,8 +11,9 @@ from protocols.problems import bad_input
 from rig.config.loader import RigFile
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
-from rig.config.tip_controllers import CONTROLLERS, FEED_FORWARD
+from rig.config.tip_controllers import CONTROLLERS, FEED_FORWARD, KNOWN
 from rig.experiment.provenance import protocol_parameters
+from rig.sections.registry import PluginError
 from runs.records import Quantity, RecordedFile, RunHeader
 
 if TYPE_CHECKING:
@@ -31,19 +32,19 @@ def tip_controller(config: RigConfig, rig_file: Path, chosen: str | None, moves_
             raise bad_input("--controller", chosen, "a protocol with a tip path")
         return ""
     from model.inverse.static_map import MOST_VALVES
-    from rig.tip_control.registry import UnknownControllerError, controller_class
 
     name = chosen or config.tip_control.controller
     if name == FEED_FORWARD:
         return name
     stated = ("--controller", "") if chosen else (str(rig_file), "tip_control, controller")
-    if name in CONTROLLERS and len(config.valves) > MOST_VALVES:
+    if name in CONTROLLERS.built_in and len(config.valves) > MOST_VALVES:
         expected = f"feed-forward: the controllers of softrig are for at most {MOST_VALVES} valves, this rig has "
         raise BadInputError([Problem(stated[0], 0, 0, stated[1], name, f"{expected}{len(config.valves)}")])
     try:
-        controller_class(name)
-    except UnknownControllerError as error:
-        raise BadInputError([Problem(stated[0], 0, 0, stated[1], name, str(error))]) from None
+        CONTROLLERS[name]
+    except PluginError as error:
+        expected = f"a tip controller that can be loaded, as {KNOWN}: {error}"
+        raise BadInputError([Problem(stated[0], 0, 0, stated[1], name, expected)]) from None
     if not config.measures_tip:
         raise BadInputError(
             [Problem(stated[0], 0, 0, stated[1], name, "feed-forward: the rig has no camera or tracker")]

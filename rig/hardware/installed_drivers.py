@@ -1,22 +1,34 @@
-"""Every driver and valve type that a rig file can name here."""
+"""Every object that a rig file can name here."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
-from pydantic import BaseModel
-
+from rig.arm_effects.registry import ARM_EFFECTS
+from rig.config.board_sections import BOARDS
 from rig.config.card_sections import CARD_DRIVERS
 from rig.config.sections import CAMERA_DRIVERS
+from rig.config.tip_controllers import CONTROLLERS
 from rig.config.tracker_sections import TRACKER_DRIVERS
-from rig.valves.base import ValveSection
+from rig.sections.registry import Registry
 from rig.valves.registry import VALVES
+
+REGISTRIES: tuple[Registry[Any], ...] = (
+    CARD_DRIVERS,
+    CAMERA_DRIVERS,
+    TRACKER_DRIVERS,
+    VALVES,
+    BOARDS,
+    ARM_EFFECTS,
+    CONTROLLERS,
+)
 
 
 @dataclass(frozen=True)
-class InstalledDriver:
-    """A driver as `rig drivers` lists it; `keys` are its own keys in the rig file, `fault` why it cannot be used."""
+class InstalledObject:
+    """An object as `rig drivers` lists it; `keys` are its own keys in the rig file, `fault` why it cannot be used."""
 
     kind: str
     name: str
@@ -28,22 +40,8 @@ class InstalledDriver:
     fault: str = ""
 
 
-def installed_drivers() -> Iterator[InstalledDriver]:
-    """The drivers of softrig and of plug-ins, a broken plug-in with its fault; imports every plug-in."""
-    for registry in (CARD_DRIVERS, CAMERA_DRIVERS, TRACKER_DRIVERS):
-        for name, package, driver, fault in registry.installed():
-            row = InstalledDriver(registry.kind, name, package, fault=fault)
-            if driver is not None:
-                keys, safe_state = _own_keys(driver.section, registry.base), registry.safe_state(driver)
-                row = replace(row, about=driver.about, safe_state=safe_state, simulated=driver.simulated, keys=keys)
-            yield row
-    for name, package, valve, fault in VALVES.installed():
-        row = InstalledDriver("valves", name, package, fault=fault)
-        if valve is not None:
-            about = (valve.__doc__ or "").strip().split("\n")[0]
-            row = replace(row, about=about, keys=_own_keys(valve, ValveSection))
-        yield row
-
-
-def _own_keys(section: type[BaseModel], base: type[BaseModel]) -> tuple[str, ...]:
-    return tuple(key for key in section.model_fields if key not in base.model_fields)
+def installed_drivers() -> Iterator[InstalledObject]:
+    """The objects of softrig and of plug-ins, a broken plug-in with its fault; imports all of them."""
+    for registry in REGISTRIES:
+        for name, package, facts in registry.installed():
+            yield InstalledObject(registry.kind, name, package, **facts)

@@ -21,6 +21,7 @@ from pathlib import Path
 
 from rig.config.bench import BenchConfig, VentedBench
 from rig.config.card_sections import CardConfig
+from rig.config.drivers import Reality
 from rig.hardware.cards.base import CardBusyError, CardError
 from rig.hardware.cards.kernel_devices import boards_called
 from rig.hardware.running import RunningRig, recorded, records
@@ -56,7 +57,7 @@ def outputs_of(config: BenchConfig) -> set[tuple[str, str, int]]:
 
 def device_of(card: CardConfig) -> str:
     """The device of a card; the same for every name of it."""
-    return card.device if card.is_mock else os.fspath(device_node(card))
+    return card.device if card.reality is Reality.SIMULATED else os.fspath(device_node(card))
 
 
 def holders(config: BenchConfig) -> tuple[int, ...]:
@@ -69,7 +70,7 @@ def holders(config: BenchConfig) -> tuple[int, ...]:
         with suppress(OSError):
             files.add(_identity(path.stat()))
     pids = {pid for pid, file in _locks() if file in files}
-    if simulated := {card.device for card in config.cards.values() if card.is_mock}:
+    if simulated := {card.device for card in config.cards.values() if card.reality is Reality.SIMULATED}:
         runs, _ = records()
         pids |= {run.process.pid for run in runs if run.process.alive and simulated & _devices(run)}
     return tuple(sorted(pids))
@@ -77,7 +78,7 @@ def holders(config: BenchConfig) -> tuple[int, ...]:
 
 def runs_of(config: BenchConfig) -> tuple[RunningRig, ...]:
     """The runs of this user on the simulated cards of a rig file: each has its own."""
-    named = {card.device for card in config.cards.values() if card.is_mock}
+    named = {card.device for card in config.cards.values() if card.reality is Reality.SIMULATED}
     runs, _ = records()
     return tuple(run for run in runs if {_in_rig_file(device, run.process.pid) for device in _devices(run)} & named)
 
@@ -144,11 +145,14 @@ def cards_locked(config: BenchConfig, purpose: str) -> Iterator[None]:
     held: list[int] = []
     try:
         for name, card in sorted(config.cards.items()):
-            if not card.is_mock:
+            if card.reality is not Reality.SIMULATED:
                 _lock(name, card, config, held)
         bench = VentedBench.of(config).model_dump(mode="json", exclude_none=True)
         with recorded(
-            purpose, config.name, simulated=all(card.simulated for card in config.cards.values()), bench=bench
+            purpose,
+            config.name,
+            simulated=all(card.reality is Reality.SIMULATED for card in config.cards.values()),
+            bench=bench,
         ):
             yield
     finally:
@@ -167,7 +171,7 @@ def locked_devices() -> tuple[tuple[Path, int], ...]:
 
 def _places(card: CardConfig) -> tuple[Path, ...]:
     """Files that are locked for a card; a simulated one has none."""
-    if card.is_mock:
+    if card.reality is Reality.SIMULATED:
         return ()
     places = [device_node(card)]
     with suppress(OSError):

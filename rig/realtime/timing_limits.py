@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+from rig.config.drivers import Reality
 from rig.config.schema import RigConfig
 from rig.control.step import UNMEASURED_PERIODS
 from rig.realtime.scheduling import REAL_TIME, Scheduling
@@ -91,7 +92,7 @@ def timing_limits(config: RigConfig, granted: Scheduling) -> TimingLimits:
     if config.has_real_valves:
         hung_s = max(shortest_s, min(limits.stale_s, ORDINARY_HUNG_S))
         return TimingLimits(TimingProfile.ORDINARY, round(hung_s * 1e9), frame_s=limits.no_tip_s)
-    real_sources = any(not source.is_mock for source in config.tip_sources)
+    real_sources = any(source.reality is not Reality.SIMULATED for source in config.tip_sources)
     silent_ns = round(SIMULATED_HUNG_S * 1e9)
     return TimingLimits(
         TimingProfile.SIMULATED,

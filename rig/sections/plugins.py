@@ -1,20 +1,18 @@
-"""Registries of softrig's objects, to which other packages add by entry points, and sections of the rig file from them.
-
-Reading the entry points of every installed package takes some 30 ms, so a name is looked up only if softrig has no
-object of that name.
-"""
+"""Sections of the rig file whose models are registered: those of softrig and those of plug-ins."""
 
 from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Callable, Iterator, Mapping
+import sys
+from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
-from typing import Annotated, Any, Generic, TypeVar
+from inspect import isabstract
+from typing import Annotated, Any, Generic, TypeVar, cast, get_args
 
 from pydantic import (
     BaseModel,
+    ConfigDict,
     Field,
     GetCoreSchemaHandler,
     ValidationError,
@@ -25,74 +23,62 @@ from pydantic_core import CoreSchema, core_schema
 
 from protocols.problems import closest
 from protocols.validation import ValidationFault, faults, nested_faults
+from rig.sections.registry import Loaded, PluginError, Registry
 
-Loaded = TypeVar("Loaded")
+Model = TypeVar("Model", bound=BaseModel)
+_ANY_KEY = ConfigDict(extra="ignore")
 RECORDED = "recorded"
 """Key of the validation context of a rig from an archive: a plug-in that is not installed here is no fault then."""
 
 
-class PluginError(Exception):
-    """A plug-in is not installed, cannot be loaded, or is not what its entry point promises."""
+class SectionRegistry(Registry[type[Model]]):
+    """Sections of the rig file by the value of their key `tag`; each is a subclass of `base`."""
+
+    def __init__(self, kind: str, tag: str, base: type[BaseModel], *built_in: type[Model]) -> None:
+        super().__init__(kind, {get_args(one.model_fields[tag].annotation)[0]: one for one in built_in})
+        self.tag, self.base = tag, base
+
+    def checked(self, found: object) -> type[Model]:
+        if not (isinstance(found, type) and issubclass(found, self.base)):
+            raise TypeError(f"not a subclass of {self.base.__module__}.{self.base.__name__}")
+        if isabstract(found):
+            raise TypeError(f"it lacks {', '.join(sorted(found.__abstractmethods__))}")
+        return cast("type[Model]", found)
+
+    def facts(self, found: type[Model]) -> dict[str, Any]:
+        """What it is, and the keys that it has beside those of every such section."""
+        return {**super().facts(found), "keys": own_keys(found, self.base)}
+
+    def section(self) -> Any:
+        """The type of the section in the rig file: the model that `tag` names."""
+        return PluginSections(self, self.tag, self.base, lambda model: model, uninstalled(self.base, self.tag)).section
 
 
-class Registry(Generic[Loaded]):
-    """The objects of one kind: those of softrig, and the entry points of a group."""
-
-    def __init__(self, group: str, built_in: Mapping[str, Loaded], check: Callable[[object], Loaded]) -> None:
-        """`check` returns the object of an entry point, or raises TypeError with what it should be."""
-        self.built_in = built_in
-        self._group, self._check = group, check
-        self._loaded: dict[str, Loaded] = {}
-
-    def __getitem__(self, name: str) -> Loaded:
-        """An object by name; imports a plug-in.
-
-        Raises:
-            PluginError: there is none or more than one of that name, it cannot be imported, or is no plug-in.
-        """
-        if name in self.built_in:
-            return self.built_in[name]
-        if name not in self._loaded:
-            found = [entry for entry in self._entries() if entry.name == name]
-            if len(found) != 1:
-                several = ", ".join(map(_package_of, found))
-                raise PluginError(f"{self._group}: {name} is installed by {several or 'no package'}")
-            try:
-                self._loaded[name] = self._check(found[0].load())
-            except (Exception, SystemExit) as error:  # the code of another package may raise anything
-                origin = f"plug-in {name} of {_package_of(found[0])} ({found[0].value})"
-                raise PluginError(f"{origin}: {type(error).__name__}: {error}") from error
-        return self._loaded[name]
-
-    def __iter__(self) -> Iterator[str]:
-        """Every name, softrig's first; reads the metadata of every installed package."""
-        return iter(dict.fromkeys((*self.built_in, *(entry.name for entry in self._entries()))))
-
-    def package(self, name: str) -> str:
-        """Name and version of the package of an object."""
-        return (
-            "softrig" if name in self.built_in else ", ".join(_package_of(e) for e in self._entries() if e.name == name)
-        )
-
-    def installed(self) -> Iterator[tuple[str, str, Loaded | None, str]]:
-        """Name, package, object and fault of each, None with the fault where it is broken; imports every plug-in."""
-        yield from ((name, "softrig", found, "") for name, found in self.built_in.items())
-        for entry in self._entries():
-            found: Loaded | None = None
-            fault = "not used: softrig has its own"
-            if entry.name not in self.built_in:
-                try:
-                    found, fault = self[entry.name], ""
-                except PluginError as error:
-                    fault = str(error)
-            yield entry.name, _package_of(entry), found, fault
-
-    def _entries(self) -> list[EntryPoint]:
-        return sorted(entry_points(group=self._group), key=lambda entry: entry.name)
+def own_keys(section: type[BaseModel], base: type[BaseModel]) -> tuple[str, ...]:
+    """The keys of a section that its base has not."""
+    return tuple(key for key in section.model_fields if key not in base.model_fields)
 
 
-def _package_of(entry: EntryPoint) -> str:
-    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "an unnamed package"
+def uninstalled(base: type[BaseModel], tag: str, **members: object) -> Any:
+    """A section from an archive whose plug-in is not installed here: it can be read, and what is abstract raises.
+
+    `members` are further attributes of the class.
+    """
+
+    def missing(section: BaseModel, *_: object) -> Any:
+        raise PluginError(f"{getattr(section, tag)} is not installed: this rig can be read, not used")
+
+    name = f"Uninstalled{base.__name__}"
+    abstract = {
+        member: property(missing) if isinstance(getattr(base, member), property) else missing
+        for member in getattr(base, "__abstractmethods__", ())
+    }
+    about = {"__module__": base.__module__, "__qualname__": name, "__doc__": f"A {base.__name__} without its plug-in."}
+    metaclass: Any = type(base)
+    found = metaclass(name, (base,), {**about, "model_config": _ANY_KEY, **abstract, **members})
+    # Pickle finds the class by this name.
+    setattr(sys.modules[base.__module__], name, found)
+    return found
 
 
 @dataclass(frozen=True)
@@ -113,7 +99,7 @@ class PluginSections(Generic[Loaded]):
     @property
     def section(self) -> Any:
         """The type of the section in the rig file."""
-        models = tuple(dict.fromkeys(self.model(found) for found in self.registry.built_in.values()))
+        models = tuple(dict.fromkeys(self.model(self.registry[name]) for name in self.registry.built_in))
         own: Any = functools.reduce(operator.or_, models)
         return Annotated[Annotated[own, Field(discriminator=self.tag)] if len(models) > 1 else own, self]
 

@@ -10,6 +10,7 @@ from model.dynamics import Dynamics
 from model.shape import Shape
 from model.units import G_PER_KG, PA_PER_BAR
 from rig.config.arm_model import TipLoad, chamber_areas_m2, true_arm, true_segments
+from rig.config.drivers import Reality
 from rig.config.input_sections import SimulatedInput
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError, Scans
@@ -128,7 +129,11 @@ class Plant:
         self._outputs_v: NDArray[np.float64] = np.zeros(len(config.valves))
         self._air = pneumatics.vented(len(config.valves), self._dead_m3 + self._bore_m2 * lengths)
         self.inputs.advance(self.pressure_pa, self._weight_kg)
-        self._cards = {name: PlantCard(self, config, name) for name, card in config.cards.items() if card.is_mock}
+        self._cards = {
+            name: PlantCard(self, config, name)
+            for name, card in config.cards.items()
+            if card.reality is Reality.SIMULATED
+        }
 
     @property
     def t_ns(self) -> int:

@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rig.config.bench import BenchConfig
+from rig.config.drivers import Reality
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
 from rig.hardware.lock import holders
@@ -51,7 +52,7 @@ class PlantProcess:
             raise CardError(f"the simulator did not start: its output is {self._output!r}")
         if self._output != READY:
             return False
-        mocks = [card.device for card in self._config.cards.values() if card.is_mock]
+        mocks = [card.device for card in self._config.cards.values() if card.reality is Reality.SIMULATED]
         self._registers = Registers.attach(mocks[0]) if mocks else None
         return True
 
@@ -90,12 +91,12 @@ def started(config: RigConfig, rig_file: Path, seed: int, waits_ns: int | None =
 
     Its cards exist once it is `ready`. With `waits_ns` its time stops while open valves are not written for longer.
     """
-    if not config.has_mocks:
+    if all(device.reality is not Reality.SIMULATED for device in config.devices):
         yield None
         return
     command = [sys.executable, "-P", "-m", "rig.simulator.plant_process", "--rig", str(rig_file), "--seed", str(seed)]
     for name, card in config.cards.items():
-        if card.is_mock:
+        if card.reality is Reality.SIMULATED:
             command += ["--device", name, card.device]
     if waits_ns is not None:
         command += ["--waits-ms", f"{waits_ns * 1e-6:g}"]
@@ -125,13 +126,13 @@ def simulated(
             yield simulation
     finally:
         for card in config.cards.values():
-            if card.is_mock:
+            if card.reality is Reality.SIMULATED:
                 Registers.remove(card.device)
 
 
 def is_absent(config: BenchConfig) -> bool:
     """Return True for a rig of simulated cards that do not exist: no simulator runs behind one, and no run has any."""
-    absent = (card.is_mock and not Registers.exist(card.device) for card in config.cards.values())
+    absent = (card.reality is Reality.SIMULATED and not Registers.exist(card.device) for card in config.cards.values())
     return all(absent) and not holders(config)
 
 
@@ -146,7 +147,7 @@ def own_devices(config: RigConfig) -> Iterator[RigConfig]:
     A card's name gets the process id, and a number if this process has several benches. The cards are removed at the
     end; those of killed runs LEFT_S after their start.
     """
-    if not config.has_mocks:
+    if all(device.reality is not Reality.SIMULATED for device in config.devices):
         yield config
         return
     names = (f"{os.getpid()}-{number}".removesuffix("-1") for number in itertools.count(1))
@@ -154,7 +155,7 @@ def own_devices(config: RigConfig) -> Iterator[RigConfig]:
     _own.add(name)
     _remove_leftovers()
     cards = {
-        key: card.model_copy(update={"device": f"{card.device}-{name}"}) if card.is_mock else card
+        key: card.model_copy(update={"device": f"{card.device}-{name}"}) if card.reality is Reality.SIMULATED else card
         for key, card in config.cards.items()
     }
     try:
@@ -162,7 +163,7 @@ def own_devices(config: RigConfig) -> Iterator[RigConfig]:
     finally:
         _own.discard(name)
         for card in cards.values():
-            if card.is_mock:
+            if card.reality is Reality.SIMULATED:
                 Registers.remove(card.device)
 
 

@@ -23,6 +23,7 @@ import numpy as np
 
 import rig.config.loader
 from protocols import BadInputError
+from rig.config.drivers import Reality
 from rig.config.schema import RigConfig
 from rig.hardware.cards.base import CardError
 from rig.hardware.safe_state import SafeOutputs
@@ -106,7 +107,9 @@ def run(config: RigConfig, seed: int, parent: int | None, waits_ns: int | None =
     t0_ns = time.monotonic_ns()
     plant = Plant(config, seed, t0_ns)
     plant.advance(t0_ns + LONGEST_STRETCH_NS)  # compiles kernels that are not cached
-    devices = [SimulatedCard(config, name, plant) for name, card in config.cards.items() if card.is_mock]
+    devices = [
+        SimulatedCard(config, name, plant) for name, card in config.cards.items() if card.reality is Reality.SIMULATED
+    ]
     if devices:
         plant.faults.row = devices[0].faults.row
     _catch_up(plant, devices)

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.card_sections import CardConfig
+from rig.config.drivers import Reality
 from rig.hardware.cards.base import AbsentCardError, CardError, Scans
 from rig.hardware.runtime_folder import open_private, runtime_folder
 from rig.simulator.faults import FAULTS_DTYPE, Faults
@@ -140,7 +141,7 @@ class Registers:
     def behind(cls, cards: Iterable[CardConfig]) -> Registers:
         """The plant behind the first mock card of a rig. Raises CardError."""
         for card in cards:
-            if card.is_mock:
+            if card.reality is Reality.SIMULATED:
                 return cls.attach(card.device)
         raise CardError("it is a mock, and the rig has no mock card whose plant it could look at")
 

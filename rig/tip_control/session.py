@@ -12,10 +12,10 @@ from protocols.tip_reference import TipMotion
 from rig.config.arm_model import model_arm
 from rig.config.schema import RigConfig
 from rig.config.sections import Variant
+from rig.config.tip_controllers import CONTROLLERS
 from rig.control.plan_follower import StampedPlan
 from rig.execution.plan import RunPlan
 from rig.tip_control.interface import ControllerMeasurement, ReferenceTrajectory, SetPointPlan, TipControlSettings
-from rig.tip_control.registry import controller_class
 from runs.columns import PLAN_AHEAD_S
 from runs.interpolation import interpolated
 from runs.records import DetectionStatus, SolveStatus, blank, tip_control_dtype
@@ -42,11 +42,11 @@ class TipControlSession:
     """The controller of one run. It reads no clock."""
 
     def __init__(self, plan: RunPlan) -> None:
-        """Raises UnknownControllerError if the controller of the plan cannot be used."""
+        """Raises PluginError if the controller of the plan cannot be used."""
         self._trajectory = plan.trajectory
         self._actuators = plan.config.first_actuators
         self._settings = settings(plan.config, plan.variant, learned=bool(plan.learned_from))
-        self._controller = controller_class(plan.tip_controller)(self._settings)
+        self._controller = CONTROLLERS[plan.tip_controller](self._settings)
         self._state: Any = self._controller.start()
         self._row = blank((), tip_control_dtype(len(plan.config.valves)))
 

@@ -16,7 +16,7 @@ from model.variants import VARIANTS
 from protocols.schema import Step
 from protocols.steps.base import LeafStep
 from rig.arm_effects.registry import ARM_EFFECTS
-from rig.valves.registry import VALVE_TYPES
+from rig.valves.registry import VALVES
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "explanation" / "architecture.md"
@@ -41,8 +41,8 @@ def leaf_steps(annotation: object) -> Iterator[type[LeafStep]]:
 KINDS = {
     registry: {kind.__module__ for kind in kinds}
     for registry, kinds in {
-        "rig.valves.registry": VALVE_TYPES,
-        "rig.arm_effects.registry": ARM_EFFECTS,
+        "rig.valves.registry": list(VALVES.built_in.values()),
+        "rig.arm_effects.registry": list(ARM_EFFECTS.built_in.values()),
         "model.variants": [type(one.law) for one in VARIANTS.values()],
         "protocols.schema": [kind for field in Step.model_fields.values() for kind in leaf_steps(field.annotation)],
     }.items()

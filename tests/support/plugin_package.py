@@ -7,10 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.config.card_sections import CARD_DRIVERS
-from rig.config.sections import CAMERA_DRIVERS
-from rig.config.tracker_sections import TRACKER_DRIVERS
-from rig.valves.registry import VALVES
+from rig.hardware.installed_drivers import REGISTRIES
 
 
 def install(
@@ -29,5 +26,5 @@ def install(
 def use(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Put the folder on the path for one test; nothing loaded from it outlives the test."""
     monkeypatch.syspath_prepend(site)
-    for registry in (CARD_DRIVERS, CAMERA_DRIVERS, TRACKER_DRIVERS, VALVES):
+    for registry in REGISTRIES:
         monkeypatch.setattr(registry, "_loaded", {})

@@ -15,6 +15,7 @@ from rig.cli.output import console
 from rig.cli.terminal import Terminal
 from rig.cli.terminal import _uncertainty as uncertainty_text
 from rig.config import loader
+from rig.config.drivers import Reality
 from rig.execution.plan import Progress
 from rig.experiment import run as experiment
 from rig.experiment.options import RunOptions
@@ -275,4 +276,4 @@ def test_a_run_on_an_emulated_board_is_marked_as_simulated_and_has_no_seed(tmp_p
     header = experiment.header(prepared, 0)
     # The simulator behind the board is another program, with random numbers of its own.
     assert (header.simulated, header.seed) == (True, None)
-    assert not prepared.config.cards["daq"].simulated
+    assert prepared.config.cards["daq"].reality is Reality.EMULATED

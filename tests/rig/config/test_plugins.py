@@ -15,10 +15,11 @@ from protocols import BadInputError
 from rig.config import loader
 from rig.config.card_sections import CARD_DRIVERS
 from rig.config.schema import RigConfig
+from rig.config.tip_controllers import CONTROLLERS
 from rig.doctor.devices import rig_devices
 from rig.hardware.bench import open_bench
 from rig.hardware.safe_state import SafeOutputs
-from rig.valves.registry import UninstalledValve
+from rig.sections.registry import PluginError
 from runs.records import RunHeader
 from tests.support.command_line import status_of
 from tests.support.plugin_package import install, use
@@ -228,6 +229,53 @@ def test_a_formula_that_ends_with_an_ellipsis_is_listed_whole(
     assert "P = c0 + c1 V + ..; keys:" in " ".join(capsys.readouterr().out.split())
 
 
+OTHERS = """
+from typing import Literal
+from rig.arm_effects.base import ArmEffectSection
+from rig.config.board_sections import BoardConfig, CharucoPattern
+
+class Half(ArmEffectSection):
+    type: Literal["half"]
+    def effect(self, actuators, step_s):
+        return lambda pressure_bar: [p / 2 for p in pressure_bar]
+
+class TilePattern(CharucoPattern):
+    kind: Literal["tile"]
+
+class Tile(TilePattern, BoardConfig):
+    pass
+
+class Idle:
+    def __init__(self, settings):
+        pass
+    def start(self):
+        return None
+    def step(self, state, reference, measurement):
+        raise NotImplementedError
+"""
+
+
+def test_effects_boards_and_controllers_of_a_package_are_named_in_a_rig_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = loader.text("mock-charuco")
+    assert "kind: charuco" in text
+    text = text.replace("kind: charuco", "kind: tile") + "tip_control: {controller: idle}\n"
+    text = text.replace("{type: coupling, share: 0.01}", "{type: half}")
+    assert any("one of" in problem for problem in problems(text))
+    names = ("softrig.arm_effects half", "softrig.boards tile", "softrig.controllers idle")
+    places = ("other_kinds:Half", "other_kinds:Tile", "other_kinds:Idle")
+    install(tmp_path / "site", "softrig-other", dict(zip(names, places, strict=True)), {"other_kinds.py": OTHERS})
+    monkeypatch.delitem(sys.modules, "other_kinds", raising=False)
+    use(tmp_path / "site", monkeypatch)
+    config = loader.parse(text, "my.yaml")
+    assert config.simulator is not None
+    assert config.simulator.arm_effects[1].effect(2, 0.1)([2.0, 4.0]) == [1.0, 2.0]
+    assert config.board is not None
+    assert config.board.pattern.kind == "tile"
+    assert CONTROLLERS[config.tip_control.controller].__name__ == "Idle"
+
+
 TRACKER = """
 from rig.config.drivers import Driver
 from rig.config.tracker_sections import TrackerConfig
@@ -274,7 +322,10 @@ def test_a_recorded_rig_is_read_without_its_plugins(tmp_path: Path) -> None:
     rig = loader.recorded(header(text), Path("run.h5"))
     assert rig.text == text
     assert rig.config.cards["daq"].driver == "box"
-    assert isinstance(rig.config.valves[1], UninstalledValve)
+    valve = pickle.loads(pickle.dumps(rig.config)).valves[1]
+    assert valve.type == "slow"
+    with pytest.raises(PluginError):
+        valve.regulator(rig.config.limits, rig.config.control)
     assert not rig.config.simulated
     with pytest.raises(BadInputError, match=r"recorded|pressure"):
         loader.recorded(header(text.replace("pressure_bar: 0.7", "pressure_bar: x")), Path("run.h5"))

@@ -122,7 +122,7 @@ FAULTS = [
     (("cx_px: 320", "cx_px: 960"), "cameras, front, lens, cx_px", "another resolution"),
     (("width_px: 640", "width_px: 640\n    exposure_ms: 50"), "cameras, front, exposure_ms", "33.3333 ms"),
     (("distortion: .[^,]+,", "distortion: ["), "cameras, front, lens, distortion", "a list of 5 numbers"),
-    (("board:\n", "board:\n  kind: charcuo\n"), "board, kind", "one of apriltag, charuco, checkerboard"),
+    (("board:\n", "board:\n  kind: charcuo\n"), "board, kind", "one of checkerboard, charuco, apriltag"),
     (("squares_y: 6", "squares_y: six"), "board, squares_y", "a whole number"),
     (("squares_y: 6", "squares_y: 7"), "board, squares_y", "an odd number of squares one way"),
     (("inner_radius_mm: 9.5", "inner_radius_mm: 95"), "arm, geometry, inner_radius_mm", "less than outer_radius_mm"),
