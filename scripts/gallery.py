@@ -83,7 +83,7 @@ def write(sections: Sequence[tuple[GallerySection, Run]], docs: Path) -> Path:
         parts.append(f"## {section.protocol}\n\n{section.about} `{section.command}`\n")
         for name in section.figures:
             figure, file = figures[name], f"{section.protocol}-{name}.svg"
-            text = svg(figure.draw, figure.size, file, run, run.summary)
+            text = svg(figure.draw, figure.size, file, *figure.about)
             (place / file).write_text(text, encoding="utf-8")
             caption = f"\n{figure.caption}\n" if figure.caption else ""
             parts.append(f"### {figure.title}: {section.protocol}\n\n![{figure.title}]({PLACE}/{file})\n{caption}")

@@ -17,7 +17,7 @@ from calibration.identify.residual_dependence import Dependence
 from calibration.identify.results import Estimate, Fit
 from runs.overwriting import write_text
 from runs.report.drawing import svg
-from runs.report.page import html_document
+from runs.report.html import html_document
 
 
 def write(

@@ -11,7 +11,8 @@ import typer
 from rig.cli.options import AsJson, Folder, Replace
 
 if TYPE_CHECKING:
-    from rig.reproduce.comparison import PaperComparison, PaperFigure
+    from rig.reproduce.comparison import PaperComparison
+    from runs.report.drawing import FigureSpecification
 
 
 class ReproducedResult(StrEnum):
@@ -57,7 +58,7 @@ def reproduce(
     everything = what is ReproducedResult.ALL
     facts: dict[str, object] = {}
     rows: list[PaperComparison] = []
-    drawings: list[PaperFigure] = []
+    drawings: list[FigureSpecification] = []
     remarks: list[str] = []
     if everything or what is ReproducedResult.MODULUS:
         facts["modulus"] = modulus = published_modulus()

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rig.reproduce import elongation, motion, positions
-from rig.reproduce.comparison import PaperComparison, PaperFigure
+from rig.reproduce.comparison import PaperComparison
 from rig.reproduce.experiments import PROTOCOLS, origin, recorded_or_simulated
+from runs.report.drawing import FigureSpecification
 
 NEEDS = {
     "fig9": PROTOCOLS[:2],
@@ -28,7 +29,7 @@ class ReproductionResults:
     """Computed results."""
 
     rows: tuple[PaperComparison, ...]
-    drawings: tuple[PaperFigure, ...]
+    drawings: tuple[FigureSpecification, ...]
     verdicts: tuple[str, ...] = ()
     """A sentence for each compared table."""
 
@@ -44,7 +45,7 @@ def results(
     names = tuple(name for name in PROTOCOLS if any(name in NEEDS[item] for item in wanted))
     runs = recorded_or_simulated(folder, names, report=report)
     rows: list[PaperComparison] = []
-    drawn: list[PaperFigure] = []
+    drawn: list[FigureSpecification] = []
     concluded: list[str] = []
     if wanted & {"fig9", "fig10"}:
         grown = elongation.Elongations(runs)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 ResultOrigin = Literal["text", "model", "simulated", "measured"]
@@ -23,15 +22,3 @@ class PaperComparison:
     computed: str
     origin: ResultOrigin
     why: str
-
-
-@dataclass(frozen=True)
-class PaperFigure:
-    """One figure: `draw(figure, *about)` at a size in inches."""
-
-    name: str
-    title: str
-    draw: Callable[..., None]
-    size: tuple[float, float]
-    caption: str
-    about: tuple[object, ...] = field(default=())

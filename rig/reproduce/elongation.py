@@ -24,10 +24,10 @@ from model.paper.tube import BallooningError, Tube
 from model.units import GRAVITY_M_S2, PA_PER_BAR
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
-from rig.reproduce.comparison import PaperComparison, PaperFigure
+from rig.reproduce.comparison import PaperComparison
 from rig.reproduce.experiments import origin
 from runs.report.colours import INK, MEASURED, MODEL, MUTED
-from runs.report.drawing import legend
+from runs.report.drawing import FigureSpecification, legend
 from runs.run import Run
 
 TUBE = Tube(0.0095, 0.0125, 0.014, 82e3, 1.1e6, 3.0)
@@ -121,16 +121,16 @@ def compared(data: Elongations) -> Iterator[PaperComparison]:
     )  # fmt: skip
 
 
-def drawings(data: Elongations) -> Iterator[PaperFigure]:
+def drawings(data: Elongations) -> Iterator[FigureSpecification]:
     """Figs 9 and 10."""
     how = "simulated" if data.origin == "simulated" else "measured"
-    yield PaperFigure(
+    yield FigureSpecification(
         "fig09", "Fig 9: elongation under weights and under pressure", fig9, (9, 3.4),
         f"Circles: {how} here. Lines: eqs 30 and 32 as printed; the paper's points are not published. Dotted: the tube "
         "of section 3 with constants that come near both (mu = 82 kPa, c2 E = 1.1 MPa), up to where it balloons.",
         (data,),
     )  # fmt: skip
-    yield PaperFigure(
+    yield FigureSpecification(
         "fig10", "Fig 10: strain against force, and its approximations", fig10, (6, 3.9),
         f"Circles: {how} here, with the line and the parabola fitted to them; dashed: as printed.", (data,),
     )  # fmt: skip

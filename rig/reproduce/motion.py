@@ -13,12 +13,12 @@ from model.paper.rod import PaperRod
 from model.units import PA_PER_BAR
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
-from rig.reproduce.comparison import PaperComparison, PaperFigure, ResultOrigin
+from rig.reproduce.comparison import PaperComparison, ResultOrigin
 from rig.reproduce.experiments import origin
 from rig.reproduce.table4 import PRINTED_SCHEMES, Space
 from runs.records import DetectionStatus
 from runs.report.colours import MEASURED, MODEL
-from runs.report.drawing import decimated, decimated_indices, legend
+from runs.report.drawing import FigureSpecification, decimated, decimated_indices, legend
 from runs.run import Run
 from runs.summary import Z_95
 
@@ -166,10 +166,10 @@ def _mean(errors: Errors) -> float:
     return sum(stable) / len(stable)
 
 
-def drawings(cases: tuple[SinusoidalRun, SinusoidalRun]) -> Iterator[PaperFigure]:
+def drawings(cases: tuple[SinusoidalRun, SinusoidalRun]) -> Iterator[FigureSpecification]:
     """Fig 14."""
     how = origin(*(case.run for case in cases))
-    yield PaperFigure(
+    yield FigureSpecification(
         "fig14", "Fig 14: the tip under a sinusoidal pressure", fig14, (9, 5.4),
         f"Band: 95 % of one frame ({how}). Line: the running model, BDF-alpha with alpha = -0.2.", (cases,),
     )  # fmt: skip

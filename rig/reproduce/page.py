@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from rig.reproduce.comparison import PaperComparison, PaperFigure
+from rig.reproduce.comparison import PaperComparison
 from runs.overwriting import staged
-from runs.report.drawing import save, svg
-from runs.report.html_table import html_table
-from runs.report.page import html_document
+from runs.report import html
+from runs.report.drawing import FigureSpecification, save
+from runs.report.html import html_document, html_table
 
 _STYLE = (
     "table.paper td, table.paper th { vertical-align: top; } table.paper td:nth-child(6) { min-width: 18em; } "
@@ -23,7 +23,7 @@ _MARK = '<meta name="softrig-reproduce" content="paper">'
 def write(
     folder: Path,
     rows: Sequence[PaperComparison],
-    drawings: Sequence[PaperFigure],
+    drawings: Sequence[FigureSpecification],
     remarks: Sequence[str],
     *,
     replace: bool = False,
@@ -44,12 +44,8 @@ def write(
     return page
 
 
-def _page(rows: Sequence[PaperComparison], drawings: Sequence[PaperFigure], remarks: Sequence[str]) -> str:
-    figures = "\n".join(
-        f"<h2>{escape(d.title)}</h2>\n<figure>{svg(d.draw, d.size, d.name, *d.about)}"
-        f"<figcaption>{escape(d.caption)}</figcaption></figure>"
-        for d in drawings
-    )
+def _page(rows: Sequence[PaperComparison], drawings: Sequence[FigureSpecification], remarks: Sequence[str]) -> str:
+    figures = html.figures(html.figure(drawing, drawing.name) for drawing in drawings)
     simulated = any(row.origin == "simulated" for row in rows)
     note = (
         '<p class="note"><b>Lines marked <i>simulated</i> are of the mock rig.</b> They show that the experiment and '

@@ -13,10 +13,10 @@ from model.statics import statics
 from model.units import PA_PER_BAR
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
-from rig.reproduce.comparison import PaperComparison, PaperFigure, ResultOrigin
+from rig.reproduce.comparison import PaperComparison, ResultOrigin
 from rig.reproduce.experiments import origin
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED
-from runs.report.drawing import legend
+from runs.report.drawing import FigureSpecification, legend
 from runs.run import Run
 
 MODELS: tuple[tuple[str, str, str, str], ...] = (
@@ -110,17 +110,17 @@ def _listed(values: Sequence[float]) -> str:
     return " / ".join(f"{value:.2f}" for value in values)
 
 
-def drawings(data: RestPositions) -> Iterator[PaperFigure]:
+def drawings(data: RestPositions) -> Iterator[FigureSpecification]:
     """Figs 11, 12 and 13."""
-    yield PaperFigure(
+    yield FigureSpecification(
         "fig11", "Fig 11: the tool centre point in both cases", fig11, (9, 3.2),
         f"Tips at rest ({data.origin}), 0.15 to 0.65 bar in steps of 0.05 bar; z runs down, as the arm hangs.", (data,),
     )  # fmt: skip
-    yield PaperFigure(
+    yield FigureSpecification(
         "fig12", "Fig 12: backbones of the inhomogeneous model with RPE, and the tips", fig12, (9, 5.2),
         f"Lines: the arm by RK4 along its axis. Circles: the tip, {data.origin}.", (data,),
     )  # fmt: skip
-    yield PaperFigure(
+    yield FigureSpecification(
         "fig13", "Fig 13: tips by three models, and their normalised errors", fig13, (9, 6.2),
         f"Left: tips ({data.origin}) and models. Right: errors in x and z over the tip's way from rest.", (data,),
     )  # fmt: skip

@@ -16,7 +16,8 @@ from model.arrays import Array
 from model.dynamics import Dynamics
 from model.paper.rod import PaperRod
 from model.units import PA_PER_BAR
-from rig.reproduce.comparison import PaperComparison, PaperFigure
+from rig.reproduce.comparison import PaperComparison
+from runs.report.drawing import FigureSpecification
 
 Space = Literal["euler", "rk4"]
 
@@ -138,10 +139,12 @@ def run_times(methods: tuple[Table4Row, ...]) -> tuple[PaperComparison, ...]:
     return tuple(rows)
 
 
-def drawing(rows: tuple[Table4Row, ...]) -> PaperFigure:
+def drawing(rows: tuple[Table4Row, ...]) -> FigureSpecification:
     """Run time against error, the paper's method and ours."""
     caption = "One point for each method. Errors are against a converged reference, times are of this machine."
-    return PaperFigure("table4", "Table 4: run time and error of every method", figure, (7, 4.2), caption, (rows,))
+    return FigureSpecification(
+        "table4", "Table 4: run time and error of every method", figure, (7, 4.2), caption, (rows,)
+    )
 
 
 def figure(canvas: Figure, rows: tuple[Table4Row, ...]) -> None:

@@ -5,56 +5,88 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from html import escape
 
 from matplotlib.figure import Figure
 
-from runs.report import differences, overlay, repeats
-from runs.report.drawing import FigureSpecification, decimated, legend, path_indices, svg
+from runs.records import Status
+from runs.report import differences, html, overlay, repeats
+from runs.report.drawing import FigureSpecification, decimated, drawn, legend, path_indices
 from runs.report.figures import across
 from runs.report.further_figures import distance_mm
 from runs.report.gaps import tip_with_gaps
-from runs.report.html_table import html_table, listed, plain, three
+from runs.report.html import html_table, listed, plain, three
+from runs.report.overlay import ended, named
 from runs.run import Run
 from runs.summary import Summary
 
 
 def section(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
     """Return the part of a report that compares its runs."""
-    salt = "/".join(run.header.run_id for run in runs)
-    shown = "".join(
-        f"<h2>{figure.title}</h2>\n<figure>{svg(figure.draw, figure.size, salt, runs, summaries)}"
-        f"<figcaption>{figure.caption}</figcaption></figure>\n"
-        for figure in comparison_figures(runs)
+    simulated = any(summary.simulated for summary in summaries)
+    early = [escape(f"{run.header.run_id}{ended(run)}") for run in runs if run.status is not Status.FINISHED]
+    mark = "simulated" * simulated
+    figures = drawn(
+        [partial(html.figure, one, f"compared-{one.name}", mark) for one in comparison_figures(runs, summaries)]
     )
-    head = f'<header class="run"><h1>{len(runs)} runs</h1></header>'
-    papers = f'<div class="beside">{by_model(runs, summaries)}{by_axis(runs, summaries)}</div>\n'
-    simulated = ", ".join(escape(s.run_id) for s in summaries if s.simulated)
-    mark = f'<p class="note"><b>Simulated:</b> {simulated}; nothing here was measured on a real manipulator.</p>\n'
-    found = differences.table(runs) + repeats.section(runs)
-    note = "<p class=small><code>rig report RUN</code> writes the whole report of one run.</p>\n"
-    tables = table(runs, summaries) + by_controller(runs, summaries)
-    parts = (head, mark if simulated else "", tables, found, papers, shown, note)
-    return f'<section class="run">\n{"".join(parts)}</section>\n'
+    papers = f'<div class="beside">{by_model(runs, summaries)}{by_axis(runs, summaries)}</div>'
+    note = "<b>Simulated</b> runs are marked; nothing in them was measured on a real manipulator."
+    left_out = f"<b>Not finished:</b> {', '.join(early)}. Such runs are marked in every table and count in no mean."
+    parts = (
+        html.heading(f"{len(runs)} runs", "", simulated=simulated),
+        html.note(note) if simulated else "",
+        html.note(left_out, "fault") if early else "",
+        f'<p class="conclusion">{conclusion(runs, summaries)}</p>',
+        table(runs, summaries),
+        by_controller(runs, summaries),
+        html.figures(figures),
+        repeats.section(runs),
+        html.folded("Errors in the form of the paper's tables", papers),
+        html.folded("Differing settings", differences.table(runs)),
+        html.small("<code>rig report RUN</code> writes the whole report of one run."),
+    )
+    return "\n".join(('<section class="run">', *filter(None, parts), "</section>"))
 
 
-def comparison_figures(runs: Sequence[Run]) -> tuple[FigureSpecification, ...]:
-    """Return the figures that compare runs."""
-    size, beneath = overlay.size(len(runs), 3.4), overlay.caption(len(runs))
-    where = "Each in its plane of motion, or over x where it keeps to none."
+def conclusion(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
+    """Return in a few sentences what came out: only finished runs are ranked."""
+    errors = {
+        run.header.run_id: summary.error_mm.mean
+        for run, summary in zip(runs, summaries, strict=True)
+        if run.status is Status.FINISHED and math.isfinite(summary.error_mm.mean)
+    }
+    said = f"{sum(run.status is Status.FINISHED for run in runs)} of {len(runs)} runs finished."
+    if len(errors) < 2:
+        return said
+    near, far = (choose(errors, key=errors.__getitem__) for choose in (min, max))
     return (
+        f"{said} Of these, the measured tip lay nearest to the model in {escape(near)} ({plain(errors[near], 2)} mm on "
+        f"average) and farthest in {escape(far)} ({plain(errors[far], 2)} mm)."
+    )
+
+
+def comparison_figures(runs: Sequence[Run], summaries: Sequence[Summary]) -> tuple[FigureSpecification, ...]:
+    """Return the figures that compare runs."""
+    size, beneath = overlay.size(len(runs), 2.4), overlay.caption(len(runs))
+    where = "Each in its plane of motion, or over x where it keeps to none."
+    found = (
         FigureSpecification("tips", "Tips", tips, size, f"Lines: measured. Dotted: model. {where}{beneath}"),
-        FigureSpecification("errors", "Errors over the protocol", errors, size, f"Measured to model.{beneath}"),
+        FigureSpecification(
+            "errors", "Errors over the protocol", errors, overlay.size(len(runs), 1.9), f"Measured to model.{beneath}"
+        ),
         *_reference_distances(runs),
         *_tip_differences(runs),
     )
+    return tuple(replace(figure, about=(runs, summaries)) for figure in found)
 
 
 def _reference_distances(runs: Sequence[Run]) -> Iterator[FigureSpecification]:
     """Yield the figure of the tips' distances from their references, if more than one run follows a path."""
     if (count := len(_on_a_path(runs))) > 1:
         caption = f"Of the true tip where a run was simulated, else of the measured one.{overlay.caption(count)}"
-        title, size = "Distance from the reference", overlay.size(count, 2.8)
+        title, size = "Distance from the reference", overlay.size(count, 1.9)
         yield FigureSpecification("reference", title, reference_distances, size, caption)
 
 
@@ -63,12 +95,15 @@ def _tip_differences(runs: Sequence[Run]) -> Iterator[FigureSpecification]:
     equal = differences.of_equal_steps(runs)
     if len(equal) > 1 and len(differences.tips_at_equal_times(equal)[0]):
         others = len(equal) - 1
-        caption = "Measured tips at equal protocol times, interpolated between frames; no line in gaps of the frames."
+        caption = (
+            f"From the tip of {escape(runs[0].header.run_id)}: measured tips at equal protocol times, interpolated "
+            "between frames; no line in gaps of the frames."
+        )
         caption += overlay.caption(others)
         if len(equal) < len(runs):
             caption += " Runs with other steps are left out."
         title = "Distance between the tips"
-        yield FigureSpecification("differences", title, differences.draw, overlay.size(others, 2.8), caption)
+        yield FigureSpecification("differences", title, differences.draw, overlay.size(others, 1.9), caption)
 
 
 def by_model(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
@@ -78,20 +113,20 @@ def by_model(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
     """
     known: dict[tuple[str, bool], list[float]] = {}
     for run, summary in zip(runs, summaries, strict=True):
-        if math.isfinite(summary.normalised_percent):
+        if math.isfinite(summary.normalised_percent) and run.status is Status.FINISHED:
             known.setdefault((run.header.model_variant, summary.simulated), []).append(summary.normalised_percent)
     rows = [
         (
             _check_mark(model.startswith("inhomogeneous")),
             _check_mark(model.endswith("+rpe")),
             plain(sum(errors) / len(errors), 2),
-            f"{len(errors)}{_marked(simulated)}",
+            f"{len(errors)}{' (simulated)' * simulated}",
         )
         for (model, simulated), errors in sorted(known.items())
     ]
     table = html_table(("inhomogeneity", "radial pressure effect", "|error| [%]", "runs"), rows, words=2)
     title = "<h2>Normalised error by model</h2>"
-    caption = "<p class=small>As the paper's Table 3: the mean over the settled steps of all runs.</p>"
+    caption = "<p class=small>As the paper's Table 3: the mean over the settled steps of the finished runs.</p>"
     return f"<div>{title}\n{table}{caption}</div>" if table else ""
 
 
@@ -104,7 +139,7 @@ def by_axis(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
     alike = max(cases.values(), default=0) > 1
     rows = [
         (
-            f"{escape(run.header.run_id if alike else run.header.protocol_name)}{_marked(s.simulated)}",
+            escape(named(run, None if alike else run.header.protocol_name)),
             escape(run.header.model_variant),
             *(plain(s.rmse_mm[axis], 4) for axis in (2, 0, 1)),
         )
@@ -126,7 +161,7 @@ def by_controller(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
         error, learned = s.tip_path.truth or s.tip_path.measured, run.header.learned_from
         rows.append(
             (
-                f"{escape(run.header.run_id)}{_marked(s.simulated)}",
+                escape(named(run)),
                 escape(run.header.tip_controller),
                 escape(", ".join(learned)),
                 plain(error.rms_mm, 3),
@@ -142,22 +177,18 @@ def by_controller(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
         "run",
         "controller",
         "learned from",
-        "rms<br>[mm]",
-        "lag<br>[mm]",
-        "across the path<br>[mm]",
-        "noise, measured<br>[mm]",
-        "largest<br>[mm]",
+        "rms distance<br>[mm]",
+        "of delay, rms<br>[mm]",
+        "from the path, rms<br>[mm]",
+        "measurement noise<br>[mm]",
+        "largest distance<br>[mm]",
         "rms of each period<br>[mm]",
-        "solver p99<br>[ms]",
+        "99 % of solutions<br>below [ms]",
     )
     table = html_table(heads, rows, words=3)
     title = "<h2>Tip to reference</h2>"
     caption = "<p class=small>Of the true tip where a run was simulated, else of the measured one; without lead-in.</p>"
     return f"{title}\n{table}\n{caption}\n" if table else ""
-
-
-def _marked(simulated: bool) -> str:
-    return " (simulated)" if simulated else ""
 
 
 def _check_mark(yes: bool) -> str:
@@ -170,11 +201,11 @@ def table(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
     words = ["run", "model", "status", *(["parameters"] if differ else [])]
     numbers = (
         "mean error<br>[mm]",
-        "settled<br>[mm]",
-        "normalised<br>[%]",
-        "rms x, y, z<br>[mm]",
-        "largest<br>[mm]",
-        "measured<br>[%]",
+        "settled error<br>[mm]",
+        "normalised error<br>[%]",
+        "rms error x, y, z<br>[mm]",
+        "largest error<br>[mm]",
+        "frames measured<br>[%]",
     )
     rows = [_row(run, summary, differ) for run, summary in zip(runs, summaries, strict=True)]
     return html_table((*words, *numbers), rows, words=len(words)) + "\n"
@@ -182,7 +213,7 @@ def table(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
 
 def _row(run: Run, s: Summary, parameters: bool) -> Sequence[str]:
     header = run.header
-    words = [f"{escape(header.run_id)}{_marked(s.simulated)}", escape(header.model_variant), escape(s.status)]
+    words = [escape(named(run)), escape(header.model_variant), escape(s.status)]
     if parameters:
         words.append(escape(", ".join(map(str, header.protocol_parameters))))
     return (
@@ -205,10 +236,11 @@ def tips(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) -> N
         names.add(name)
         tip, _ = tip_with_gaps(run.tip)
         measured, model = (points[path_indices(points)] for points in (tip.measured_mm, tip.model_mm))
+        label = run.header.run_id + ended(run)
         if summary.frames_measured:
-            axes.plot(*project(measured).T, **line, label=run.header.run_id)
+            axes.plot(*project(measured).T, **line, label=label)
         else:
-            axes.plot([], [], **line, label=run.header.run_id)
+            axes.plot([], [], **line, label=label)
         axes.plot(*project(model).T, **line | {"ls": ":"})
     for axes in overlay.align(figure):
         axes.set_aspect("equal", adjustable="datalim")
@@ -223,7 +255,7 @@ def errors(figure: Figure, runs: Sequence[Run], summaries: Sequence[Summary]) ->
     for axes, k, line in overlay.lines(figure, runs, range(len(runs))):
         if summaries[k].frames_measured:
             tip, _ = tip_with_gaps(runs[k].tip)
-            axes.plot(*decimated(tip.protocol_s, tip.error_mm), **line, label=runs[k].header.run_id)
+            axes.plot(*decimated(tip.protocol_s, tip.error_mm), **line, label=runs[k].header.run_id + ended(runs[k]))
     overlay.over_time(figure, "error [mm]")
 
 
@@ -232,7 +264,7 @@ def reference_distances(figure: Figure, runs: Sequence[Run], summaries: Sequence
     for axes, k, line in overlay.lines(figure, runs, _on_a_path(runs)):
         header = runs[k].header
         learned = f", learned from {len(header.learned_from)}" if header.learned_from else ""
-        label = f"{header.run_id} ({header.tip_controller}{learned})"
+        label = f"{header.run_id} ({header.tip_controller}{learned}){ended(runs[k])}"
         axes.plot(*decimated(*distance_mm(runs[k])), **line, label=label)
     overlay.over_time(figure, "distance [mm]")
 

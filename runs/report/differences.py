@@ -12,7 +12,7 @@ from runs.arrays import Array
 from runs.records import DetectionStatus
 from runs.report import overlay
 from runs.report.drawing import decimated
-from runs.report.html_table import DASH
+from runs.report.html import DASH, html_table
 from runs.report.settings import differing
 from runs.run import Run
 
@@ -24,15 +24,9 @@ LONGEST_GAP_S = 0.2
 
 def table(runs: Sequence[Run]) -> str:
     """Return the table of differing settings."""
-    rows = differing(runs)
-    if not rows:
-        return "<h2>Settings</h2>\n<p>All settings of these runs are equal.</p>\n"
-    head = "".join(f"<th>{escape(run.header.run_id)}</th>" for run in runs)
-    body = "".join(
-        f"<tr><th>{escape(name)}</th>{''.join(f'<td>{escape(value) or DASH}</td>' for value in row)}</tr>"
-        for name, row in rows.items()
-    )
-    return f'<h2>Differing settings</h2>\n<div class="scroll"><table><tr><th></th>{head}</tr>{body}</table></div>\n'
+    rows = [(escape(name), *(escape(value) or DASH for value in row)) for name, row in differing(runs).items()]
+    heads = ("setting", *(escape(overlay.named(run)) for run in runs))
+    return html_table(heads, rows) or "<p>All settings of these runs are equal.</p>"
 
 
 def tips_at_equal_times(runs: Sequence[Run]) -> tuple[Array, Array]:
@@ -73,5 +67,5 @@ def draw(figure: Figure, runs: Sequence[Run], summaries: object) -> None:
     for axes, k, line in overlay.lines(figure, runs, shown):
         time_s, (reference, tip) = tips_at_equal_times([first, runs[k]])
         distance = np.linalg.norm(tip - reference, axis=1)
-        axes.plot(*decimated(time_s, distance), **line, label=runs[k].header.run_id)
-    overlay.over_time(figure, f"distance from\n{first.header.run_id} [mm]")
+        axes.plot(*decimated(time_s, distance), **line, label=runs[k].header.run_id + overlay.ended(runs[k]))
+    overlay.over_time(figure, "distance [mm]")

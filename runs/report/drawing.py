@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import io
+import multiprocessing
+import os
 import re
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import zip_longest
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +31,16 @@ from runs.overwriting import replacing
 from runs.report import figure_data
 from runs.report.colours import INK, MUTED, RULE
 
-POINTS = 900
+Draw = Callable[[], str]
+
+POINTS = 600
 """Points drawn of a long line; their extremes are kept."""
 
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "font.family": "DejaVu Sans",
     "font.size": 9,
+    "text.color": INK,
     "figure.facecolor": "none",
     "axes.facecolor": "none",
     "axes.edgecolor": MUTED,
@@ -72,16 +81,17 @@ COLUMN_MM = 88.0
 """Usual width of a column of a journal with two."""
 _NARROW_IN = 6.0
 """In a narrower figure, panels stand below each other."""
-_PAGE_IN = 9.0
+PAGE_IN = 6.9
 """Width of the figures of a page, whose heights the specifications state."""
 _NARROW_LABELS_IN = 0.6
 """Width of the labels left of a narrow figure's panels."""
-_NARROW_HEIGHT, _NARROW_LEGEND_IN = 0.58, 0.5
+_NARROW_HEIGHT, _NARROW_LEGEND_IN = 0.7, 0.5
 """Height of a narrow figure's panels as a part of that on the page; height for the rows of its legend."""
 _INCH_MM = 25.4
-_MARGINS_IN = (0.85, 0.1, 0.46, 0.28)
+_MARGINS_IN = (0.72, 0.1, 0.46, 0.28)
 """Left, right, below and above of a figure's panels, for labels and legends; `_GAPS_IN` beside and below each."""
-_GAPS_IN = (0.75, 0.3)
+_GAPS_IN = (0.72, 0.3)
+_LEGEND_ROW_IN = 0.18
 _FONTS = "Inter, 'Helvetica Neue', Helvetica, Arial, 'DejaVu Sans', sans-serif"
 
 _PATHS, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(?<=\.\d)\d+")
@@ -90,7 +100,7 @@ _PATHS, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(?<=\.\d)\d+")
 
 @dataclass(frozen=True)
 class FigureSpecification:
-    """One figure at a size in inches: `draw(figure, run, summary)`, or with the runs and summaries that it compares.
+    """One figure at a size in inches: `draw(figure, *about)`.
 
     `beside` is the number of panels beside each other, which a narrow figure has below each other.
     """
@@ -100,6 +110,7 @@ class FigureSpecification:
     draw: Callable[..., None]
     size: tuple[float, float]
     caption: str = ""
+    about: tuple[object, ...] = ()
     beside: int = 1
 
     def print_size(self, width_mm: float) -> tuple[float, float]:
@@ -107,15 +118,23 @@ class FigureSpecification:
         width = width_mm / _INCH_MM
         if width < _NARROW_IN:
             return width, _NARROW_LEGEND_IN + _NARROW_HEIGHT * self.beside * self.size[1]
-        return width, max(width / _PAGE_IN, _NARROW_HEIGHT) * self.size[1]
+        return width, max(width / PAGE_IN, _NARROW_HEIGHT) * self.size[1]
 
 
 def svg(draw: Callable[..., None], size: tuple[float, float], salt: str, *about: object) -> str:
-    """Return a figure of a size in inches as an SVG element for use inside HTML.
+    """Return a figure of a size in inches as an SVG element (see `svg_and_data`)."""
+    return svg_and_data(draw, size, salt, *about)[0]
 
-    `draw` is called with the figure and `about`. The `salt` keeps the drawing's ids apart from others on the page.
+
+def svg_and_data(
+    draw: Callable[..., None], size: tuple[float, float], salt: str, *about: object, mark: str = ""
+) -> tuple[str, str]:
+    """Return a figure of a size in inches as an SVG element, and as CSV what it shows (see `figure_data`).
+
+    `draw` is called with the figure and `about`. The `salt` keeps the drawing's ids apart from others on the page; the
+    `mark` is the remark in the data.
     """
-    with mpl.rc_context({**STYLE, "svg.hashsalt": f"{salt}/{draw.__name__}"}):
+    with mpl.rc_context({**STYLE, "svg.hashsalt": f"{salt}/{getattr(draw, '__name__', '')}"}):
         figure = Figure(figsize=size)
         canvas = FigureCanvasSVG(figure)
         draw(figure, *about)
@@ -124,7 +143,7 @@ def svg(draw: Callable[..., None], size: tuple[float, float], salt: str, *about:
         canvas.print_svg(text, metadata={"Date": None, "Creator": None})  # type: ignore[no-untyped-call]
     drawing = text.getvalue()
     drawing = _PATHS.sub(lambda path: _DIGITS.sub("", path[0]), drawing[drawing.index("<svg") :])
-    return drawing.replace("'DejaVu Sans'", _FONTS)
+    return drawing.replace("'DejaVu Sans'", _FONTS), figure_data.table(figure, mark)
 
 
 def load_fonts_and_layouts() -> None:
@@ -166,7 +185,7 @@ def narrow(figure: Figure) -> bool:
     return bool(figure.get_size_inches()[0] < _NARROW_IN)
 
 
-def panels(figure: Figure, rows: int = 1, columns: int = 1, **options: Any) -> NDArray[Any]:
+def panels(figure: Figure, rows: int = 1, columns: int = 1, *, legend_rows: int = 1, **options: Any) -> NDArray[Any]:
     """Return axes (rows, columns); in a narrow figure the columns of a row stand below each other.
 
     On the page the spacing round them is fixed: to measure every label takes as long as to draw.
@@ -177,6 +196,7 @@ def panels(figure: Figure, rows: int = 1, columns: int = 1, **options: Any) -> N
     width, height = figure.get_size_inches()
     left, right, below, above = _MARGINS_IN
     beside, between = _GAPS_IN
+    above += (legend_rows - 1) * _LEGEND_ROW_IN
     across = (width - left - right - (columns - 1) * beside) / columns
     down = (height - below - above - (rows - 1) * between) / rows
     spacing = {
@@ -237,7 +257,7 @@ def legend(axes: Axes, columns: int = 6) -> None:
     figure = axes.get_figure(root=True)
     assert figure is not None
     names = _legend(axes, columns)
-    while narrow(figure) and columns > 1 and _overflows(names, axes, figure):
+    while columns > 1 and _overflows(names, axes, figure):
         columns -= 1
         names = _legend(axes, columns)
     for name in names.get_texts():
@@ -271,3 +291,37 @@ def no_data(*panels: Axes) -> None:
     """Write 'nothing was recorded' into empty panels."""
     for panel in panels:
         panel.annotate("nothing was recorded", (0.5, 0.5), xycoords="axes fraction", ha="center", color=MUTED)
+
+
+def drawn(figures: Sequence[Draw]) -> list[str]:
+    """Return the results of functions that draw a figure, in their order; a second processor draws every other one.
+
+    The child is forked, so that it has what the figures show. If it fails, this process draws its part, too, and
+    raises the error.
+    """
+    # Windows cannot fork, and on macOS a forked process must not draw; neither has this function.
+    if len(figures) < 2 or not hasattr(os, "sched_getaffinity") or len(os.sched_getaffinity(0)) < 2:
+        return [draw() for draw in figures]
+    fork = multiprocessing.get_context("fork")
+    received, sent = fork.Pipe(duplex=False)
+    child = fork.Process(target=_draw, args=(figures[1::2], sent), daemon=True)
+    with warnings.catch_warnings():
+        # Python warns of every fork beside other threads; no figure waits for one.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        child.start()
+    sent.close()
+    try:
+        even, odd = [draw() for draw in figures[::2]], []
+        with suppress(EOFError, OSError):
+            odd = received.recv()
+    finally:
+        child.kill()
+        child.join()
+        received.close()
+    odd = odd or [draw() for draw in figures[1::2]]
+    return [drawing for pair in zip_longest(even, odd) for drawing in pair if drawing is not None]
+
+
+def _draw(figures: Sequence[Draw], results: Connection) -> None:
+    with suppress(Exception):
+        results.send([draw() for draw in figures])

@@ -66,9 +66,9 @@ def _write(runs: Sequence[Run], folder: Path, kind: str, width_mm: float) -> lis
         for figure in (*figure_specifications(run, summary), *of_pictures(run, summary)):
             names.append(f"{run.path.stem}-{figure.name}.{kind}")
             mark = _MARK * summary.simulated
-            drawing.save(figure.draw, figure.print_size(width_mm), folder / names[-1], run, summary, mark=mark)
+            drawing.save(figure.draw, figure.print_size(width_mm), folder / names[-1], *figure.about, mark=mark)
     mark = _MARK * any(summary.simulated for summary in summaries)
-    for figure in comparison.comparison_figures(runs) if len(runs) > 1 else ():
+    for figure in comparison.comparison_figures(runs, summaries) if len(runs) > 1 else ():
         names.append(f"compared-{figure.name}.{kind}")
-        drawing.save(figure.draw, figure.print_size(width_mm), folder / names[-1], runs, summaries, mark=mark)
+        drawing.save(figure.draw, figure.print_size(width_mm), folder / names[-1], *figure.about, mark=mark)
     return names

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from runs.report import figures, further_figures, pictures
-from runs.report.drawing import FigureSpecification
-from runs.report.html_table import listed, plain
+from runs.report.drawing import PAGE_IN, FigureSpecification
+from runs.report.html import listed, plain
 from runs.run import Run
 from runs.summary import MOVED_MM, SETTLED_PART, Summary, settled_steps
 
@@ -23,21 +24,22 @@ def figure_specifications(run: Run, summary: Summary) -> Iterator[FigureSpecific
     """Yield the figures that a run has something to show in, in the order of the page."""
     for figure in FIGURES:
         if (specification := figure(run, summary)) is not None:
-            yield specification
+            yield replace(specification, about=(run, summary))
 
 
 def of_pictures(run: Run, summary: Summary) -> Iterator[FigureSpecification]:
     """Yield the figure of the kept pictures, if there are any; the page shows the pictures themselves."""
     if len(run.frames.time_s):
-        yield FigureSpecification("pictures", "Camera", pictures.grid, pictures.grid_size(run, summary))
+        size = pictures.grid_size(run, summary)
+        yield FigureSpecification("pictures", "Camera", pictures.grid, size, about=(run, summary))
 
 
 def _pressures(run: Run, summary: Summary) -> FigureSpecification | None:
     if not summary.cycles:
         return None
     setpoints = np.isfinite(run.pressure.setpoint_bar).any()
-    title, height = ("Pressures and set-points", 4.1) if setpoints else ("Pressures", 3.2)
-    return FigureSpecification("pressures", title, figures.pressures, (9, height))
+    title, height = ("Pressures and set-points", 3.7) if setpoints else ("Pressures", 2.8)
+    return FigureSpecification("pressures", title, figures.pressures, (PAGE_IN, height))
 
 
 def _auxiliary(run: Run, summary: Summary) -> FigureSpecification | None:
@@ -68,7 +70,7 @@ def _trajectory(run: Run, summary: Summary) -> FigureSpecification | None:
         return FigureSpecification("trajectory", title, figures.trajectory, size, caption)
     if _leaves_axis(run):
         caption = f"In the rod-base frame: seen along the arm from its tip, and from its side. {Z_DOWN}"
-        return FigureSpecification("trajectory", "Tool centre point", figures.around, (9, 4.4), caption, beside=2)
+        return FigureSpecification("trajectory", "Tool centre point", figures.around, (PAGE_IN, 3.5), caption, beside=2)
     return None
 
 
@@ -76,8 +78,8 @@ def _backbones(run: Run, summary: Summary) -> FigureSpecification | None:
     if run.backbone is None or not run.tip.model_ok.any():
         return None
     measured = " and measured tip" if summary.frames_measured else ""
-    caption = f"The modelled arm{measured.replace('measured', 'the measured')}. {Z_DOWN}"
-    return FigureSpecification("backbones", f"Backbone{measured}", figures.backbones, (9, 4.8), caption, beside=2)
+    caption = f"The modelled arm{measured.replace('measured', 'the measured')}; right: its tip, enlarged. {Z_DOWN}"
+    return FigureSpecification("backbones", f"Backbone{measured}", figures.backbones, (PAGE_IN, 3.9), caption, beside=2)
 
 
 def _steps(run: Run, summary: Summary) -> FigureSpecification | None:
@@ -87,7 +89,7 @@ def _steps(run: Run, summary: Summary) -> FigureSpecification | None:
     if (figures.from_rest_mm(run, summary) > MOVED_MM).any():
         caption += " Errors over the distance of the measured tip from its position at rest without pressure."
     return FigureSpecification(
-        "steps", "Settled tip and error, step by step", figures.steps, (9, 3.6), caption, beside=2
+        "steps", "Settled tip and error, step by step", figures.steps, (PAGE_IN, 3.2), caption, beside=2
     )
 
 
@@ -95,20 +97,20 @@ def _tip(run: Run, summary: Summary) -> FigureSpecification | None:
     if not summary.frames:
         return None
     caption = f"In the rod-base frame. {Z_DOWN}"
-    return FigureSpecification("tip", "Tip over time", figures.coordinates, (9, 5), caption)
+    return FigureSpecification("tip", "Tip over time", figures.coordinates, (PAGE_IN, 4.6), caption)
 
 
 def _error(run: Run, summary: Summary) -> FigureSpecification | None:
     if not summary.frames_measured or not (run.simulated or math.isfinite(summary.error_mm.mean)):
         return None
-    return FigureSpecification("error", "Error over time", figures.error, (9, 4.2 if run.simulated else 2.6))
+    return FigureSpecification("error", "Error over time", figures.error, (PAGE_IN, 3.7 if run.simulated else 2.5))
 
 
 def _sections(run: Run, summary: Summary) -> FigureSpecification | None:
     if run.sections is None or not summary.frames:
         return None
     caption = f"{further_figures.sections_caption(run.sections)} {Z_DOWN}"
-    return FigureSpecification("sections", "Measured sections", further_figures.sections, (9, 6.5), caption)
+    return FigureSpecification("sections", "Measured sections", further_figures.sections, (PAGE_IN, 5.8), caption)
 
 
 def _reference(run: Run, summary: Summary) -> FigureSpecification | None:
@@ -122,7 +124,9 @@ def _reference(run: Run, summary: Summary) -> FigureSpecification | None:
     )
     if len(periods) > 1:
         caption += f" Rms of each period: {listed(periods, 3)} mm."
-    return FigureSpecification("reference", "Tip and reference", further_figures.reference, (9, 4.6), caption, beside=2)
+    return FigureSpecification(
+        "reference", "Tip and reference", further_figures.reference, (PAGE_IN, 3.6), caption, beside=2
+    )
 
 
 def _adaptation(run: Run, summary: Summary) -> FigureSpecification | None:
@@ -144,23 +148,27 @@ def _timing(run: Run, summary: Summary) -> FigureSpecification | None:
         f"{plain(summary.lateness_p99_us, 1)} us; the latest {plain(summary.lateness_max_us / 1e3, 2)} ms. "
         f"{summary.missed_deadlines} deadlines missed, {summary.ring_overflows} rows lost between processes."
     )
-    return FigureSpecification("timing", "Timing of the control loop", figures.timing, (9, 2.8), caption, beside=2)
+    return FigureSpecification(
+        "timing", "Timing of the control loop", figures.timing, (PAGE_IN, 2.7), caption, beside=2
+    )
 
 
 FIGURES: tuple[Callable[[Run, Summary], FigureSpecification | None], ...] = (
-    _pressures,
-    _auxiliary,
-    _trajectory,
-    _backbones,
-    _steps,
-    _tip,
-    _error,
-    _sections,
     _reference,
     _adaptation,
+    _trajectory,
+    _pressures,
+    _steps,
+    _error,
+    _backbones,
+    _tip,
+    _sections,
+    _auxiliary,
     _timing,
 )
-"""Each returns its figure, or None for a run without data for it."""
+"""Each returns its figure, or None for a run without data for it, in the order of the page."""
+LEADING = 4
+"""Figures of a run that stand first; the others are folded."""
 
 
 def _leaves_axis(run: Run) -> bool:

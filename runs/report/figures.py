@@ -15,13 +15,26 @@ from runs.arrays import Array
 from runs.columns import Pressure, Tip
 from runs.periodic_motion import last_period
 from runs.records import DetectionStatus
+from runs.report import colours
 from runs.report.colours import ACTUATORS, INK, MEASURED, MODEL, MUTED, RULE, TRUTH
-from runs.report.drawing import POINTS, decimated, decimated_indices, legend, narrow, no_data, panels, path_indices
+from runs.report.drawing import (
+    PAGE_IN,
+    POINTS,
+    decimated,
+    decimated_indices,
+    legend,
+    narrow,
+    no_data,
+    panels,
+    path_indices,
+)
 from runs.report.gaps import pressure_with_gaps, tip_with_gaps, with_gaps
 from runs.run import Run
 from runs.summary import BAND_BAR, MOVED_MM, Z_95, StepSummary, Summary, in_plane, rest_mm, settled_steps
 
 SHAPES = 12
+_NAMES = 7
+"""Names of actuators that fit beside one another."""
 LABEL_SPACING, LABEL_SPACING_NARROW = 0.06, 0.15
 """Distance between labels of a path, as a part of the motion."""
 
@@ -29,13 +42,14 @@ LABEL_SPACING, LABEL_SPACING_NARROW = 0.06, 0.15
 def pressures(figure: Figure, run: Run, summary: Summary) -> None:
     """Pressures against their set-points, and the difference; without set-points the pressures alone."""
     p = pressure_with_gaps(run.pressure)
+    rows = -(-(p.measured_bar.shape[1] + 1) // _NAMES)
     if len(p.time_s) and not np.isfinite(p.setpoint_bar).any():
-        alone = panels(figure)[0, 0]
+        alone = panels(figure, legend_rows=rows)[0, 0]
         _measured_pressures(alone, p)
         alone.set_xlabel("time [s]")
-        legend(alone, columns=p.measured_bar.shape[1])
+        legend(alone, columns=_NAMES)
         return
-    above, below = panels(figure, 2, height_ratios=[3, 1.1])[:, 0]
+    above, below = panels(figure, 2, legend_rows=rows, height_ratios=[3, 1.1])[:, 0]
     if len(p.time_s) == 0:
         no_data(above, below)
         return
@@ -46,7 +60,7 @@ def pressures(figure: Figure, run: Run, summary: Summary) -> None:
             continue
         above.plot(*decimated(p.time_s, row), color=INK, lw=0.8, ls=(0, (4, 2)))
     above.plot([], [], color=INK, lw=0.8, ls=(0, (4, 2)), label="set-point")
-    legend(above, columns=p.measured_bar.shape[1] + 1)
+    legend(above, columns=_NAMES)
     difference_mbar = 1e3 * (p.measured_bar - p.setpoint_bar)
     for i, row in enumerate(difference_mbar.T):
         below.plot(*decimated(p.time_s, row), color=ACTUATORS[i % len(ACTUATORS)], lw=0.8)
@@ -67,7 +81,7 @@ def _measured_pressures(axes: Axes, pressure: Pressure) -> None:
 
 def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
     """The tool centre point in the plane of motion, hanging down as the arm does (the paper's Fig 11)."""
-    axes = panels(figure)[0, 0]
+    axes = panels(figure, legend_rows=2)[0, 0]
     project, name = across(run, summary)
     _paths(axes, run, summary, project)
     dwells = settled_steps(summary.steps)
@@ -84,7 +98,7 @@ def trajectory(figure: Figure, run: Run, summary: Summary) -> None:
     axes.invert_yaxis()
     axes.set_xlabel(f"{name} [mm]")
     axes.set_ylabel("z, along the arm [mm]")
-    legend(axes)
+    legend(axes, columns=3)
 
 
 def around(figure: Figure, run: Run, summary: Summary) -> None:
@@ -121,13 +135,14 @@ def backbones(figure: Figure, run: Run, summary: Summary) -> None:
     assert run.backbone is not None
     rows, values, label = _shapes(run, summary)
     low, high = min(values), max(values)
-    # The palest colours would be lost on white.
-    scale = ScalarMappable(Normalize(low, high + 0.12 * (high - low or 1.0)), "viridis")
-    colours = scale.to_rgba(np.array(values))
+    phase = label.startswith("phase")
+    ends_at = (0.0, 360.0) if phase else (low, high)
+    scale = ScalarMappable(Normalize(*ends_at), colours.phases() if phase else colours.amounts())
+    shades = scale.to_rgba(np.array(values))
     model, measured = project(run.tip.model_mm[rows]), project(run.tip.measured_mm[rows])
     for axes in (whole, near):
-        for row, colour in zip(rows, colours, strict=True):
-            axes.plot(*project(run.backbone.model_mm[row].astype(float)).T, color=colour, lw=1.4)
+        for row, shade in zip(rows, shades, strict=True):
+            axes.plot(*project(run.backbone.model_mm[row].astype(float)).T, color=shade, lw=1.4)
         axes.plot(*model.T, "x", ms=5, mew=1.3, color=MODEL, label="model's tip", zorder=4)
         if np.isfinite(measured).any():
             axes.plot(*measured.T, "o", ms=6.5, mfc="none", mec=MEASURED, mew=1.3, label="measured tip", zorder=5)
@@ -141,11 +156,12 @@ def backbones(figure: Figure, run: Run, summary: Summary) -> None:
     whole.set_aspect("equal", adjustable="datalim")
     whole.invert_yaxis()
     whole.set_ylabel("z, along the arm [mm]")
+    near.set_ylabel("z [mm]")
     legend(near)
     if high > low:
-        bar = figure.colorbar(scale, ax=near, label=label, aspect=30, pad=0.02, boundaries=np.linspace(low, high, 256))
+        bar = figure.colorbar(scale, ax=near, label=label, aspect=30, pad=0.02, boundaries=np.linspace(*ends_at, 256))
         bar.outline.set_visible(False)
-        bar.locator = MaxNLocator(6)
+        bar.locator = MaxNLocator(6, steps=[1, 2, 3, 5, 6, 10])
         bar.update_ticks()
 
 
@@ -193,7 +209,7 @@ def trajectory_size(run: Run, summary: Summary) -> tuple[float, float]:
     points = project(np.vstack((run.tip.measured_mm, run.tip.model_mm)))
     points = points[np.isfinite(points).all(axis=1)]
     wide, high = np.ptp(points, axis=0) if len(points) else (1.0, 1.0)
-    return 9.0, float(np.clip(1.2 + 8 * 1.5 * high / max(wide, 1e-9), 2.4, 5.5))
+    return PAGE_IN, float(np.clip(1.1 + 6 * 1.5 * high / max(wide, 1e-9), 2.4, 4.4))
 
 
 def steps(figure: Figure, run: Run, summary: Summary) -> None:
@@ -329,7 +345,7 @@ def timing(figure: Figure, run: Run, summary: Summary) -> None:
     left.plot(*decimated(t.time_s, lateness), ",", color=MEASURED)
     left.plot(*decimated(t.time_s, lateness), color=MEASURED, lw=0.35, alpha=0.6)
     missed = t.overruns > 0
-    left.plot(t.time_s[missed], lateness[missed], "v", ms=5, color=MODEL, label="deadline missed")
+    left.plot(t.time_s[missed], lateness[missed], "v", ms=5, color=MODEL, label="deadlines missed")
     left.set_yscale("log")
     left.set_xlabel("time [s]")
     left.set_ylabel("lateness [us]")

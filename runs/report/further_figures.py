@@ -23,7 +23,7 @@ _AXIS_LABEL = "{} [mm]"
 
 def auxiliary_size(inputs: Auxiliary) -> tuple[float, float]:
     """Size of the figure in inches."""
-    return 9.0, 0.8 + 1.5 * len(inputs.inputs)
+    return drawing.PAGE_IN, 0.8 + 1.5 * len(inputs.inputs)
 
 
 def auxiliary(figure: Figure, run: Run, summary: Summary) -> None:
@@ -119,7 +119,7 @@ def _distance(points: Array, target: Array) -> Array:
 
 def estimates_size(adaptation: Adaptation) -> tuple[float, float]:
     """Size of the figure in inches."""
-    return 9.0, 0.5 + 1.45 * (1 + math.ceil(len(adaptation.parameter) / _COLUMNS))
+    return drawing.PAGE_IN, 0.5 + 1.45 * (1 + math.ceil(len(adaptation.parameter) / _COLUMNS))
 
 
 def estimates(figure: Figure, run: Run, summary: Summary) -> None:

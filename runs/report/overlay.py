@@ -10,14 +10,25 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from runs.records import Status
 from runs.report.colours import RUNS
-from runs.report.drawing import legend
+from runs.report.drawing import PAGE_IN, legend
 from runs.run import Run
 
 STYLES = ("-", (0, (6, 1.5)), (0, (6, 1.5, 1, 1.5)))
-WIDEST, NARROWEST = 3.6, 1.0
+WIDEST, NARROWEST = 2.6, 0.9
 MOST = 4
 """Lines in a panel that are distinct where they coincide; wider ones would hide the scale of what they show."""
+
+
+def ended(run: Run) -> str:
+    """Return how a run ended that did not finish, in brackets; empty for a finished one."""
+    return "" if run.status is Status.FINISHED else f" ({run.status})"
+
+
+def named(run: Run, name: str | None = None) -> str:
+    """Return the id of a run, or another name, with its marks in every table: simulated, and how it ended early."""
+    return (name or run.header.run_id) + " (simulated)" * run.header.simulated + ended(run)
 
 
 def panel_count(lines: int) -> int:
@@ -27,7 +38,7 @@ def panel_count(lines: int) -> int:
 
 def size(lines: int, panel_in: float) -> tuple[float, float]:
     """Return the size in inches of a figure whose panels are this high, each with a legend of its runs."""
-    return 9.0, panel_in * panel_count(lines) + 0.16 * lines
+    return PAGE_IN, panel_in * panel_count(lines) + 0.16 * lines
 
 
 def caption(lines: int) -> str:

@@ -3,32 +3,25 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
 import os
-import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
 from functools import partial
 from html import escape
-from importlib import resources
-from itertools import zip_longest
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 from runs import annotation_file, arguments
 from runs.archive import layout
 from runs.overwriting import refuse_existing, write_text
-from runs.printable_text import printable
-from runs.report import comparison, pictures
-from runs.report.drawing import svg
-from runs.report.figure_specifications import figure_specifications
-from runs.report.html_table import DASH, html_table, listed, plain, significant, three, with_unit
+from runs.report import comparison, html, pictures
+from runs.report.drawing import drawn
+from runs.report.figure_specifications import LEADING, figure_specifications
+from runs.report.html import DASH, html_document, html_table, listed, plain, significant, three, with_unit
 from runs.run import Run, paths_of
 from runs.summary import BAND_BAR, Summary, summarise
+from runs.tip_error import TipError, TipErrorSummary
 
 SUFFIX = ".html"
 _HEAD_BYTES = 100_000
-Draw = Callable[[], str]
 
 
 def write(
@@ -90,123 +83,168 @@ def page(runs: Sequence[Run]) -> str:
     return html_document(title, _mark(runs), body)
 
 
-def html_document(title: str, head: str, body: str) -> str:
-    """Return an HTML page in the style of the reports; `head` is put into its head, all arguments are HTML.
-
-    Control characters and marks of direction, as a title may hold, are shown as their escapes.
-    """
-    style = resources.files("runs.report").joinpath("report.css").read_text(encoding="utf-8")
-    return printable(
-        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{head}\n<title>{title}</title>\n'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<style>\n{style}</style>\n</head>\n'
-        f"<body>\n{body}\n<footer>Made by softrig; nothing in this page is loaded from elsewhere."
-        "</footer>\n</body>\n</html>\n"
-    )
-
-
 def _run(run: Run, summary: Summary) -> str:
+    leading, further = _figures(run, summary)
+    parts = (
+        _heading(run, summary),
+        *_notes(run, summary),
+        f'<p class="conclusion">{conclusion(summary)}</p>',
+        html.tiles(leading_numbers(summary)),
+        html.figures(leading),
+        html.folded("Further figures", html.figures(further)),
+        html.folded("All numbers", html_table((), all_numbers(summary), kind="facts")),
+        html.folded("Segments", _steps(summary)),
+        html.folded("Periodic motion", _periodic(summary)),
+        html.folded("Camera pictures", pictures.section(run, summary)),
+        html.folded("Events", _events(run)),
+        html.folded("How it was made", _provenance(run)),
+        html.folded("Numbers that were used", _quantities(run)),
+        *_inputs(run),
+    )
+    return "\n".join(('<section class="run">', *filter(None, parts), "</section>"))
+
+
+def _heading(run: Run, summary: Summary) -> str:
     header = run.header
-    badges = f'<span class="badge {summary.status}">{summary.status}</span>'
-    if summary.simulated:
-        badges += '<span class="badge simulated">simulated</span>'
-    added = annotation_file.read(run.path)
-    badges += "".join(f'<span class="badge">{escape(tag)}</span>' for tag in added.tags)
+    tags = "".join(f'<span class="badge">{escape(tag)}</span>' for tag in annotation_file.read(run.path).tags)
     began = layout.utc(header.started_utc_ns)[:19].replace("T", " ")
-    parts = [
-        f'<section class="run">\n<header class="run"><h1>{escape(header.title)}{badges}</h1>\n'
-        f'<p class="sub">{escape(header.run_id)} · {began} UTC · {run.duration_s:.1f} s · {escape(header.executor)}'
-        f"{' · ' + escape(header.operator) if header.operator else ''}</p></header>",
-    ]
+    facts = (header.run_id, f"{began} UTC", f"{run.duration_s:.1f} s", header.executor, header.operator)
+    badges = f'<span class="badge {summary.status}">{summary.status}</span>{tags}'
+    beneath = " · ".join(escape(fact) for fact in facts if fact)
+    return html.heading(escape(header.title), beneath, simulated=summary.simulated, badges=badges)
+
+
+def _notes(run: Run, summary: Summary) -> Iterator[str]:
+    if summary.message:
+        yield html.note(f"<b>{escape(str(summary.status))}:</b> {escape(summary.message)}", "fault")
     if summary.simulated:
-        parts.append(
-            '<p class="note"><b>This run was simulated.</b> Card, camera or arm were those of the simulator; '
-            "nothing here was measured on a real manipulator.</p>"
+        yield html.note(
+            "<b>This run was simulated.</b> Card, camera or arm were those of the simulator; "
+            "nothing here was measured on a real manipulator."
         )
     if not summary.camera:
-        parts.append(
-            '<p class="note">The rig has no camera, so the tip was not measured: the report shows the pressures and '
-            "the model alone.</p>"
+        yield html.note(
+            "The rig has no camera, so the tip was not measured: the report shows the pressures and the model alone."
         )
     elif summary.frames and not summary.frames_measured:
-        parts.append('<p class="note">No tip was measured in this run: what is shown of it is the model alone.</p>')
-    if summary.message:
-        parts.append(f'<p class="note fault"><b>{escape(str(summary.status))}:</b> {escape(summary.message)}</p>')
-    if header.notes:
-        parts.append(f"<p>{escape(header.notes)}</p>")
-    parts += [f"<p>{escape(note.time)}: {escape(note.text)}</p>" for note in added.notes]
-    parts += [
-        _tiles(summary),
-        *_figures(run, summary),
-        _steps(summary),
-        _periodic(summary),
-        pictures.section(run, summary),
-        _events(run),
-    ]
-    parts += [_provenance(run), "</section>"]
-    return "\n".join(part for part in parts if part)
+        yield html.note("No tip was measured in this run: what is shown of it is the model alone.")
+    if run.header.notes:
+        yield f"<p>{escape(run.header.notes)}</p>"
+    for added in annotation_file.read(run.path).notes:
+        yield f"<p>{escape(added.time)}: {escape(added.text)}</p>"
 
 
-def _tiles(s: Summary) -> str:
-    tiles = [
-        (with_unit(s.error_mm.mean, "mm", 2), "mean error, measured to model (3-D)"),
-        (with_unit(s.in_plane_mm.mean, "mm", 2), "mean error in the plane of motion"),
-        *((with_unit(rmse, "mm", 2), f"rms error in {axis}") for axis, rmse in zip("xyz", s.rmse_mm, strict=True)),
-        (with_unit(s.settled_error_mm, "mm", 2), "mean settled error of the steps"),
-        (with_unit(s.settling_s, "s", 2), f"longest settling within {BAND_BAR * 1e3:.0f} mbar"),
-        (with_unit(s.overshoot_bar * 1e3, "mbar", 1), "largest overshoot"),
-        (with_unit(s.tracking_rms_bar * 1e3, "mbar", 1), "rms tracking, moving set-points"),
-        (
-            f"{s.missed_deadlines} <small>of {s.cycles}</small>" if s.lateness_max_us else DASH,
-            "control deadlines missed",
+def conclusion(s: Summary) -> str:
+    """Return in a few sentences what came out of a run."""
+    said = []
+    if s.tip_path is not None:
+        whose, error = _tip_to_reference(s.tip_path)
+        if math.isfinite(error.rms_mm):
+            said.append(
+                f"The {whose} tip kept to its reference within {plain(error.rms_mm, 3)} mm rms, "
+                f"at most {plain(error.max_mm, 3)} mm away."
+            )
+    if math.isfinite(s.error_mm.mean):
+        share = f", {plain(s.normalised_percent, 1)} % of its distance from rest" * math.isfinite(s.normalised_percent)
+        settled = (
+            f" and in the settled steps {plain(s.settled_error_mm, 2)} mm{share}" if s.settled_error_mm > 0 else ""
+        )
+        said.append(
+            f"The measured tip lay {plain(s.error_mm.mean, 2)} mm from the model on average{settled}; the largest "
+            f"distance was {plain(s.error_mm.max, 2)} mm."
+        )
+    if s.camera and s.frames_expected:
+        said.append(f"The tip was measured in {s.frames_measured} of {s.frames_expected} frames.")
+    if s.lateness_max_us > 0:
+        missed = f"{s.missed_deadlines} of {s.cycles} control deadlines were missed."
+        said.append(missed if s.missed_deadlines else "No control deadline was missed.")
+    return " ".join(said) or f"{s.cycles} control cycles were recorded."
+
+
+def _tip_to_reference(path: TipErrorSummary) -> tuple[str, TipError]:
+    """Return whose tip is compared with its reference, the true one where it is known, and its error."""
+    return ("measured", path.measured) if path.truth is None else ("simulated true", path.truth)
+
+
+def leading_numbers(s: Summary) -> list[tuple[str, str]]:
+    """Return the numbers that most readers want, each with a name that stands alone; at most four are known."""
+    numbers = []
+    if s.tip_path is not None:
+        whose, error = _tip_to_reference(s.tip_path)
+        numbers.append((with_unit(error.rms_mm, "mm", 3), f"rms distance of the {whose} tip from its reference"))
+    numbers += [
+        (with_unit(s.error_mm.mean, "mm", 2), "mean distance of the measured tip from the model"),
+        (with_unit(s.error_mm.max, "mm", 2), "largest distance of the measured tip from the model"),
+        (with_unit(s.normalised_percent, "%", 1), "settled error over the distance of the tip from rest"),
+        (with_unit(100 * s.measured_fraction, "%", 1) if s.camera else DASH, "expected frames with a measured tip"),
+        (with_unit(s.tracking_rms_bar * 1e3, "mbar", 1), "rms distance of moving pressures from their set-points"),
+    ]
+    return [number for number in numbers if DASH not in number[0]][:4]
+
+
+def all_numbers(s: Summary) -> list[tuple[str, str]]:
+    """Return every number of a run that is known, by its name."""
+    in_plane = "in the plane of motion"
+    numbers = [
+        ("mean distance of the measured tip from the model (3-D)", with_unit(s.error_mm.mean, "mm", 2)),
+        (f"mean distance of the measured tip from the model, {in_plane}", with_unit(s.in_plane_mm.mean, "mm", 2)),
+        ("largest distance of the measured tip from the model", with_unit(s.error_mm.max, "mm", 2)),
+        *(
+            (f"rms difference of measured and modelled tip in {axis}", with_unit(rmse, "mm", 2))
+            for axis, rmse in zip("xyz", s.rmse_mm, strict=True)
         ),
-        (with_unit(s.lateness_p99_us or math.nan, "us", 1), "lateness, 99 % of the control cycles below"),
+        ("mean distance of the settled tip from the model", with_unit(s.settled_error_mm, "mm", 2)),
+        ("mean settled error over the distance of the tip from rest", with_unit(s.normalised_percent, "%", 2)),
+        (f"longest settling of a pressure within {BAND_BAR * 1e3:.0f} mbar", with_unit(s.settling_s, "s", 2)),
+        ("largest overshoot of a pressure", with_unit(s.overshoot_bar * 1e3, "mbar", 1)),
+        ("rms distance of moving pressures from their set-points", with_unit(s.tracking_rms_bar * 1e3, "mbar", 1)),
+        ("control deadlines missed", f"{s.missed_deadlines} of {s.cycles}" if s.lateness_max_us else DASH),
+        ("lateness that 99 % of the control cycles stay below", with_unit(s.lateness_p99_us or math.nan, "us", 1)),
         (
-            with_unit(100 * s.measured_fraction, "%", 1) if s.camera else DASH,
-            f"frames measured of {s.frames_expected} expected; {s.frames_dropped} dropped",
+            "frames with a measured tip",
+            f"{s.frames_measured} of {s.frames_expected} expected; {s.frames_dropped} dropped" if s.camera else DASH,
+        ),
+        ("frames with a measured orientation of the tip", str(s.frames_oriented) if s.frames_oriented else DASH),
+        (
+            "standard uncertainty of the tip's orientation about an axis",
+            with_unit(s.orientation_std_deg, "deg", 3) if s.frames_oriented else DASH,
         ),
     ]
-    if s.frames_oriented:
-        about = f"standard uncertainty of the tip's orientation about an axis, in {s.frames_oriented} frames"
-        tiles.append((with_unit(s.orientation_std_deg, "deg", 3), about))
     if s.truth is not None:
-        tiles += [
-            (with_unit(s.truth.error_mm.mean, "mm", 3), "mean measured to simulated truth"),
-            (with_unit(s.truth.in_plane_mm.mean, "mm", 3), "the same in the plane of motion"),
-            (with_unit(100 * s.truth.coverage, "%", 1), "frames whose truth lies in the stated 95 %"),
+        from_truth = "distance of the measured tip from the simulated true tip"
+        numbers += [
+            (f"mean {from_truth}", with_unit(s.truth.error_mm.mean, "mm", 3)),
+            (f"mean {from_truth}, {in_plane}", with_unit(s.truth.in_plane_mm.mean, "mm", 3)),
+            ("frames whose true tip lies in the stated 95 %", with_unit(100 * s.truth.coverage, "%", 1)),
         ]
     if s.tip_path is not None:
-        error, label = s.tip_path.measured, "measured tip to reference, rms"
-        if s.tip_path.truth is not None:
-            error, label = s.tip_path.truth, "simulated true tip to reference, rms"
-        tiles += [
-            (with_unit(error.rms_mm, "mm", 3), label),
-            (with_unit(error.lag_ms, "ms", 1), f"of it lag, {plain(error.lag_mm, 3)} mm"),
-            (with_unit(error.contour_mm, "mm", 3), "of it across the path"),
-            (with_unit(s.tip_path.measured.noise_mm, "mm", 3), "noise of the measured tip"),
+        whose, error = _tip_to_reference(s.tip_path)
+        numbers += [
+            (f"rms distance of the {whose} tip from its reference", with_unit(error.rms_mm, "mm", 3)),
+            (f"largest distance of the {whose} tip from its reference", with_unit(error.max_mm, "mm", 3)),
+            (f"delay of the {whose} tip behind its reference", with_unit(error.lag_ms, "ms", 1)),
+            (f"rms distance of the {whose} tip from its reference due to delay", with_unit(error.lag_mm, "mm", 3)),
+            (f"rms distance of the {whose} tip from its path (contour error)", with_unit(error.contour_mm, "mm", 3)),
+            ("rms noise of the measured tip", with_unit(s.tip_path.measured.noise_mm, "mm", 3)),
         ]
     if s.tip_plans is not None:
-        tiles.append((with_unit(100 * s.tip_plans.without_feedback, "%", 1), "of the tip path without feedback"))
-        tiles.append((with_unit(s.tip_plans.solve_p99_ms, "ms", 1), "solver time of the tip controller, 99 % below"))
-    shown = (
-        f'<div class="tile"><b>{value}</b><span>{label}</span></div>' for value, label in tiles if DASH not in value
-    )
-    return f'<div class="tiles">{"".join(shown)}</div>'
+        without = 100 * s.tip_plans.without_feedback
+        numbers.append(("share of the tip path that ran without feedback", with_unit(without, "%", 1)))
+        solved = with_unit(s.tip_plans.solve_p99_ms, "ms", 1)
+        numbers.append(("time that 99 % of the tip controller's solutions stay below", solved))
+    return [number for number in numbers if DASH not in number[1]]
 
 
-def _figures(run: Run, summary: Summary) -> Iterator[str]:
-    salt = run.header.run_id
-    figures = list(figure_specifications(run, summary))
-    drawings = drawn([partial(svg, figure.draw, figure.size, salt, run, summary) for figure in figures])
-    for figure, drawing in zip(figures, drawings, strict=True):
-        yield _figure(figure.title, drawing, figure.caption)
+def _figures(run: Run, summary: Summary) -> tuple[list[str], list[str]]:
+    """Return the leading figures, and the others."""
+    specifications = list(figure_specifications(run, summary))
+    mark = "simulated" * summary.simulated
+    figures = [partial(html.figure, one, f"{run.header.run_id}-{one.name}", mark) for one in specifications]
+    shown = drawn(figures)
+    further = shown[LEADING:]
     if run.header.executor == "virtual time" and summary.cycles and not summary.lateness_max_us:
-        yield "<h2>Timing of the control loop</h2>\n<p class=small>Not in real time: no control cycle is late.</p>"
-
-
-def _figure(title: str, drawing: str, caption: str) -> str:
-    below = f"<figcaption>{caption}</figcaption>" if caption else ""
-    drawing = drawing.replace("<svg", f'<svg role="img" aria-label="{escape(title)}"', 1)
-    return f"<h2>{title}</h2>\n<figure>{drawing}{below}</figure>"
+        further.append(html.small("Timing of the control loop: not in real time, no control cycle is late."))
+    return shown[:LEADING], further
 
 
 def _steps(summary: Summary) -> str:
@@ -231,7 +269,7 @@ def _steps(summary: Summary) -> str:
         "<p class=small>Set-points: at the end of the segment. Tips and errors of dwells: mean over their last part; "
         "of other segments: mean over the whole.</p>"
     )
-    return f"<h2>Segments</h2>\n{html_table(('segment', *shown), rows, words=1)}\n{note}"
+    return f"{html_table(('segment', *shown), rows, words=1)}\n{note}"
 
 
 def _periodic(summary: Summary) -> str:
@@ -271,18 +309,21 @@ def _periodic(summary: Summary) -> str:
         "period, in percent of the rectangle around it: hysteresis and delay together. "
         "A tip that goes round has neither lag nor loop.</p>"
     )
-    return f"<h2>Periodic motion</h2>\n{html_table(heads, rows, words=1)}\n{note}" if rows else ""
+    return f"{html_table(heads, rows, words=1)}\n{note}" if rows else ""
 
 
 def _events(run: Run) -> str:
     start = run.header.started_t_ns
-    rows = "".join(
-        f'<tr><td class=n>{(e.t_ns - start) / 1e9:.3f}</td><td class="{e.level}">{e.level}</td>'
-        f"<td>{escape(e.source)}</td><td>{escape(e.message)}</td></tr>"
+    rows = [
+        (
+            f"{(e.t_ns - start) / 1e9:.3f}",
+            f'<span class="{e.level}">{e.level}</span>',
+            escape(e.source),
+            escape(e.message),
+        )
         for e in run.events
-    )
-    head = "<tr><th class=n>time [s]</th><th>level</th><th>source</th><th>message</th></tr>"
-    return f"<h2>Events</h2>\n<table>{head}{rows}</table>" if rows else ""
+    ]
+    return html_table(("time [s]", "level", "source", "message"), rows)
 
 
 def _provenance(run: Run) -> str:
@@ -305,13 +346,14 @@ def _provenance(run: Run) -> str:
         "SHA-256": run.sha256,
         "counted": ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in run.timing.counters.items()),
     }
-    rows = "".join(f"<tr><th>{name}</th><td>{escape(value)}</td></tr>" for name, value in facts.items() if value)
-    parts = [f'<h2>How it was made</h2>\n<table class="facts">{rows}</table>', _quantities(run)]
-    for name, text in (header.inputs | {"git diff": header.git_diff}).items():
+    return html_table((), [(name, escape(value)) for name, value in facts.items() if value], kind="facts")
+
+
+def _inputs(run: Run) -> Iterator[str]:
+    """Yield the texts that a run was made of, each folded."""
+    for name, text in (run.header.inputs | {"git diff": run.header.git_diff}).items():
         if text:
-            summary = escape(name[:1].upper() + name[1:])
-            parts.append(f"<details><summary>{summary}, verbatim</summary><pre>{escape(text)}</pre></details>")
-    return "\n".join(part for part in parts if part)
+            yield html.folded(f"{escape(name[:1].upper() + name[1:])}, verbatim", f"<pre>{escape(text)}</pre>")
 
 
 def _quantities(run: Run) -> str:
@@ -319,43 +361,8 @@ def _quantities(run: Run) -> str:
         [*map(escape, (q.room, q.name, _listed(q.value), q.unit, significant(q.uncertainty, 3), q.source))]
         for q in run.header.quantities
     ]
-    table = html_table(("of", "name", "value", "unit", "standard uncertainty", "source"), rows)
-    return f"<details><summary>Numbers that were used</summary>{table}</details>" if rows else ""
+    return html_table(("of", "name", "value", "unit", "standard uncertainty", "source"), rows)
 
 
 def _listed(values: Sequence[float]) -> str:
     return ", ".join(f"{value:.6g}" for value in values)
-
-
-def drawn(figures: Sequence[Draw]) -> list[str]:
-    """Return the results of functions that draw a figure, in their order; a second processor draws every other one.
-
-    The child is forked, so that it has what the figures show. If it fails, this process draws its part, too, and
-    raises the error.
-    """
-    # Windows cannot fork, and on macOS a forked process must not draw; neither has this function.
-    if len(figures) < 2 or not hasattr(os, "sched_getaffinity") or len(os.sched_getaffinity(0)) < 2:
-        return [draw() for draw in figures]
-    fork = multiprocessing.get_context("fork")
-    received, sent = fork.Pipe(duplex=False)
-    child = fork.Process(target=_draw, args=(figures[1::2], sent), daemon=True)
-    with warnings.catch_warnings():
-        # Python warns of every fork beside other threads; no figure waits for one.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        child.start()
-    sent.close()
-    try:
-        even, odd = [draw() for draw in figures[::2]], []
-        with suppress(EOFError, OSError):
-            odd = received.recv()
-    finally:
-        child.kill()
-        child.join()
-        received.close()
-    odd = odd or [draw() for draw in figures[1::2]]
-    return [drawing for pair in zip_longest(even, odd) for drawing in pair if drawing is not None]
-
-
-def _draw(figures: Sequence[Draw], results: Connection) -> None:
-    with suppress(Exception):
-        results.send([draw() for draw in figures])

@@ -17,8 +17,8 @@ from PIL import Image
 
 from runs.records import DetectionStatus
 from runs.report.colours import BOARD, MEASURED, MODEL
-from runs.report.drawing import narrow
-from runs.report.html_table import plain
+from runs.report.drawing import PAGE_IN, narrow
+from runs.report.html import plain
 from runs.run import Run
 from runs.summary import Summary, settled_steps
 
@@ -106,7 +106,7 @@ def section(run: Run, summary: Summary) -> str:
         "Orange: the model's tip and backbone.</p>"
     )
     marked = any(np.isfinite(run.frames.corners_px[moment.k]).any() for moment in chosen)
-    return f'<h2>Camera</h2>\n<div class="pictures">{shown}</div>\n{legend if marked else ""}'
+    return f'<div class="pictures">{shown}</div>\n{legend if marked else ""}'
 
 
 def grid(figure: Figure, run: Run, summary: Summary) -> None:
@@ -138,7 +138,7 @@ def grid(figure: Figure, run: Run, summary: Summary) -> None:
 def grid_size(run: Run, summary: Summary) -> tuple[float, float]:
     """Return the size of the figure that `grid` fills, in inches."""
     count = len(moments(run, summary))
-    return 9.0, 2.75 * -(-count // min(count, COLUMNS))
+    return PAGE_IN, 2.2 * -(-count // min(count, COLUMNS))
 
 
 def decoded(run: Run, k: int) -> NDArray[np.uint8]:

@@ -12,7 +12,8 @@ import numpy as np
 from runs.arrays import Array
 from runs.records import DetectionStatus, Status
 from runs.report.differences import played_steps, tips_at_equal_times
-from runs.report.html_table import DASH, html_table, plain
+from runs.report.html import DASH, folded, html_table, plain, small
+from runs.report.overlay import named
 from runs.report.settings import conditions, unequal
 from runs.run import Run
 
@@ -144,26 +145,21 @@ def section(runs: Sequence[Run]) -> str:
     heads = ("repeats", "runs", "scatter of the tip<br>[mm]", "apart from the first group by")
     shown = len(heads) if len(groups) > 1 else len(heads) - 1
     rows = [row[:shown] for row in _rows(groups)]
-    parts = [
-        "<h2>Repeatability</h2>\n",
-        html_table(heads[:shown], rows, words=1) if groups else "<p>No run repeats another.</p>",
-        "\n<p class=small>3-D standard deviation of the measured tips about their mean at equal protocol times.</p>\n"
-        if groups
-        else "\n",
-        _list(left_out),
-        f"<p class=small>{_DEFINITION}</p>\n",
-    ]
-    return "".join(parts)
+    about = "3-D standard deviation of the measured tips about their mean at equal protocol times."
+    parts = (
+        "<h2>Repeatability</h2>",
+        html_table(heads[:shown], rows, words=1) + small(about) if groups else "<p>No run repeats another.</p>",
+        folded("Runs that are not counted", _list(left_out) + small(_DEFINITION)),
+    )
+    return "\n".join(parts)
 
 
 def _rows(groups: Sequence[RepeatGroup]) -> Iterator[tuple[str, ...]]:
     for group in groups:
-        names = ", ".join(escape(run.header.run_id) for run in group.runs)
+        names = ", ".join(escape(named(run)) for run in group.runs)
         yield names, str(len(group.runs)), plain(group.scatter_mm, 3), escape(group.apart)
 
 
 def _list(left_out: Sequence[NotCounted]) -> str:
-    if not left_out:
-        return ""
     items = "".join(f"<li>{escape(one.run_id)}: {escape(one.reason)}</li>" for one in left_out)
-    return f"<p>Not counted:</p>\n<ul>{items}</ul>\n"
+    return f"<ul>{items}</ul>\n" if items else "<p>Every run is counted.</p>\n"

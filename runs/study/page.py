@@ -17,15 +17,19 @@ from numpy.typing import NDArray
 
 from runs.overwriting import refuse_existing, write_text
 from runs.printable_text import spreadsheet_text
+from runs.report import html
 from runs.report.colours import MEASURED, MUTED, RUNS
-from runs.report.drawing import svg
-from runs.report.html_table import DASH, html_table, significant
-from runs.report.page import html_document
+from runs.report.drawing import FigureSpecification
+from runs.report.html import DASH, html_document, html_table, significant
 from runs.run import Run
 from runs.study.responses import RESPONSES, ResponseVariable
 
 ORDER = "order"
 _FACTS = ("number", "run", "block", "combination", "start_utc", "executor", "specimen", "operator")
+_ALWAYS = ("number", "run")
+"""Facts that the page shows even where all are equal."""
+_PANEL = (3.6, 2.6)
+"""Size of a panel in inches."""
 
 
 @dataclass(frozen=True)
@@ -101,29 +105,69 @@ def _csv(table: StudyTable) -> str:
 
 
 def _body(name: str, title: str, planned: int, table: StudyTable) -> Iterator[str]:
-    badge = '<span class="badge simulated">simulated</span>' if any(table.simulated) else ""
-    yield f'<section class="run"><header class="run"><h1>{escape(title)}{badge}</h1>'
-    yield f'<p class="sub">study {escape(name)} · {len(table.facts)} of {planned} runs finished</p></header>'
-    if any(table.simulated):
-        yield '<p class="note"><b>Runs of this study were simulated.</b> They measure no real manipulator.</p>'
+    simulated = any(table.simulated)
+    beneath = f"study {escape(name)} · {len(table.facts)} of {planned} runs finished"
+    yield f'<section class="run">{html.heading(escape(title), beneath, simulated=simulated)}'
+    if simulated:
+        yield html.note("<b>Runs of this study were simulated.</b> They measure no real manipulator.")
     yield from _mixed(table)
     factors = {key: values for key, values in table.settings.items() if len(set(values)) > 1}
-    shown = []
-    for response, values in zip(RESPONSES, table.responses, strict=True):
-        if values and np.isfinite(values).all():
-            shown.append(response)
-            yield from _response(response, factors, table)
-    missing = [response.name for response in RESPONSES if response not in shown]
-    if missing:
-        yield f"<p class=small>Not known for every run, and so not shown: {', '.join(missing)}.</p>"
-    yield "<h2>Runs</h2>"
-    heads = [*_FACTS, *table.settings, *(f"{r.name} [{r.unit}]" for r in RESPONSES)]
-    rows = [
-        [*facts, *(significant(values[k], 4) for values in (*table.settings.values(), *table.responses))]
-        for k, facts in enumerate(table.facts)
-    ]
-    yield _table(heads, rows)
+    known = {
+        response: np.array(values)
+        for response, values in zip(RESPONSES, table.responses, strict=True)
+        if values and np.isfinite(values).all()
+    }
+    yield from _summary(known, factors)
+    if missing := [response.title.lower() for response in RESPONSES if response not in known]:
+        yield html.small(f"Not known for every run, and so not shown: {', '.join(missing)}.")
+    for response in known:
+        yield from _response(response, factors, table)
+    yield html.folded("Runs", _runs(table))
     yield "</section>"
+
+
+def _summary(
+    known: Mapping[ResponseVariable, NDArray[np.float64]], factors: Mapping[str, tuple[float, ...]]
+) -> Iterator[str]:
+    """For each response, what it is over all runs, and at which levels its mean is lowest and highest."""
+    heads = ["", "mean", "standard<br>deviation", "lowest", "highest"]
+    heads += ["lowest mean at", "highest mean at"] if factors else []
+    rows = []
+    for response, y in known.items():
+        spread = significant(float(y.std(ddof=1)), 2) if len(y) > 1 else DASH
+        cells = [f"{response.title} [{response.unit}]", significant(float(y.mean()), 4), spread]
+        cells += [significant(float(value), 4) for value in (y.min(), y.max())]
+        if factors:
+            means = {chosen: float(y[own].mean()) for chosen, own in _combinations(factors, y)}
+            cells += [_levels(factors, choose(means, key=means.__getitem__)) for choose in (min, max)]
+        rows.append(cells)
+    if rows:
+        yield f"<h2>Summary</h2>\n{html_table(heads, rows, words=1)}"
+
+
+def _levels(factors: Mapping[str, tuple[float, ...]], chosen: tuple[float, ...]) -> str:
+    return ", ".join(f"{escape(name)} = {level:.6g}" for name, level in zip(factors, chosen, strict=True))
+
+
+def _runs(table: StudyTable) -> str:
+    """The table of the runs, without the facts and settings that are equal in all of them: the CSV file has those."""
+    facts = dict(zip(_FACTS, zip(*table.facts, strict=True), strict=False))
+    shown: dict[str, Sequence[str]] = {
+        escape(name): [escape(text or DASH) for text in column]
+        for name, column in facts.items()
+        if name in _ALWAYS or len(set(column)) > 1
+    }
+    words = len(shown)
+    shown |= {
+        escape(name): [significant(value, 4) for value in values]
+        for name, values in table.settings.items()
+        if len(set(values)) > 1
+    }
+    shown |= {
+        f"{r.title.lower()}<br>[{r.unit}]": [significant(value, 4) for value in values]
+        for r, values in zip(RESPONSES, table.responses, strict=True)
+    }
+    return html_table(list(shown), list(zip(*shown.values(), strict=True)), words=words)
 
 
 def _mixed(table: StudyTable) -> Iterator[str]:
@@ -133,39 +177,55 @@ def _mixed(table: StudyTable) -> Iterator[str]:
         counts = Counter(facts[column] for facts in table.facts)
         if len(counts) > 1:
             each = ", ".join(f"{escape(value) or 'none stated'} ({count})" for value, count in sorted(counts.items()))
-            yield f'<p class="note">Runs of more than one {name} are shown together: {each}.</p>'
+            yield html.note(f"Runs of more than one {name} are shown together: {each}.")
 
 
 def _response(response: ResponseVariable, factors: Mapping[str, tuple[float, ...]], table: StudyTable) -> Iterator[str]:
     """The runs over each factor and over their order, and the mean of each combination."""
     y = np.array(table.responses[RESPONSES.index(response)])
-    yield f"<h2>{response.name.replace('_', ' ').capitalize()} [{response.unit}]</h2>"
+    yield f"<h2>{response.title} [{response.unit}]</h2>"
     yield f"<p>{escape(response.about)}.</p>"
     # A drawing for each panel: on a narrow page they stand below each other, with the letters still large enough.
+    mark = "simulated" * any(table.simulated)
     drawings = "".join(
-        svg(_draw, (3.6, 2.6), f"study/{response.name}/{name}", response, name, factors.get(name), table, y)
+        html.figure(
+            FigureSpecification(
+                name,
+                f"over {name}" if name in factors else "over the order of the runs",
+                _draw,
+                _PANEL,
+                about=(response, name, factors.get(name), table, y),
+            ),
+            f"{response.name}-{name}",
+            mark,
+        )
         for name in (*factors, ORDER)
     )
     coloured = ", coloured by block" if len(set(table.blocks)) > 1 else ""
     means = "First: means of the levels with one standard deviation. Last: runs" if factors else "Runs"
-    caption = f"Points are runs. {means} in the order in which they began{coloured}."
-    yield f"<figure><div class=panels>{drawings}</div><figcaption>{caption}</figcaption></figure>"
-    yield _table([*factors, "runs", "mean", "standard deviation", "lowest", "highest"], list(_combinations(factors, y)))
+    yield f"<div class=panels>{drawings}</div>"
+    yield html.small(f"Points are runs. {means} in the order in which they began{coloured}.")
+    heads = [*map(escape, factors), "runs", "mean", "standard deviation", "lowest", "highest"]
+    rows = [
+        (*(f"{level:.12g}" for level in chosen), str(own.sum()), *_statistics(y[own]))
+        for chosen, own in _combinations(factors, y)
+    ]
+    yield html.folded("Mean of each combination", html_table(heads, rows, words=len(factors)))
 
 
-def _combinations(factors: Mapping[str, tuple[float, ...]], y: NDArray[np.float64]) -> Iterator[list[str]]:
-    """The row of each combination of levels, by level."""
+def _statistics(own: NDArray[np.float64]) -> tuple[str, ...]:
+    spread = significant(float(own.std(ddof=1)), 2) if len(own) > 1 else DASH
+    mean, lowest, highest = (significant(float(value), 4) for value in (own.mean(), own.min(), own.max()))
+    return mean, spread, lowest, highest
+
+
+def _combinations(
+    factors: Mapping[str, tuple[float, ...]], y: NDArray[np.float64]
+) -> Iterator[tuple[tuple[float, ...], NDArray[np.bool_]]]:
+    """Each combination of levels, by level, and which runs have it."""
     settings = list(zip(*factors.values(), strict=True)) or [()] * len(y)
     for chosen in sorted(set(settings)):
-        own = y[[one == chosen for one in settings]]
-        spread = significant(float(own.std(ddof=1)), 2) if len(own) > 1 else ""
-        numbers = (significant(float(value), 4) for value in (own.mean(), own.min(), own.max()))
-        mean, lowest, highest = numbers
-        yield [*(f"{level:.12g}" for level in chosen), str(len(own)), mean, spread, lowest, highest]
-
-
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    return html_table([*map(escape, heads)], [[escape(cell or DASH) for cell in row] for row in rows])
+        yield chosen, np.array([one == chosen for one in settings])
 
 
 def _draw(
@@ -178,7 +238,7 @@ def _draw(
 ) -> None:
     """Responses over a factor with the means of its levels, or, without levels, over the order of the runs."""
     panel = figure.subplots()
-    panel.set_ylabel(f"{response.name.replace('_', ' ')} [{response.unit}]")
+    panel.set_ylabel(f"{response.title.lower()} [{response.unit}]")
     if levels is None:
         for block in sorted(set(table.blocks)):
             chosen = [k for k, b in enumerate(table.blocks) if b == block]

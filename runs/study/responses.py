@@ -20,6 +20,11 @@ class ResponseVariable:
     about: str
     of: Callable[[Run], float]
 
+    @property
+    def title(self) -> str:
+        """Name at the head of a section."""
+        return self.name.replace("_", " ").capitalize()
+
 
 def _travel_mm(run: Run) -> float:
     tip = run.tip.measured_mm

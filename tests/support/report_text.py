@@ -16,4 +16,4 @@ def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
         return [EMPTY] * len(figures)
 
     monkeypatch.setattr("runs.report.page.drawn", empty)
-    monkeypatch.setattr("runs.report.comparison.svg", lambda *_: EMPTY)
+    monkeypatch.setattr("runs.report.comparison.drawn", empty)

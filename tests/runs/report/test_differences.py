@@ -40,7 +40,7 @@ def test_only_settings_that_differ_are_listed_with_the_value_of_each_run(pair: l
     pair[1].header = dataclasses.replace(pair[1].header, metadata={"specimen": "A7"})
     assert differing(pair) == {"protocol peak [bar]": ("0.2", "0.4"), "metadata specimen": ("", "A7")}
     text = page.page(pair)
-    assert "<th>protocol peak [bar]</th><td>0.2</td><td>0.4</td>" in text
+    assert "<td>protocol peak [bar]</td><td>0.2</td><td>0.4</td>" in text
 
 
 def test_settings_of_the_rig_file_are_compared_one_by_one(pair: list[Run]) -> None:
@@ -78,7 +78,7 @@ def test_the_curves_of_equal_runs_are_all_visible(pair: list[Run], draw: Callabl
 @pytest.mark.parametrize("draw", [comparison.tips, comparison.errors])
 def test_the_curves_of_many_equal_runs_are_all_visible(pair: list[Run], draw: Callable[..., None]) -> None:
     many = [pair[0]] * 9
-    figure = Figure(figsize=comparison.comparison_figures(many)[0].size, dpi=200)
+    figure = Figure(figsize=comparison.comparison_figures(many, [run.summary for run in many])[0].size, dpi=200)
     draw(figure, many, [run.summary for run in many])
     limits = {(axes.get_xlim(), axes.get_ylim()) for axes in figure.axes}
     assert len(limits) == 1

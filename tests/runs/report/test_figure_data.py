@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from runs.report import figure_data
@@ -18,8 +19,9 @@ def test_labels_hold_no_control_characters(tmp_path: Path) -> None:
     axes.set_ylabel("\x07force")
     figure_data.write(figure, tmp_path / "load.csv")
     with (tmp_path / "load.csv").open(newline="") as file:
-        row = next(csv.DictReader(file))
-    assert (row["label"], row["x_label"], row["y_label"]) == (r"\x1b[31mload", r"\u202etime", r"\x07force")
+        head = next(csv.reader(file))
+    curve = r"panel 1 line 1 (\x1b[31mload): "
+    assert head == [curve + r"\u202etime", curve + r"\x07force", "remark"]
 
 
 def test_panels_that_share_the_x_axis_all_have_its_label(tmp_path: Path) -> None:
@@ -30,4 +32,14 @@ def test_panels_that_share_the_x_axis_all_have_its_label(tmp_path: Path) -> None
     lower.set_xlabel("time [s]")
     figure_data.write(figure, tmp_path / "load.csv")
     with (tmp_path / "load.csv").open(newline="") as file:
-        assert {row["x_label"] for row in csv.DictReader(file)} == {"time [s]"}
+        head = next(csv.reader(file))
+    assert [name for name in head if name.endswith(": time [s]")] == [
+        "panel 1 line 1: time [s]",
+        "panel 2 line 1: time [s]",
+    ]
+
+
+def test_a_gap_of_a_line_is_an_empty_cell() -> None:
+    figure = Figure()
+    figure.add_subplot().plot([0.0, 1.0, 2.0], [1.0, np.nan, 2.0])
+    assert figure_data.table(figure, "simulated").splitlines()[1:] == ["0,1,simulated", "1,,simulated", "2,2,simulated"]

@@ -8,7 +8,7 @@ from functools import partial
 
 import pytest
 
-from runs.report.page import drawn
+from runs.report.drawing import drawn
 
 
 def name_and_process(name: str) -> str:

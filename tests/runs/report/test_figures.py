@@ -126,9 +126,9 @@ def test_the_data_of_a_figure_lie_beside_it(archive: Path, tmp_path: Path) -> No
     rows = list(csv.reader(figure.with_suffix(".csv").read_text().splitlines()))
     head, *points = rows
     table = [dict(zip(head, row, strict=True)) for row in points]
-    drawn = np.array([float(row["y"]) for row in table if (row["panel"], row["label"]) == ("1", "measured, 95 % band")])
+    drawn = np.array([float(row["panel 1 line 1 (measured, 95 % band): x [mm]"] or np.nan) for row in table])
     measured = runs.open(archive).tip.measured_mm[:, 0]
-    np.testing.assert_allclose(drawn[np.isfinite(drawn)], measured[np.isfinite(measured)])
+    np.testing.assert_allclose(drawn[np.isfinite(drawn)], measured[np.isfinite(measured)], rtol=1e-6)
 
 
 @pytest.mark.slow
@@ -169,12 +169,16 @@ def test_the_data_beside_a_figure_have_its_bars_and_error_bars(tmp_path: Path) -
     with (tmp_path / "one.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {row["remark"] for row in rows} == {"simulated"}
-    found = {kind: [row for row in rows if row["kind"] == kind] for kind in ("error bar", "bar", "band", "line")}
-    bars = [tuple(float(row[name]) for name in ("x", "y", "low", "high")) for row in found["error bar"]]
-    assert bars == [(1.0, 3.0, 2.5, 3.5), (2.0, 4.0, 3.75, 4.25)]
-    assert [(float(row["x"]), float(row["y"])) for row in found["bar"]] == [(1.0, 5.0), (2.0, 6.0)]
-    assert {(float(row["x"]), float(row["y"])) for row in found["band"]} == {(0, 0), (1, 1), (0, 2), (1, 3)}
-    assert not found["line"]
+
+
+    def points(curve: str, *names: str) -> list[tuple[float, ...]]:
+        columns = [f"panel 1 {curve}: {name}" for name in names]
+        return [tuple(float(row[name]) for name in columns) for row in rows if row[columns[0]]]
+
+    assert points("error bar 1 (measured)", "x", "y", "low", "high") == [(1.0, 3.0, 2.5, 3.5), (2.0, 4.0, 3.75, 4.25)]
+    assert points("bar 1 (error)", "x", "y") == [(1.0, 5.0), (2.0, 6.0)]
+    assert set(points("band 1 (band)", "x", "y")) == {(0, 0), (1, 1), (0, 2), (1, 3)}
+    assert not [name for name in rows[0] if " line " in name]
 
 
 def test_z_points_down_in_the_figure_of_a_path_in_a_vertical_plane(archive: Path) -> None:

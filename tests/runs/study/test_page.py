@@ -14,7 +14,7 @@ import pytest
 from runs.archive.writer import finalise
 from runs.journal.journal import JournalWriter
 from runs.records import RunFooter, Status, StudyRole, StudyRun
-from runs.report.html_table import DASH
+from runs.report.html import DASH
 from runs.study.page import StudyTable, _response, tabulate, write
 from runs.study.responses import RESPONSES
 from tests.support.synthetic_runs import header
@@ -24,7 +24,7 @@ def test_the_page_shows_the_mean_and_the_scatter_of_each_combination() -> None:
     factors = {"peak_bar": (0.1, 0.2, 0.1, 0.2), "hold_s": (1.0, 1.0, 1.0, 2.0)}
     table = StudyTable((("1",),) * 4, factors, ((1.0, 5.0, 3.0, 7.0),), (1,) * 4, (1, 2, 3, 4), (True,) * 4)
     text = " ".join(_response(RESPONSES[0], factors, table))
-    rows = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", text, re.DOTALL)]
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", text)]
     assert [row[:5] for row in rows if row] == [
         ["0.1", "1", "2", "2", "1.4"],
         ["0.2", "1", "1", "5", DASH],
