@@ -35,7 +35,7 @@ def section(runs: Sequence[Run], summaries: Sequence[Summary]) -> str:
     note = "<b>Simulated</b> runs are marked; nothing in them was measured on a real manipulator."
     left_out = f"<b>Not finished:</b> {', '.join(early)}. Such runs are marked in every table and count in no mean."
     parts = (
-        html.heading(f"{len(runs)} runs", "", simulated=simulated),
+        html.heading(f"{len(runs)} runs", "", simulated=all(summary.simulated for summary in summaries)),
         html.note(note) if simulated else "",
         html.note(left_out, "fault") if early else "",
         f'<p class="conclusion">{conclusion(runs, summaries)}</p>',

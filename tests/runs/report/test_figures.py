@@ -170,7 +170,6 @@ def test_the_data_beside_a_figure_have_its_bars_and_error_bars(tmp_path: Path) -
         rows = list(csv.DictReader(file))
     assert {row["remark"] for row in rows} == {"simulated"}
 
-
     def points(curve: str, *names: str) -> list[tuple[float, ...]]:
         columns = [f"panel 1 {curve}: {name}" for name in names]
         return [tuple(float(row[name]) for name in columns) for row in rows if row[columns[0]]]

@@ -1,4 +1,4 @@
-"""The pages of reports: what stands first, what is folded, which files a figure holds, and how wide and long they are."""
+"""The pages of reports: what stands first, what is folded, what each figure holds, how wide and long they are."""
 
 from __future__ import annotations
 
@@ -160,7 +160,9 @@ def test_pages_fit_their_windows_and_twelve_runs_need_no_long_page(tmp_path: Pat
                 tab.until(f"document.readyState === 'complete' && location.href.endsWith('{name}.html')")
                 assert tab.value("document.documentElement.scrollWidth") <= width
                 if width == 1440:
-                    cut_off = "[...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth).length"
+                    cut_off = (
+                        "[...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth).length"
+                    )
                     assert tab.value(cut_off) == 0
                     assert tab.value("document.documentElement.scrollHeight") < 3300
 
