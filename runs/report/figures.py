@@ -159,7 +159,10 @@ def backbones(figure: Figure, run: Run, summary: Summary) -> None:
     near.set_ylabel("z [mm]")
     legend(near)
     if high > low:
-        bar = figure.colorbar(scale, ax=near, label=label, aspect=30, pad=0.02, boundaries=np.linspace(*ends_at, 256))
+        room = 0.15 if narrow(figure) else 0.26
+        bar = figure.colorbar(
+            scale, ax=near, label=label, aspect=30, pad=0.02, fraction=room, boundaries=np.linspace(*ends_at, 256)
+        )
         bar.outline.set_visible(False)
         bar.locator = MaxNLocator(6, steps=[1, 2, 3, 5, 6, 10])
         bar.update_ticks()

@@ -184,7 +184,7 @@ def _response(response: ResponseVariable, factors: Mapping[str, tuple[float, ...
     """The runs over each factor and over their order, and the mean of each combination."""
     y = np.array(table.responses[RESPONSES.index(response)])
     yield f"<h2>{response.title} [{response.unit}]</h2>"
-    yield f"<p>{escape(response.about)}.</p>"
+    yield f"<p>{escape(response.about[:1].upper() + response.about[1:])}.</p>"
     # A drawing for each panel: on a narrow page they stand below each other, with the letters still large enough.
     mark = "simulated" * any(table.simulated)
     drawings = "".join(
