@@ -17,13 +17,9 @@ import numpy as np
 
 import model
 import runs
-from calibration.identify import figures
-from calibration.identify.fit import identify
-from calibration.identify.nuisance import stated_values
-from calibration.identify.parameter import Prior
-from calibration.identify.parameters import named
-from calibration.identify.poses import Poses
-from calibration.identify.setup import Setup
+from calibration.identify.fitting.fit import identify
+from calibration.identify.observations.poses import Poses
+from calibration.identify.presentation import figures
 from calibration.identify.simulated_experiments import (
     LAG_PRIOR,
     Coverage,
@@ -34,6 +30,10 @@ from calibration.identify.simulated_experiments import (
     plan,
     run_trial,
 )
+from calibration.identify.unknowns.nuisance import stated_values
+from calibration.identify.unknowns.parameter import Prior
+from calibration.identify.unknowns.parameters import named
+from calibration.identify.unknowns.setup import Setup
 from calibration.parallel_map import parallel_map
 from model.arrays import Array
 from rig.config.loader import load
@@ -127,11 +127,8 @@ def drawn(trials: int, seed: int) -> list[CoverageTrial]:
     return tasks
 
 
-def by_default(kind: str, trials: int, seed: int, effects: bool) -> list[CoverageTrial]:
-    """The default form of `rig identify`: each number of each arm is drawn from its standard uncertainty.
-
-    effects: whether the arms have effects that the model lacks, drawn from the prior that the fit assumes.
-    """
+def by_default(kind: str, trials: int, seed: int) -> list[CoverageTrial]:
+    """The default form of `rig identify`: each number of each arm is drawn from its standard uncertainty."""
     errors = MeasurementErrors((3e-5, 3e-5, 6e-5), 20.0, 500.0)
     ramp, time_s = np.linspace(0.15e5, 0.65e5, 11)[:, None], np.arange(240) / 30
     static = plan("ramp-a", ramp * np.array([1.0, 0.0, 0.0]), errors=errors)
@@ -151,9 +148,7 @@ def by_default(kind: str, trials: int, seed: int, effects: bool) -> list[Coverag
     # A trial frees the offsets of its sensors by itself.
     shared = [name for name in default_parameters(load("mock-ideal")) if name != "sensor_offsets"]
     free = (*shared, *(("damping_s",) if kind == "moving" else ()))
-    return [
-        CoverageTrial(planned, truth, truth, free, errors, seed * 1_000_003 + k, stated, effects) for k in range(trials)
-    ]
+    return [CoverageTrial(planned, truth, truth, free, errors, seed * 1_000_003 + k, stated) for k in range(trials)]
 
 
 def _each(rng: np.random.Generator, most: float) -> tuple[float, float, float]:
@@ -175,7 +170,7 @@ def draw(file: Path, seed: int) -> None:
     data = [perform(one, truth, rng) for one in planned]
     fit = identify(data, start, (*FREE, "sensor_offsets"), {"sensor_offsets": Prior(0.0, 200.0)})
     true = {one.name: one.read(truth) for one in named(FREE, 3)}
-    save(figures.estimates, (9, 5.5), file, fit, (), true)
+    save(figures.estimates, (9, 5.5), file, fit, true)
 
 
 def print_coverage(found: Coverage) -> None:
@@ -207,9 +202,8 @@ def main() -> None:
     instead.add_argument(
         "--default",
         choices=("static", "several", "moving"),
-        help="coverage of the default form; every number is drawn, and the effects that the model lacks",
+        help="coverage of the default form; every number is drawn",
     )
-    options.add_argument("--as-modelled", action="store_true", help="with --default: arms without such effects")
     instead.add_argument("--drawn", action="store_true", help="coverage of all parameters of arms drawn at random")
     options.add_argument("--store", type=Path, help="keep finished trials there, to resume")
     options.add_argument("--archives", type=Path, nargs="+", help="measure archives per minute with these instead")
@@ -226,7 +220,7 @@ def main() -> None:
         began = time.perf_counter()
         if given.moving or given.drawn or given.default:
             if given.default:
-                tasks = by_default(given.default, given.trials, given.seed, not given.as_modelled)
+                tasks = by_default(given.default, given.trials, given.seed)
             else:
                 tasks = (drawn if given.drawn else motions)(given.trials, given.seed)
             free = tasks[0].free

@@ -11,7 +11,7 @@ from scipy.special import chdtri
 
 from calibration.baselines.repeatability import Repeatability
 from calibration.baselines.selection import BaselineFit
-from calibration.identify.poses import Poses
+from calibration.identify.observations.poses import Poses
 from model.arrays import Array
 
 ROD = "rod"

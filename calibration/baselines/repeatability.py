@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.identify.poses import Poses
+from calibration.identify.observations.poses import Poses
 from model.arrays import Array
 
 # A state is held while no pressure changes by more than this share of its range over this time, and is its end.

@@ -9,8 +9,8 @@ import numpy as np
 
 from calibration.baselines.methods import BASELINES, BaselineMethod, PredictTips
 from calibration.baselines.tip_inputs import TipInputs, inputs_of, joined
-from calibration.identify.blocks_left_out import BLOCKS
-from calibration.identify.poses import Poses
+from calibration.identify.fitting.blocks_left_out import BLOCKS
+from calibration.identify.observations.poses import Poses
 from model.arrays import Array
 
 Triple = tuple[float, float, float]

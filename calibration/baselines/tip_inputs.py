@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.poses import Poses
-from calibration.identify.pressure_lag import lagged_pa
+from calibration.identify.observations.poses import Poses
+from calibration.identify.observations.pressure_lag import lagged_pa
 from model.arrays import Array
 from model.units import PA_PER_BAR
 

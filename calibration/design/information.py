@@ -1,4 +1,4 @@
-"""Information of planned experiments, with the noise model, priors, unknowns and model error of the identification."""
+"""Information of planned experiments, with the noise model, priors and unknowns of the identification."""
 
 from __future__ import annotations
 
@@ -8,54 +8,57 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
-from calibration.design.expected_model_error import Effects, added_variances, columns_and_amplitude
-from calibration.identify.information import covariance
-from calibration.identify.least_squares import LeastSquaresProblem
-from calibration.identify.parameter import Parameter, Prior
-from calibration.identify.poses import Poses
-from calibration.identify.setup import Setup
-from calibration.identify.simulated_experiments import located, scaled_errors
-from calibration.identify.undetermined import UNDETERMINED_SPANS
+from calibration.identify.fitting.fit import OPEN_SPANS
+from calibration.identify.fitting.noise import Noise, RunNoise
+from calibration.identify.fitting.objective import Objective
+from calibration.identify.observations.poses import Poses
+from calibration.identify.prediction.forward_model import ForwardModel
+from calibration.identify.simulated_experiments import located
+from calibration.identify.unknowns.parameter import Parameter, Prior
+from calibration.identify.unknowns.setup import Setup
+from calibration.identify.unknowns.unknown import unknowns_of
 from model.arrays import Array
 from model.processors import usable_processors
 
-# Draws of the measurement errors that the expected error bars are medians over. Their seed is fixed.
-_DRAWS = 25
 # Time steps per frame. A gradient needs fewer than the tips of a fit: twice as many change no bar of `mock` by 2 %.
 SUBSTEPS = 4
 
 
 @dataclass(frozen=True)
-class Unknowns:
-    """What an identification would estimate: free and nuisance parameters, their priors by name, initial setup.
+class UnknownsOfDesign:
+    """What an identification would estimate: free parameters and those beside, their priors by name, initial setup.
 
     arms: setups that the experiment may meet, as likely as each other; the initial one if there are none.
     """
 
     start: Setup
     free: tuple[Parameter, ...]
-    nuisance: tuple[Parameter, ...]
+    beside: tuple[Parameter, ...]
     priors: Mapping[str, Prior]
     arms: tuple[Setup, ...] = ()
 
-    def problem(self, planned: Sequence[Poses]) -> LeastSquaresProblem:
-        """The least-squares problem of planned experiments whose tips are exactly where the model predicts them."""
-        problem = LeastSquaresProblem(planned, self.start, (*self.free, *self.nuisance), self.priors, substeps=SUBSTEPS)
-        z = np.zeros(len(problem.unknowns))
+    def objective(self, planned: Sequence[Poses]) -> Objective:
+        """The objective of planned experiments whose tips are exactly where the model predicts them."""
+        unknowns = unknowns_of(self.start, len(planned), self.free, self.beside, self.priors)
+        forward = ForwardModel(planned, self.start, unknowns, substeps=SUBSTEPS)
+        theta = forward.first
         # The gradients bring the tips with them.
-        problem.slopes(z, range(len(z)))
-        predicted = zip(planned, problem.predicted(z), problem.rotations(z), problem.sections(z), strict=True)
-        return problem.measured_as([located(poses, (tips, turned), along) for poses, tips, turned, along in predicted])
+        forward.slopes(theta)
+        predicted = zip(
+            planned, forward.predicted(theta), forward.rotations(theta), forward.sections(theta), strict=True
+        )
+        exact = forward.measured_as([located(poses, (tips, turned), along) for poses, tips, turned, along in predicted])
+        errors = zip(exact.data, exact.pressure_covariances(theta), strict=True)
+        runs = (RunNoise(poses.pose_covariance + by, poses.measured) for poses, by in errors)
+        return Objective(exact, Noise(tuple(runs), {}))
 
 
 @dataclass(frozen=True)
 class ErrorBars:
     """Expected standard errors `std` (n,), with names, units, values and spans, of the shared free parameters.
 
-    alone (n,): the part by measurement and priors, without the model error. by_arm (arms, n): std of each arm, of which
-    `std` is the median: fine measurements make it depend on the arm.
+    by_arm (arms, n): std of each arm, of which `std` is the median: fine measurements make it depend on the arm.
     """
 
     names: tuple[str, ...]
@@ -63,90 +66,60 @@ class ErrorBars:
     values: Array
     spans: Array
     std: Array
-    alone: Array
     by_arm: Array
 
     @property
     def decided(self) -> NDArray[np.bool_]:
         """Which parameters (n,) an identification would state, rather than report as not identifiable."""
-        out: NDArray[np.bool_] = self.alone <= UNDETERMINED_SPANS * self.spans
+        out: NDArray[np.bool_] = self.std <= OPEN_SPANS * self.spans
         return out
 
 
-def of_interest(problem: LeastSquaresProblem, unknowns: Unknowns) -> list[int]:
+def of_interest(forward: ForwardModel) -> list[int]:
     """Indices of the unknowns whose error bars a design minimises: free, and shared by all runs."""
-    names = {parameter.name for parameter in unknowns.free}
-    return [i for i, one in enumerate(problem.unknowns) if one.run is None and one.parameter.name in names]
+    return [i for i, one in enumerate(forward.unknowns) if one.run is None and one.free]
 
 
-def block_information(problem: LeastSquaresProblem, frames: Sequence[slice]) -> tuple[Array, Array]:
-    """Information (B, n + m, n + m) of ranges of frames of the problem's only run, and of the priors (n + m, n + m).
-
-    On n unknowns, in spans, and on m coefficients of the model error.
-    """
-    z = np.zeros(len(problem.unknowns))
-    (rows,), prior = problem.whitened_slopes(z, masked=False)
-    (weights,), _ = problem.weights(z, 0.0)
-    (columns,), amplitude = columns_and_amplitude(problem)
-    every = np.concatenate([rows, weights.whitened(columns)], axis=2)
-    information = np.array([np.einsum("kin,kim->nm", every[one], every[one], optimize=True) for one in frames])
-    return information, block_diag(prior.T @ prior, np.diag(amplitude**-2))
+def block_information(objective: Objective, frames: Sequence[slice]) -> tuple[Array, Array]:
+    """Information (B, n, n) of ranges of frames of the only run, and of the priors (n, n), in their deviations."""
+    forward = objective.forward
+    (run,), (slope,) = objective.noise.runs, forward.slopes(forward.first)
+    rows = run.whitened(slope) * forward.std
+    information = np.array([np.einsum("kin,kim->nm", rows[one], rows[one], optimize=True) for one in frames])
+    return information, np.eye(len(forward.unknowns))
 
 
-def error_bars(planned: Sequence[Poses], unknowns: Unknowns) -> ErrorBars:
-    """Expected standard errors of an identification from all the planned experiments together.
+def error_bars(planned: Sequence[Poses], unknowns: UnknownsOfDesign) -> ErrorBars:
+    """Expected standard errors of an identification from all the planned experiments together (Cramer-Rao bound).
 
-    Those of measurement and priors (Cramer-Rao bound), and what the model error adds on an arm that obeys the model.
-    Medians over the arms of the unknowns, and over draws of the measurement errors.
+    Medians over the arms of the unknowns.
     """
     return error_bars_of_repeats(planned, unknowns, (1.0,))[0]
 
 
 def error_bars_of_repeats(
-    planned: Sequence[Poses], unknowns: Unknowns, repeats: Sequence[float]
+    planned: Sequence[Poses], unknowns: UnknownsOfDesign, repeats: Sequence[float]
 ) -> tuple[ErrorBars, ...]:
     """As `error_bars`, for each number of repeats of the planned experiments."""
     arms = unknowns.arms or (unknowns.start,)
-    draws = -(-_DRAWS // len(arms))
 
-    def of_arm(arm: Setup, seed: int) -> list[tuple[Array, Array]]:
-        rng = np.random.default_rng(seed)
-        problem = replace(unknowns, start=arm).problem(planned)
-        effects = Effects.of(problem)
-        return [_bars(problem, effects, count, draws, rng) for count in repeats]
+    def of_arm(arm: Setup) -> list[Array]:
+        objective = replace(unknowns, start=arm).objective(planned)
+        theta = objective.forward.first
+        return [np.sqrt(np.diagonal(_repeated(objective, count).covariance(theta))) for count in repeats]
 
     # The kernels of the rod model release the interpreter.
     with ThreadPoolExecutor(max_workers=min(len(arms), usable_processors())) as pool:
-        found = list(pool.map(of_arm, arms, range(len(arms))))
-    problem = unknowns.problem([])
-    chosen = [i for i, one in enumerate(problem.unknowns) if one.parameter in unknowns.free]
-    names = tuple(problem.unknowns[i].parameter.name for i in chosen)
-    units = tuple(problem.unknowns[i].parameter.unit for i in chosen)
-    values = problem.values(np.zeros(len(problem.unknowns)))[chosen]
-    spans = np.array([problem.unknowns[i].span for i in chosen])
-    out = []
-    for own in zip(*found, strict=True):
-        alone, whole = np.array([one for one, _ in own]), np.concatenate([both for _, both in own])
-        by_arm = np.array([np.median(both, axis=0)[chosen] for _, both in own])
-        std, without = np.median(whole, axis=0)[chosen], np.median(alone, axis=0)[chosen]
-        out.append(ErrorBars(names, units, values, spans, std, without, by_arm))
-    return tuple(out)
+        found = list(pool.map(of_arm, arms))
+    every = unknowns_of(unknowns.start, len(planned), unknowns.free, unknowns.beside, unknowns.priors)
+    chosen = [i for i, one in enumerate(every) if one.free and one.run is None]
+    names, units = tuple(every[i].name for i in chosen), tuple(every[i].parameter.unit for i in chosen)
+    values, spans = (np.array([getattr(every[i], what) for i in chosen]) for what in ("start", "span"))
+    by_repeats = [np.array(own)[:, chosen] for own in zip(*found, strict=True)]
+    return tuple(ErrorBars(names, units, values, spans, np.median(own, axis=0), own) for own in by_repeats)
 
 
-def _bars(
-    problem: LeastSquaresProblem, effects: Effects, repeats: float, draws: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Standard errors of all unknowns: alone (n,), and with the model error for each draw (draws, n)."""
-    z = np.zeros(len(problem.unknowns))
-    problem = problem.measured_as([_repeated(own, repeats) for own in problem.data])
-    rows, prior = problem.whitened_slopes(z)
-    data = np.sum([np.einsum("kin,kim->nm", own, own, optimize=True) for own in rows], axis=0)
-    variances = np.diagonal(covariance(prior.T @ prior + data))
-    rates = np.abs(problem.rates(z))
-    return rates * np.sqrt(variances), rates * np.sqrt(variances + added_variances(problem, effects, draws, rng))
-
-
-def _repeated(planned: Poses, count: float) -> Poses:
-    """An experiment that is the mean of so many repeats."""
-    mean = scaled_errors(planned, np.full(len(planned), 1 / count))
-    return replace(mean, pressure_std_pa=planned.pressure_std_pa / np.sqrt(count))
+def _repeated(objective: Objective, count: float) -> Objective:
+    """The objective of experiments that are the mean of so many repeats."""
+    runs = (RunNoise(run.covariance / count, run.measured) for run in objective.noise.runs)
+    return replace(objective, noise=Noise(tuple(runs), {}))

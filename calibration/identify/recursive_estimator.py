@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 import model
-from calibration.identify.memory_parameters import ALL_NAMES
-from calibration.identify.parameter import Parameter, Prior
-from calibration.identify.parameters import named
-from calibration.identify.section_mounts import mount_parameter, offset_names
-from calibration.identify.setup import Setup
+from calibration.identify.unknowns.memory_parameters import ALL_NAMES
+from calibration.identify.unknowns.parameter import Parameter, Prior
+from calibration.identify.unknowns.parameters import named
+from calibration.identify.unknowns.section_mounts import mount_parameter, offset_names
+from calibration.identify.unknowns.setup import Setup
 from model.arrays import Array
 from model.statics import statics
 

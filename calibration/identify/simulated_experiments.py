@@ -9,21 +9,19 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from calibration.identify.drawn_effects import DrawnEffects, drawn_effects
-from calibration.identify.fit import identify
-from calibration.identify.memory_parameters import ALL_NAMES, memory_names
-from calibration.identify.orientation import MIN_FRAMES, Orientations, turned_by
-from calibration.identify.parameter import Prior
-from calibration.identify.parameters import known, named
-from calibration.identify.poses import Poses
-from calibration.identify.pressure_course import PressureCourse
-from calibration.identify.pressure_history import pressure_history
-from calibration.identify.pressure_samples import PressureSamples
-from calibration.identify.pressure_smoothing import smoothed
-from calibration.identify.section_mounts import mount_parameters
-from calibration.identify.section_poses import SectionPoses
-from calibration.identify.setup import Setup
-from calibration.identify.tip_predictor import Predictor
+from calibration.identify.fitting.fit import identify
+from calibration.identify.observations.orientation import MIN_FRAMES, Orientations, turned_by
+from calibration.identify.observations.poses import Poses
+from calibration.identify.observations.pressure_course import PressureCourse
+from calibration.identify.observations.pressure_samples import PressureSamples
+from calibration.identify.observations.pressure_smoothing import smoothed
+from calibration.identify.observations.section_poses import SectionPoses
+from calibration.identify.prediction.tip_predictor import Predictor
+from calibration.identify.unknowns.memory_parameters import ALL_NAMES, memory_names
+from calibration.identify.unknowns.parameter import Prior
+from calibration.identify.unknowns.parameters import known, named
+from calibration.identify.unknowns.section_mounts import mount_parameters
+from calibration.identify.unknowns.setup import Setup
 from calibration.parallel_map import Progress, parallel_map
 from model.arrays import Array
 
@@ -82,7 +80,6 @@ def plan(
         covariance_m2=np.tile(np.diag(np.square(errors.tip_m)), (k, 1, 1)),
         frames=np.full(k, 1 if period_s else MIN_FRAMES, np.int64),
         time_s=time_s,
-        history=pressure_history(time_s, pressure_pa, time_s),
         orientation=None if errors.rotation_rad is None else _unmeasured(k, errors.rotation_rad),
         sections=tuple(
             SectionPoses(
@@ -136,13 +133,12 @@ def perform(
     rng: np.random.Generator,
     errors: MeasurementErrors | None = None,
     felt_pa: Array | None = None,
-    effects: DrawnEffects | None = None,
 ) -> Poses:
     """Do a planned experiment on a simulated arm; its pressures are the true ones, the result's the measured ones.
 
-    felt_pa (K, N): pressures that a static arm responds to, where these are not its own. effects: what the arm does
-    beyond the model. A motion's true pressures go through the planned ones in a smooth curve; measured ones come as
-    late as `truth` says and are smoothed, as those of an archive.
+    felt_pa (K, N): pressures that a static arm responds to, where these are not its own. A motion's true pressures go
+    through the planned ones in a smooth curve; measured ones come as late as `truth` says and are smoothed, as those of
+    an archive.
     """
     errors = errors or MeasurementErrors()
     plant = replace(truth, sensor_offset_pa=(), sensor_gain=(), sensor_lag_s=0.0)
@@ -158,14 +154,14 @@ def perform(
         curve, end_s = CubicSpline(planned.frame_s, planned.pressure_pa), planned.frame_s[-1]
         steps_s = np.linspace(0.0, end_s, 2 * _TRUE_SUBSTEPS * (len(planned) - 1) + 1)
         true = replace(planned, samples=PressureSamples(steps_s, curve(steps_s)))
-        predictor = Predictor(true if effects is None else effects.added_to(true), _TRUE_SUBSTEPS, extrapolated=True)
+        predictor = Predictor(true, _TRUE_SUBSTEPS, extrapolated=True)
         sampled_s = np.linspace(0.0, end_s, _SAMPLES * (len(planned) - 1) + 1)
         noisy = read(curve(sampled_s - truth.sensor_lag_s), errors.pressure_pa * _SAMPLES**0.5)
         samples = PressureSamples(sampled_s, smoothed(noisy)[0])
         measured_pa = samples.pressure_pa[::_SAMPLES]
     else:
         felt = planned if felt_pa is None else replace(planned, pressure_pa=felt_pa)
-        predictor = Predictor(felt if effects is None else effects.added_to(felt))
+        predictor = Predictor(felt)
         measured_pa = read(planned.pressure_pa, errors.plateau_pa)
     course = planned.course
     if course is not None:
@@ -263,7 +259,6 @@ class CoverageTrial:
     """One simulated identification: planned runs, true and starting setup, free parameters, and the seed.
 
     stated: value and uncertainty of every parameter; the trial then draws each true value from them, `truth` included.
-    effects: whether the arm has the effects that the model lacks, drawn from the prior that the fit assumes.
     """
 
     planned: tuple[Poses, ...]
@@ -273,7 +268,6 @@ class CoverageTrial:
     errors: MeasurementErrors
     seed: int
     stated: Mapping[str, Prior] | None = None
-    effects: bool = False
 
 
 @dataclass(frozen=True)
@@ -328,10 +322,7 @@ def run_trial(trial: CoverageTrial) -> Array:
     """
     rng = np.random.default_rng(trial.seed)
     truth = trial.truth if trial.stated is None else drawn_setup(trial.truth, trial.stated, rng, trial.planned)
-    # A stream of its own: an arm has the same numbers with and without effects.
-    own = np.random.default_rng([trial.seed, 1])
-    effects = drawn_effects(truth.arm, trial.planned, own) if trial.effects else None
-    data = [perform(planned, truth, rng, trial.errors, effects=effects) for planned in trial.planned]
+    data = [perform(planned, truth, rng, trial.errors) for planned in trial.planned]
     free, priors = list(trial.free), {"sensor_lag_s": LAG_PRIOR}
     if trial.errors.offset_pa:
         free.append("sensor_offsets")

@@ -18,7 +18,7 @@ def error_bars(found: Design, to: Path, source: str, *, as_json: bool) -> None:
     """Print the expected standard errors of a design beside those of the library; source: run of the assumed errors."""
     bars = found.bars
     low, high = bars.by_arm.min(axis=0).tolist(), bars.by_arm.max(axis=0).tolist()
-    std = (bars.std.tolist(), bars.alone.tolist(), found.library.std.tolist(), found.repeated.std.tolist())
+    std = (bars.std.tolist(), found.library.std.tolist(), found.repeated.std.tolist())
     labels = (bars.names, bars.units, bars.decided.tolist())
     rows = list(zip(*labels, bars.values.tolist(), low, high, *std, strict=True))
     if as_json:
@@ -27,20 +27,19 @@ def error_bars(found: Design, to: Path, source: str, *, as_json: bool) -> None:
                 "value": value,
                 "std": own,
                 "std_of_arms": (least, most),
-                "std_without_model_error": alone,
                 "std_library": library,
                 f"std_{REPEATS}_runs": repeated,
                 "unit": unit,
                 "identified": decided,
             }
-            for name, unit, decided, value, least, most, own, alone, library, repeated in rows
+            for name, unit, decided, value, least, most, own, library, repeated in rows
         }
         print_json({"protocol": str(to), "errors": _errors(found.errors, source), "parameters": parameters})
         return
     table = ColumnTable(
         "parameter", "value", "design +-", "of arms", "library +-", "ratio", f"{REPEATS} runs +-", "unit", "identified"
     )
-    for name, unit, decided, value, least, most, own, _, library, repeated in rows:
+    for name, unit, decided, value, least, most, own, library, repeated in rows:
         spread, ratio = f"{least:.2g}..{most:.2g}", f"{own / library:.2f}"
         numbers = (f"{value:.4g}", f"{own:.3g}", spread, f"{library:.3g}", ratio, f"{repeated:.2g}")
         table.add_row(name, *numbers, unit, "yes" if decided else "no")
@@ -51,9 +50,7 @@ def error_bars(found: Design, to: Path, source: str, *, as_json: bool) -> None:
         f"library: {', '.join(LIBRARY)} together; {REPEATS} runs: of the design\n"
         f"{_assumed(found.errors, source, found.sections)}\n"
         "plateaus count as held for long: nothing relaxes\n"
-        "of an arm that obeys the model, with the errors of the model that its run cannot exclude; an arm that shows "
-        "such errors gets wider bars, and `rig identify` holds a parameter that they leave open, also one with yes "
-        "above",
+        "of an arm that obeys the model; one that does not gets wider bars",
         soft_wrap=True,
     )
     typer.echo(to)

@@ -75,7 +75,7 @@ EXPECTED_ERRORS = {
     "calibration.dlt.DLTError": BAD_INPUT,
     "calibration.views.ViewsError": BAD_INPUT,
     "calibration.identify.errors.NoDataError": BAD_INPUT,
-    "calibration.identify.parameters.UnknownParameter": BAD_INPUT,
+    "calibration.identify.unknowns.parameters.UnknownParameter": BAD_INPUT,
     "model.errors.SeveralSegments": BAD_INPUT,
     "model.paper.identification.TooFewLoadsError": BAD_INPUT,
     "calibration.identify.recursive_estimator.NotEstimableError": BAD_INPUT,

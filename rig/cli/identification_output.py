@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import typer
 from rich.text import Text
 
-from calibration.baselines.comparison import Comparison
 from calibration.baselines.comparison import facts as comparison_facts
 from calibration.identify import Poses, Prior
-from calibration.identify.bootstrap import Bootstrap, bootstrap
-from calibration.identify.findings import Findings, findings
-from calibration.identify.held_out_prediction import Prediction
-from calibration.identify.model_comparison import ComparisonRow
-from calibration.identify.notation import Scale, interval, quantity, rounded, units_note
-from calibration.identify.parameters_document import content, section_facts
-from calibration.identify.profile_likelihood import LikelihoodProfile, profiles
-from calibration.identify.residual_dependence import Dependence
-from calibration.identify.results import Estimate, Fit, RunFit, SectionFit
+from calibration.identify.comparison.model_comparison import ComparisonRow
+from calibration.identify.fitting.held_out_prediction import Prediction
+from calibration.identify.fitting.results import Estimate, Fit, RunFit, SectionFit
+from calibration.identify.presentation.notation import Scale, quantity, rounded, units_note
+from calibration.identify.presentation.parameters_document import content, section_facts
 from rig.cli.baseline_output import methods_table
 from rig.cli.output import ColumnTable, console, print_json
 from rig.cli.progress import progress_bar
@@ -28,10 +22,8 @@ from rig.cli.run_names import resolve
 from rig.identify.estimation import read_poses
 from rig.identify.from_archives import Identification, OpenedRuns, open_runs
 from rig.identify.model_comparison import RunComparison
+from rig.identify.warnings import expected
 from runs.run import Run
-
-# A source that gives more than this share of the variance of an estimate is named beside it.
-_MOST = 0.5
 
 
 def results(lines: Iterable[str], beside_json: bool) -> None:
@@ -76,12 +68,10 @@ def read(archives: Sequence[Run], quasi_static: bool) -> list[Poses]:
         return read_poses(archives, quasi_static, progress)
 
 
-def identification(
-    done: Identification, dependences: Sequence[Dependence], compared: Sequence[Comparison], as_json: bool
-) -> None:
+def identification(done: Identification, warnings: Sequence[str], as_json: bool) -> None:
     """Print the conclusion, the estimates, the errors beside the baselines, and those of runs that were held out."""
     if as_json:
-        _print_json(done, dependences, compared)
+        _print_json(done, warnings)
     else:
         for line in done.conclusion:
             console().print(line, soft_wrap=True)
@@ -89,48 +79,22 @@ def identification(
             lag = f"The tip follows the pressures behind a lag of {done.pressure_lag_s:g} s"
             console().print(f"{lag}, which blocks left out of the fit's data chose.", soft_wrap=True)
         console().print()
-        _estimates(done.fit, dependences)
-        methods_table(compared, done.repeatability)
+        _estimates(done.fit, warnings)
+        methods_table(done.comparisons, done.repeatability)
     _prediction_errors(done.predictions, as_json)
 
 
-def _print_json(done: Identification, dependences: Sequence[Dependence], compared: Sequence[Comparison]) -> None:
-    """Print the content of a parameter file, the model error, the comparison and the predictions, as JSON."""
-    fit = done.fit
-    facts = content(fit, baseline=done.baseline) | {
+def _print_json(done: Identification, warnings: Sequence[str]) -> None:
+    """Print the content of a parameter file, the warnings, the comparison and the predictions, as JSON."""
+    facts = content(done.fit, done.baseline) | {
         "conclusion": list(done.conclusion),
-        "warnings": warnings_of(fit),
+        "warnings": list(warnings),
+        "noise": done.fit.noise_model,
         "pressure_lag_s": done.pressure_lag_s,
-        "comparison": comparison_facts(compared, done.baselines, done.repeatability),
-        "model_error": _model_error_facts(fit, findings(fit, dependences)),
-        "residual_dependence": [
-            {"on": one.quantity, "about": one.about, "share": one.share, "p_value": one.p_value} for one in dependences
-        ],
+        "comparison": comparison_facts(done.comparisons, done.baselines, done.repeatability),
         "predictions": [_prediction_facts(one) for one in done.predictions],
     }
     print_json(facts)
-
-
-def _model_error_facts(fit: Fit, found: Findings) -> dict[str, object]:
-    posterior = fit.model_error
-    return {
-        "effective_parameters": bool(found.effective),
-        "sentences": [words for words in (found.effective, found.range_note) if words],
-        "none_probability": None if posterior is None else posterior.absent,
-        "effects": [
-            {
-                "name": one.term.name,
-                "about": one.term.about,
-                "probability": one.probability,
-                "found": one.found,
-                "unit": one.term.unit,
-                "size": one.mean * one.term.factor,
-                "std": one.std * one.term.factor,
-                "below_95": one.below * one.term.factor,
-            }
-            for one in (() if posterior is None else posterior.effects)
-        ],
-    }
 
 
 def _prediction_facts(found: Prediction) -> dict[str, object]:
@@ -151,66 +115,41 @@ def _prediction_facts(found: Prediction) -> dict[str, object]:
     }
 
 
-def _estimates(fit: Fit, dependences: Sequence[Dependence]) -> None:
-    """Print the estimates with error bars or verdicts, what was held, the residuals and the model error."""
+def _estimates(fit: Fit, warnings: Sequence[str]) -> None:
+    """Print the estimates with error bars or verdicts, what was not free, the warnings and the residuals."""
     screen = console()
-    free = [(e, fixed) for e, fixed in zip(fit.estimates, fit.fixed, strict=True) if not e.nuisance]
+    free = [one for one in fit.estimates if not one.nuisance]
     table = ColumnTable("parameter", "value", "95 %", "rig file or prior", "run")
     undetermined = []
-    for e, fixed in free:
+    for e in free:
         if e.value is None or e.std is None or e.interval is None:
-            undetermined.append(_verdict(e, fixed))
+            undetermined.append(_verdict(e))
         else:
             scale = Scale.of(e.name, e.unit, e.value, e.std)
             ends = f"{scale.interval(e.interval)}{scale.suffix}"
-            table.add_row(e.name, scale.with_uncertainty(e.value, e.std), ends, _expected(e), e.run)
+            table.add_row(e.name, scale.with_uncertainty(e.value, e.std), ends, expected(e), e.run)
     screen.print(table)
-    if note := units_note({e.name: e.unit for e, _ in free}):
+    if note := units_note({e.name: e.unit for e in free}):
         screen.print(note, soft_wrap=True)
     for words in undetermined:
         screen.print(Text(words, "yellow"), soft_wrap=True)
-    _held(fit)
-    _warnings(fit)
+    _not_free(fit)
+    for words in warnings:
+        screen.print(Text(f"{words[0].upper()}{words[1:]}.", "yellow"), soft_wrap=True)
     for run in fit.runs:
         _residuals(run)
-    _model_error(findings(fit, dependences))
 
 
-def _model_error(found: Findings) -> None:
-    screen = console()
-    for shown in found.tables:
-        screen.print(shown.caption, soft_wrap=True)
-        table = ColumnTable(*shown.heads)
-        for row in shown.rows:
-            table.add_row(*row)
-        screen.print(table)
-    if found.range_note:
-        screen.print(Text(found.range_note, "yellow"), soft_wrap=True)
-    if found.effective:
-        screen.print(Text(found.effective, "bold yellow"), soft_wrap=True)
-
-
-_CONTRADICTION = (
-    "The result contradicts what the rig file states. Either that is wrong, or the arm does what the model does not "
-    "contain. Then these numbers describe this run only: identify from more runs, with other chambers and loads, and "
-    "compare with --leave-out."
-)
-
-
-def _verdict(e: Estimate, fixed: bool) -> str:
+def _verdict(e: Estimate) -> str:
     others = f" ({', '.join(e.partners)})" if e.partners else ""
-    label = f"{e.name} {e.run}".strip()
-    return f"{label}: {e.verdict.value}{others}; {'held at' if fixed else 'used'} {rounded(e.name, e.unit, e.used)}"
+    label, std = f"{e.name} {e.run}".strip(), rounded(e.name, e.unit, e.posterior_std, 2)
+    return f"{label}: {e.verdict.value}{others}; used {rounded(e.name, e.unit, e.used)} +- {std}"
 
 
-def _expected(e: Estimate) -> str:
-    return "" if e.expected is None else quantity(e.name, e.unit, e.expected.mean, e.expected.std)
-
-
-def _held(fit: Fit) -> None:
+def _not_free(fit: Fit) -> None:
     """Print the parameters that were not free: as stated, and as the fit moved them."""
-    held = [(one, std) for one, std in zip(fit.estimates, fit.std, strict=True) if one.nuisance]
-    if not held:
+    beside = [one for one in fit.estimates if one.nuisance]
+    if not beside:
         return
     screen = console()
     screen.print(
@@ -219,51 +158,9 @@ def _held(fit: Fit) -> None:
         soft_wrap=True,
     )
     table = ColumnTable("parameter", "stated", "after the fit", "run")
-    for one, std in held:
-        table.add_row(one.name, _expected(one), quantity(one.name, one.unit, one.used, std), one.run)
+    for one in beside:
+        table.add_row(one.name, expected(one), quantity(one.name, one.unit, one.used, one.posterior_std), one.run)
     screen.print(table)
-    if names := ", ".join(one.name for one in fit.less_certain if one.nuisance):
-        screen.print(
-            f"less certain after the fit than stated, because errors of the model may have moved them: {names}",
-            soft_wrap=True,
-        )
-
-
-def _warnings(fit: Fit) -> None:
-    """Print them; a contradiction of the rig file first."""
-    screen = console()
-    if any(not e.nuisance and not e.prior for e in fit.in_tension):
-        screen.print(Text(_CONTRADICTION, "bold yellow"), soft_wrap=True)
-    for words in warnings_of(fit):
-        screen.print(Text(words, "yellow"), soft_wrap=True)
-
-
-def warnings_of(fit: Fit) -> list[str]:
-    """What limits the error bars, and what does not fit together."""
-    by_source: dict[str, list[str]] = defaultdict(list)
-    for found in fit.estimates:
-        if found.identified and not found.nuisance and not found.run:
-            if fit.by_model_error(found) > _MOST:
-                by_source["possible errors of the model"].append(found.name)
-            for one, share in fit.contributions(found):
-                if share > _MOST and one.name != found.name:
-                    by_source[f"{one.name} ({_expected(one)})"].append(found.name)
-    warnings = [
-        f"most of the error bar of {', '.join(names)} comes from {source}" for source, names in by_source.items()
-    ]
-    warnings += [
-        f"{f'{e.name} {e.run}'.strip()} is {abs(e.tension):.1f} standard uncertainties from the {_expected(e)} that is "
-        f"{'its prior' if e.prior else 'stated in the rig file'}"
-        for e in fit.in_tension
-    ]
-    warnings += [fit.drifts] if fit.drifts else []
-    warnings += [f"left open by the data: {words}" for words in fit.open_directions]
-    if fit.starts > 1:
-        agreeing = f"{fit.agreeing_starts} of {fit.starts} starts of the search ended at this result"
-        warnings.append(f"{agreeing}{'' if fit.agreeing_starts > 1 else ': it may not be the best one; add --starts'}")
-    if not fit.solved:
-        warnings.append("the Gauss-Newton search did not converge")
-    return warnings
 
 
 def _residuals(run: RunFit) -> None:
@@ -290,44 +187,6 @@ def _sections(sections: Sequence[SectionFit]) -> str:
     return "; ".join(words)
 
 
-def failure(fit: Fit) -> None:
-    """Print that the search ended worse than it began."""
-    before, after = (1e3 * fit.problem.rms_m(z) for z in (0 * fit.solution.z, fit.solution.z))
-    results(
-        [
-            f"the search ended no better than it began: rms {after:.3f} mm, {before:.3f} mm before; "
-            f"no parameter is reported. Free fewer parameters, add --starts {2 * max(fit.starts, 4)}, or start from "
-            "another rig with --start"
-        ],
-        beside_json=True,
-    )
-
-
-def profiled(best: Fit, beside_json: bool) -> tuple[LikelihoodProfile, ...]:
-    """Compute profile likelihoods and print their intervals."""
-    with progress_bar("profiles") as progress:
-        found = profiles(best, progress=progress)
-    for one in found:
-        ends = "flat: not bounded by the data" if one.flat else interval(one.name, one.unit, one.interval)
-        results([f"{one.name}: 95 % by profile {ends}"], beside_json)
-    return found
-
-
-def bootstrapped(best: Fit, samples: int, scheduler: str | None, store: Path | None, beside_json: bool) -> Bootstrap:
-    """Compute bootstrap errors and print them beside those of the likelihood."""
-    with progress_bar("refitting") as progress:
-        found = bootstrap(best, samples, scheduler=scheduler, store=store, progress=progress)
-    bars = {(e.name, e.run): (e.std, e.unit) for e in best.estimates if not e.nuisance}
-    lines = []
-    for name, run, std in zip(found.names, found.runs, found.std, strict=True):
-        if (name, run) in bars:
-            own, unit = bars[name, run]
-            by_refits, by_likelihood = (rounded(name, unit, x, 2) for x in (std, own or 0.0))
-            lines.append(f"{name} {run}: +- {by_refits} by {samples} refits, {by_likelihood} by the likelihood")
-    results(lines, beside_json)
-    return found
-
-
 def _prediction_errors(found: Sequence[Prediction], beside_json: bool) -> None:
     for one in found:
         how = ", under its measured wrench" if one.under_wrench else ""
@@ -340,7 +199,6 @@ def _prediction_errors(found: Sequence[Prediction], beside_json: bool) -> None:
         results([f"{one.run_id} (left out{how}): {errors}"], beside_json)
         if one.sections:
             results([f"{one.run_id} (left out): sections: {_sections(one.sections)}"], beside_json)
-        results([f"{one.run_id} leaves the range of the fit: {words}" for words in one.outside], beside_json)
 
 
 def comparison(found: RunComparison, as_json: bool) -> None:

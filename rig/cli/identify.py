@@ -10,7 +10,6 @@ import typer
 
 from rig.cli import completion
 from rig.cli.commands import DefaultCommandGroup
-from rig.cli.exit_status import FAULT
 from rig.cli.options import Archives, AsJson, Every, Free, ParametersFile, Replace, Scheduler
 
 app = typer.Typer(
@@ -54,14 +53,19 @@ PerRun = Annotated[
         "a new mounting.",
     ),
 ]
-Starts = Annotated[
-    int | None,
+NoiseName = Annotated[
+    str,
     typer.Option(
-        "--starts",
-        metavar="N",
-        help="Starting points of the search.",
-        show_default="1; up to 4 where the first result is doubtful",
-        min=1,
+        "--noise",
+        metavar="NAME",
+        help="adaptive: extra errors, correlation and outliers by the residuals; white: weighted least squares "
+        "with the stated errors alone.",
+    ),
+]
+Export = Annotated[
+    Path | None,
+    typer.Option(
+        "--export", metavar="FILE", help="Write residuals, derivatives, covariances and priors, to check the fit (NPZ)."
     ),
 ]
 LeftOut = Annotated[
@@ -79,8 +83,6 @@ SplitTime = Annotated[
         "--split-s", metavar="S", help="Identify from each run's first S seconds, and predict the rest.", min=0
     ),
 ]
-Profile = Annotated[bool, typer.Option("--profile", help="Profile-likelihood intervals of every shared parameter.")]
-Refits = Annotated[int, typer.Option("--bootstrap", metavar="N", help="Bootstrap errors from N refits.", min=0)]
 IdentifiedRig = Annotated[
     Path | None,
     typer.Option("--rig-file", metavar="FILE", help="Write the initial rig with the parameters applied."),
@@ -95,18 +97,15 @@ def fit(
     prior: Priors = None,
     start: InitialRig = None,
     per_run: PerRun = "",
-    starts: Starts = None,
+    noise: NoiseName = "adaptive",
     quasi_static: QuasiStatic = False,
     every: Every = 1,
     leave_out: LeftOut = None,
     split_s: SplitTime = None,
-    profile: Profile = False,
-    bootstrap: Refits = 0,
-    scheduler: Scheduler = None,
-    store: Store = None,
     to: ParametersFile = None,
     rig_file: IdentifiedRig = None,
     report: ReportPage = None,
+    export: Export = None,
     replace: Replace = False,
     json: AsJson = False,
 ) -> None:
@@ -116,52 +115,40 @@ def fit(
 
     Without --free, these are free: law, rpe_per_bar, base, sensor_offsets, and damping_s for dynamic runs.
     """
-    from calibration.identify.parameters_document import write
-    from calibration.identify.report import write as write_report
-    from calibration.identify.residual_dependence import residual_dependence
+    from calibration.identify.fitting.export import write as write_export
+    from calibration.identify.presentation.parameters_document import write
+    from calibration.identify.presentation.report import write as write_report
     from rig.cli import identification_output as output
     from rig.cli.assignments import names
     from rig.cli.progress import state_of
     from rig.identify.estimation import rig_with
     from rig.identify.from_archives import from_data, read_data
     from rig.identify.initial_setup import truth_of
+    from rig.identify.warnings import warnings_of
     from runs.overwriting import refuse_existing, write_text
 
     if not quasi_static:
         _refuse("needs --quasi-static", {"--every": every > 1})
-    _check_bootstrap(bootstrap, scheduler, store)
     if rig_file is not None and to is None:
         to = rig_file.with_suffix(".parameters.yaml")
-    refuse_existing(filter(None, (report, to, rig_file)), replace=replace)
+    refuse_existing(filter(None, (report, to, rig_file, export)), replace=replace)
     priors = output.priors_of(prior or [])
     opened = output.opened(archives, leave_out or [], one_arm=start is not None)
     data = read_data(opened, start=start, quasi_static=quasi_static, every=every, split_s=split_s, read=output.read)
     with state_of("searching") as show:
-        done = from_data(data, free=names(free), priors=priors, per_run=names(per_run), starts=starts, progress=show)
-    if done.fit.worse_than_start:
-        output.failure(done.fit)
-        raise typer.Exit(FAULT)
-    dependences, compared = residual_dependence(done.fit), done.comparisons
-    output.identification(done, dependences, compared, json)
-    intervals = output.profiled(done.fit, json) if profile else ()
-    refits = output.bootstrapped(done.fit, bootstrap, scheduler, store, json) if bootstrap else None
+        done = from_data(data, free=names(free), priors=priors, per_run=names(per_run), noise=noise, progress=show)
+    output.identification(done, warnings_of(done), json)
     if report is not None:
         truth = truth_of(opened.seen[0])
-        typer.echo(write_report(done.fit, report, dependences, intervals, refits, done.predictions, truth), err=json)
+        typer.echo(write_report(done.fit, report, warnings_of(done), done.predictions, truth), err=json)
+    if export is not None:
+        typer.echo(write_export(done.fit, export), err=json)
     if to is not None:
-        written = write(done.fit, to, intervals, done.baseline)
+        written = write(done.fit, to, done.baseline)
         typer.echo(written, err=json)
         if rig_file is not None:
             write_text(rig_file, rig_with(done.rig, written))
             typer.echo(rig_file, err=json)
-
-
-def _check_bootstrap(refits: int, scheduler: str | None, store: Path | None) -> None:
-    """Refuse a single refit, and options of refits without any."""
-    if not refits:
-        _refuse("nothing runs in parallel: add --bootstrap", {"--scheduler": scheduler, "--store": store})
-    if refits == 1:
-        _refuse("at least two refits are needed", {"--bootstrap": refits})
 
 
 @app.command()

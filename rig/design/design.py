@@ -9,25 +9,24 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import protocols
 from calibration.design.exchange import CRITERIA, choose
 from calibration.design.information import (
     ErrorBars,
-    Unknowns,
+    UnknownsOfDesign,
     block_information,
     error_bars,
     error_bars_of_repeats,
     of_interest,
 )
-from calibration.identify.nuisance import nuisance_parameters
-from calibration.identify.parameter import Prior
-from calibration.identify.parameters import DAMPING_S, named
-from calibration.identify.poses import Poses
-from calibration.identify.section_mounts import mount_priors
-from calibration.identify.setup import Setup
+from calibration.identify.observations.poses import Poses
 from calibration.identify.simulated_experiments import MeasurementErrors, drawn_setup, exact
+from calibration.identify.unknowns.nuisance import nuisance_parameters
+from calibration.identify.unknowns.parameter import Prior
+from calibration.identify.unknowns.parameters import DAMPING_S, named
+from calibration.identify.unknowns.section_mounts import mount_priors
+from calibration.identify.unknowns.setup import Setup
 from protocols import BadInputError, Problem, Protocol, arguments
 from protocols.problems import bad_input, closest, raise_all
 from rig.config.arm_model import model_arm
@@ -55,8 +54,8 @@ class Design:
     """A designed protocol, its text, the expected error bars, and those of the runs of `LIBRARY` together.
 
     repeated: those of `REPEATS` runs of the protocol. More than a tenth of those of one run remains where what the rig
-    file states of the other parameters decides, or an error of the model acts as a parameter does. errors: of
-    measurement. sections: names of the measured sections, whose poses the error bars include.
+    file states of the other parameters decides. errors: of measurement. sections: names of the measured sections, whose
+    poses the error bars include.
     """
 
     protocol: Protocol
@@ -79,9 +78,8 @@ def design(
     """The protocol of at most `duration_s` whose expected error bars of the free parameters are smallest.
 
     Without `free`: the default parameters of `rig identify` for motions, and the shear ratio. criterion: a name of
-    `CRITERIA`, for an arm with errors of the model as an identification assumes before it has data. Blocks start and
-    end at the same level, so that their information adds; the expected error bars are those of the whole protocol, on
-    an arm that obeys the model. errors: of measurement, as `errors_of_run` reads them.
+    `CRITERIA`. Blocks start and end at the same level, so that their information adds; the expected error bars are
+    those of the whole protocol, on an arm that obeys the model. errors: of measurement, as `errors_of_run` reads them.
 
     Raises:
         UnknownParameter: a name in `free`.
@@ -103,12 +101,11 @@ def design(
     # The information of the blocks is computed in one thread.
     with ThreadPoolExecutor(1) as beside:
         beside_blocks = beside.submit(error_bars, known, replace(few, arms=few.arms[:_LIBRARY_ARMS]))
-        problem = unknowns.problem([motion])
-        information, prior = block_information(problem, [slice(a, b) for a, b in itertools.pairwise(first)])
+        objective = unknowns.objective([motion])
+        information, prior = block_information(objective, [slice(a, b) for a, b in itertools.pairwise(first)])
         library = beside_blocks.result()
     count = int((duration_s - 2 * ENDS_S + 1e-9) // BLOCK_S)
-    indices = choose(information, prior + _ridge(len(prior)), count, of_interest(problem, unknowns),
-                     CRITERIA[criterion], seed)  # fmt: skip
+    indices = choose(information, prior, count, of_interest(objective.forward), CRITERIA[criterion], seed)
     steps = framed(config, [candidates[k] for k in indices])
     title = f"Designed experiment, {len(indices) * BLOCK_S + 2 * ENDS_S:g} s"
     protocol = protocols.from_steps(title, steps)
@@ -140,14 +137,14 @@ def free_parameters(config: RigConfig) -> tuple[str, ...]:
     return (*default_parameters(config), "shear_ratio", "damping_s")
 
 
-def unknowns_of(config: RigConfig, free: Sequence[str], planned: Sequence[Poses]) -> Unknowns:
+def unknowns_of(config: RigConfig, free: Sequence[str], planned: Sequence[Poses]) -> UnknownsOfDesign:
     """What `rig identify` would estimate from planned experiments of a rig."""
     start = _damped(Setup(model_arm(config)))
     parameters = named(free, config.actuators)
     beside = nuisance_parameters(start, [exact(one, start) for one in planned], parameters)
     stated = mount_priors(planned) | rig_uncertainties(config, start)
     priors = sensor_priors(stated) | {p.name: stated[p.name] for p in beside}
-    return Unknowns(start, parameters, beside, priors, _drawn_arms(start, stated))
+    return UnknownsOfDesign(start, parameters, beside, priors, _drawn_arms(start, stated))
 
 
 def _drawn_arms(start: Setup, stated: Mapping[str, Prior]) -> tuple[Setup, ...]:
@@ -171,11 +168,6 @@ def _damped(setup: Setup) -> Setup:
     if material.damping_s > 0:
         return setup
     return replace(setup, arm=setup.arm.with_segment(material=replace(material, damping_s=DAMPING_S / 2)))
-
-
-def _ridge(count: int) -> NDArray[np.float64]:
-    """The weak information (n, n) that keeps every design's matrix invertible: an error of five spans."""
-    return np.eye(count) / 25.0
 
 
 def framed(config: RigConfig, chosen: Sequence[Block]) -> list[dict[str, Any]]:

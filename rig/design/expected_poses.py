@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import lfilter
 
-from calibration.identify.data import SETTLE_S, at_rest, in_motion
 from calibration.identify.errors import NoDataError
-from calibration.identify.poses import Poses
+from calibration.identify.observations.data import SETTLE_S, at_rest, in_motion
+from calibration.identify.observations.poses import Poses
 from calibration.identify.simulated_experiments import MeasurementErrors, plan, scaled_errors
 from model.arrays import Array
 from protocols import BadInputError, Problem, SetPointTrajectory, arguments

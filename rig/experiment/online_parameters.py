@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identify.parameter import Parameter
-from calibration.identify.parameters import named
-from calibration.identify.parameters_document import write
-from calibration.identify.results import NORMAL_95, Estimate, RunFit, Verdict
-from calibration.identify.setup import Setup
+from calibration.identify.fitting.results import NORMAL_95, Estimate, RunFit, Verdict
+from calibration.identify.presentation.parameters_document import write
+from calibration.identify.unknowns.parameter import Parameter
+from calibration.identify.unknowns.parameters import named
+from calibration.identify.unknowns.setup import Setup
 from rig.config.arm_model import model_arm
 from rig.config.loader import recorded
 from rig.config.sections import variant_named
@@ -29,14 +29,14 @@ _ONLY_PRIOR = 0.95
 
 @dataclass(frozen=True)
 class OnlineResult:
-    """The estimates at the end of a run; see `calibration.identify.parameters_document.IdentificationResult`."""
+    """The estimates at the end of a run, as `presentation.parameters_document.IdentificationResult` needs them."""
 
     setup: Setup
     start: Setup
     estimates: tuple[Estimate, ...]
     covariance: NDArray[np.float64]
     runs: tuple[RunFit, ...]
-    discrepancy_m: float = 0.0
+    extra_m: float = 0.0
 
     @property
     def rms_m(self) -> float:
@@ -101,5 +101,5 @@ def _estimate(parameter: Parameter, adaptation: Adaptation, k: int, start: Setup
         interval=(value - NORMAL_95 * std, value + NORMAL_95 * std) if known else None,
         verdict=verdict,
         partners=(),
-        joint_std=std,
+        posterior_std=std,
     )

@@ -21,7 +21,7 @@ def identify(
     priors: Mapping[str, Prior] | None = None,
     start: str | None = None,
     per_run: Sequence[str] = (),
-    starts: int | None = None,
+    noise: str = "adaptive",
     quasi_static: bool = False,
     every: int = 1,
     leave_out: Sequence[Run | Path | str] = (),
@@ -44,12 +44,11 @@ def identify(
         quasi_static=quasi_static,
         every=every,
         split_s=split_s,
-        starts=starts,
-        texts={"--start": start},
+        texts={"--start": start, "--noise": noise},
     )
     opened = open_runs(paths_of(runs), paths_of(leave_out), one_arm=start is not None)
     data = read_data(opened, start=start, quasi_static=quasi_static, every=every, split_s=split_s)
-    return from_data(data, free=free, priors=priors or {}, per_run=per_run, starts=starts)
+    return from_data(data, free=free, priors=priors or {}, per_run=per_run, noise=noise)
 
 
 def compare(

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from calibration.baselines.comparison import Comparison
 from calibration.baselines.repeatability import Repeatability
-from calibration.identify.notation import quantity
-from calibration.identify.poses import Poses
-from calibration.identify.results import Estimate, Fit
+from calibration.identify.fitting.results import Estimate, Fit
+from calibration.identify.observations.poses import Poses
+from calibration.identify.presentation.notation import quantity
 
 # So many parameters are named in a line.
 _NAMED = 4
@@ -33,7 +33,7 @@ def conclusion(
         f"Error: {beside}{1e3 * last.best_baseline.rms_m:.2f} mm{_verdict(last)}",
         f"Repeatability of the arm: {repeats}",
         f"Left open: {open_names}",
-        f"Record next: {'; '.join(_advice(fit.problem.data, bool(left), floor, held_out))}",
+        f"Record next: {'; '.join(_advice(fit.forward.data, bool(left), floor, held_out))}",
     )
 
 

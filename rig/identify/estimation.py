@@ -6,16 +6,16 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from calibration.identify.data import poses_of, quasi_static_poses
-from calibration.identify.fit import identify
-from calibration.identify.memory_parameters import memory_names
-from calibration.identify.nuisance import nuisance_parameters, stated_values
-from calibration.identify.parameter import Prior
-from calibration.identify.parameters import UnknownParameter, named
-from calibration.identify.poses import Poses
-from calibration.identify.results import Fit
-from calibration.identify.search import Progress as SearchProgress
-from calibration.identify.setup import Setup
+from calibration.identify.fitting.fit import Progress as SearchProgress
+from calibration.identify.fitting.fit import identify
+from calibration.identify.fitting.results import Fit
+from calibration.identify.observations.data import poses_of, quasi_static_poses
+from calibration.identify.observations.poses import Poses
+from calibration.identify.unknowns.memory_parameters import memory_names
+from calibration.identify.unknowns.nuisance import nuisance_parameters, stated_values
+from calibration.identify.unknowns.parameter import Prior
+from calibration.identify.unknowns.parameters import UnknownParameter, named
+from calibration.identify.unknowns.setup import Setup
 from model.units import PA_PER_BAR
 from protocols import BadInputError, Problem
 from rig.config.arm_model import model_arm
@@ -65,16 +65,17 @@ def from_poses(
     data: Sequence[Poses],
     free: Sequence[str],
     priors: Mapping[str, Prior],
-    starts: int | None = None,
     progress: SearchProgress = lambda text: None,
     per_run: Sequence[str] = (),
+    noise: str = "adaptive",
 ) -> Fit:
     """Identify an arm from runs, starting from a rig's arm.
 
     By default the parameters of `rig run --adapt` are free, the branches and stop elements of the rig's arm, and for
     dynamic runs the damping: otherwise base and law would absorb the lag of a motion. Every other number that the tip
     depends on is a nuisance parameter: it is estimated, too, with the rig's value and its standard uncertainty as
-    prior. A free parameter feels the uncertainty that the rig file states of it; without a statement it has no prior.
+    prior. A free parameter feels the uncertainty that the rig file states of it; without a statement its prior is a
+    plausible span about the rig's value.
     Parameters of `per_run`, free or not, have a value of their own in each run.
 
     Raises:
@@ -93,10 +94,10 @@ def from_poses(
         start,
         chosen,
         sensor_priors(stated) | stated_priors(config, stated) | _by_parameter(priors, config.actuators),
-        starts,
         stated=stated,
         per_run=per_run,
         progress=progress,
+        noise=noise,
     )
 
 

@@ -15,16 +15,17 @@ from calibration.baselines.methods import ConstantCurvature
 from calibration.baselines.repeatability import Repeatability, repeatability
 from calibration.baselines.selection import BaselineFit, fit_baselines
 from calibration.identify import split_at
-from calibration.identify.blocks_left_out import blocks_left_out
-from calibration.identify.held_out_prediction import Prediction, predict
-from calibration.identify.parameter import Prior
-from calibration.identify.parameters_document import Baseline
-from calibration.identify.poses import Poses
-from calibration.identify.pressure_lag import behind
-from calibration.identify.results import Fit
-from calibration.identify.search import Progress as SearchProgress
+from calibration.identify.fitting.blocks_left_out import blocks_left_out
+from calibration.identify.fitting.fit import Progress as SearchProgress
+from calibration.identify.fitting.held_out_prediction import Prediction, predict
+from calibration.identify.fitting.noise import NOISE_MODELS
+from calibration.identify.fitting.results import Fit
+from calibration.identify.observations.poses import Poses
+from calibration.identify.observations.pressure_lag import behind
+from calibration.identify.presentation.parameters_document import Baseline
+from calibration.identify.unknowns.parameter import Prior
 from protocols import Problem, arguments
-from protocols.problems import bad_input, raise_all
+from protocols.problems import bad_input, closest, raise_all
 from rig.config.arm_model import model_arm
 from rig.config.loader import RigFile
 from rig.identify import estimation, initial_setup
@@ -84,7 +85,7 @@ class Identification:
     @cached_property
     def repeatability(self) -> Repeatability | None:
         """How well the tip repeats in all of the data; None where no state returns."""
-        return repeatability((*self.fit.problem.data, *self.held_out))
+        return repeatability((*self.fit.forward.data, *self.held_out))
 
 
 def open_runs(archives: Sequence[Path], leave_out: Sequence[Path] = (), *, one_arm: bool = False) -> OpenedRuns:
@@ -149,26 +150,23 @@ def from_data(
     free: Sequence[str],
     priors: Mapping[str, Prior],
     per_run: Sequence[str] = (),
-    starts: int | None = None,
+    noise: str = "adaptive",
     progress: SearchProgress = lambda text: None,
 ) -> Identification:
     """Identify as `estimation.from_poses` does.
 
     Raises:
         UnknownParameter: a name is unknown, or a prior or `per_run` names a parameter without effect on the data.
-        BadInputError: a prior or the number of starts is invalid.
+        BadInputError: a prior or the name of the noise model is invalid.
     """
-    _check_starts(starts)
-    progress("baselines")
+    _check_noise(noise)
+    progress("baselines, then the rod")
     arm = model_arm(data.rig.config)
     baselines = fit_baselines(data.seen, arm.gravity_m_s2)
     lag_s = 0.0 if arm.remembers else next(one.lag_s for one in baselines if one.name == ConstantCurvature.name)
     seen = [behind(one, lag_s) for one in data.seen]
-    fit = estimation.from_poses(data.rig.config, seen, free, priors, starts, progress, per_run)
-    baseline = None
-    if not fit.worse_than_start:
-        first = data.opened.seen[0]
-        baseline = initial_setup.baseline_geometry(first, fit.start, data.from_recorded_rig)
+    fit = estimation.from_poses(data.rig.config, seen, free, priors, progress, per_run, noise)
+    baseline = initial_setup.baseline_geometry(data.opened.seen[0], fit.start, data.from_recorded_rig)
     if all(one.moving or one.course is None for one in seen):
         lag_s = 0.0
     return Identification(data.rig, fit, baseline, tuple(data.held_out), data.opened.notes, baselines, lag_s)
@@ -182,14 +180,12 @@ def check_arguments(
     per_run: object = (),
     every: object = 1,
     split_s: object = None,
-    starts: object = None,
     texts: Mapping[str, object] | None = None,
 ) -> None:
     """Refuse arguments of a wrong type before a run is read; `texts` by option, None where one is not given."""
     raise_all(arguments.flag_problems({"--quasi-static": quasi_static}))
     raise_all(arguments.text_problems({o: text for o, text in (texts or {}).items() if text is not None}))
     _check_numbers(bool(quasi_static), every, split_s)
-    _check_starts(starts)
     arguments.names("--free", free)
     arguments.names("--per-run", per_run)
     given = {} if priors is None else priors
@@ -200,9 +196,11 @@ def check_arguments(
         raise bad_input("--prior", arguments.shown(priors), expected)
 
 
-def _check_starts(starts: object) -> None:
-    if starts is not None:
-        raise_all(arguments.whole_number_problems("--starts", starts, 1))
+def _check_noise(name: str) -> None:
+    if name not in NOISE_MODELS:
+        raise bad_input(
+            "--noise", arguments.shown(name), f"one of {', '.join(NOISE_MODELS)}", closest(name, NOISE_MODELS)
+        )
 
 
 def _check_numbers(quasi_static: bool, every: object, split_s: object) -> None:

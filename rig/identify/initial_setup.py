@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calibration.identify.errors import NoDataError
-from calibration.identify.parameters import known
-from calibration.identify.parameters_document import Baseline
-from calibration.identify.setup import Setup
+from calibration.identify.presentation.parameters_document import Baseline
+from calibration.identify.unknowns.parameters import known
+from calibration.identify.unknowns.setup import Setup
 from rig.config.arm_model import model_arm, true_arm
 from rig.config.arm_sections import GeometryConfig
 from rig.config.loader import RigFile, read, recorded

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from calibration.identify.candidates import Candidate, candidates
-from calibration.identify.model_comparison import ModelComparison, compare_models, compared
-from calibration.identify.parameter import Prior
-from calibration.identify.poses import Poses
-from calibration.identify.setup import Setup
+from calibration.identify.comparison.candidates import Candidate, candidates
+from calibration.identify.comparison.model_comparison import ModelComparison, compare_models, compared
+from calibration.identify.observations.poses import Poses
+from calibration.identify.unknowns.parameter import Prior
+from calibration.identify.unknowns.setup import Setup
 from protocols import arguments
 from protocols.problems import bad_input, closest
 from rig.config.schema import RigConfig

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import model
-from calibration.identify.parameter import Prior
-from calibration.identify.parameters import PUSH_GROWTH
 from calibration.identify.recursive_estimator import RecursiveEstimator, SectionMeasurements
-from calibration.identify.section_mounts import offset_names, rotation_names
-from calibration.identify.setup import Setup
+from calibration.identify.unknowns.parameter import Prior
+from calibration.identify.unknowns.parameters import PUSH_GROWTH
+from calibration.identify.unknowns.section_mounts import offset_names, rotation_names
+from calibration.identify.unknowns.setup import Setup
 from model.statics import statics
 from model.units import PA_PER_BAR
 from model.variants import variant_named

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import model
-from calibration.identify.data import at_rest
 from calibration.identify.errors import NoDataError
-from calibration.identify.poses import Poses
+from calibration.identify.observations.data import at_rest
+from calibration.identify.observations.poses import Poses
 from model.arrays import Array
 from model.paper.identification import (
     PUBLISHED_MODULUS_PA,

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from calibration.identify.data import at_rest
+from calibration.identify.observations.data import at_rest
 from model.arrays import Array
 from model.statics import statics
 from model.units import PA_PER_BAR

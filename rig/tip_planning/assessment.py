@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.identify.memory_parameters import ALL_NAMES
-from calibration.identify.parameters import groups
-from calibration.identify.segments import known_of, number_of
-from calibration.identify.setup import Setup
+from calibration.identify.unknowns.memory_parameters import ALL_NAMES
+from calibration.identify.unknowns.parameters import groups
+from calibration.identify.unknowns.segments import known_of, number_of
+from calibration.identify.unknowns.setup import Setup
 from model import batch, sensitivities
 from model.arrays import Array
 from model.units import PA_PER_BAR

@@ -14,9 +14,9 @@ import pytest
 from scipy.optimize import fsolve
 
 import model
-from calibration.identify.candidates import candidates
-from calibration.identify.nuisance import nuisance_parameters
-from calibration.identify.setup import Setup
+from calibration.identify.comparison.candidates import candidates
+from calibration.identify.unknowns.nuisance import nuisance_parameters
+from calibration.identify.unknowns.setup import Setup
 from model.arm import Arm
 from model.variants import ModelVariant, register
 from rig.config.arm_model import model_arm

@@ -11,9 +11,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from calibration.identify import Poses, Setup
-from calibration.identify.parameters import known
+from calibration.identify.prediction.tip_predictor import Predictor
 from calibration.identify.simulated_experiments import plan
-from calibration.identify.tip_predictor import Predictor
+from calibration.identify.unknowns.parameters import known
 from model import Arm, Geometry, Loads, sensitivities
 from model.actuation import PressureSum
 from model.arrays import Array

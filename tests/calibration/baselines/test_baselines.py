@@ -10,9 +10,9 @@ import pytest
 from calibration.baselines.comparison import MethodErrors, on_left_out
 from calibration.baselines.repeatability import repeatability
 from calibration.baselines.selection import fit_baselines
-from calibration.identify.poses import Poses
-from calibration.identify.pressure_course import PressureCourse
-from calibration.identify.pressure_lag import behind, lagged_pa
+from calibration.identify.observations.poses import Poses
+from calibration.identify.observations.pressure_course import PressureCourse
+from calibration.identify.observations.pressure_lag import behind, lagged_pa
 from calibration.identify.simulated_experiments import plan
 from model.arrays import Array
 

@@ -9,10 +9,10 @@ import pytest
 
 import model
 from calibration.identify import Setup, identify
-from calibration.identify.blocks_left_out import BLOCKS, blocks_left_out, left_out_variance
-from calibration.identify.held_out_prediction import predict
-from calibration.identify.parameter import Prior
+from calibration.identify.fitting.blocks_left_out import BLOCKS, blocks_left_out, left_out_variance
+from calibration.identify.fitting.held_out_prediction import predict
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
+from calibration.identify.unknowns.parameter import Prior
 
 
 def test_each_block_is_predicted_as_by_a_fit_to_the_others() -> None:

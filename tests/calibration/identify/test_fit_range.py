@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.identify.fit_range import loaded, outside, outside_entries
+from calibration.identify.observations.fit_range import loaded, outside, outside_entries
 from calibration.identify.simulated_experiments import plan
 
 RAMP = np.linspace(0.1e5, 0.6e5, 6)[:, None]

@@ -9,10 +9,9 @@ import pytest
 
 import model
 from calibration.identify import Prior, Setup, identify, split_at
-from calibration.identify.held_out_prediction import Prediction, predict
-from calibration.identify.likelihood import Discrepancy
-from calibration.identify.poses import Poses
-from calibration.identify.results import Fit
+from calibration.identify.fitting.held_out_prediction import Prediction, predict
+from calibration.identify.fitting.results import Fit
+from calibration.identify.observations.poses import Poses
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 
 FREE = ("law", "rpe_per_bar", "base_x_m", "base_z_m", "sensor_offsets")
@@ -45,9 +44,11 @@ def test_parameters_offsets_tip_and_model_error_widen_the_intervals() -> None:
         plan("again", found.predicted_m * 0 + 0.4e5, errors=ERRORS), tip_m=found.measured_m, wrench=np.zeros((10, 6))
     )
     whole = predict(fit, new).std_m
-    exact = replace(fit, joint_covariance=0 * fit.joint_covariance)
+    exact = replace(fit, covariance=0 * fit.covariance)
     assert predict(exact, new).std_m < 0.97 * whole
-    assert predict(replace(fit, discrepancy=Discrepancy(1e-3)), new).std_m ** 2 > whole**2 + 2.9e-6
+    noise = replace(fit.noise, extra={"tip": 1e-3})
+    rough = replace(fit, objective=replace(fit.objective, noise=noise))
+    assert predict(rough, new).std_m ** 2 > whole**2 + 2.9e-6
     precise = replace(new, covariance_m2=1e-14 * np.tile(np.eye(3), (10, 1, 1)))
     assert predict(fit, precise).std_m ** 2 < whole**2 - 2.9e-8
 

@@ -10,10 +10,17 @@ import pytest
 
 import model
 from calibration.identify import NoDataError, Poses, Prior, Setup, identify
-from calibration.identify.candidates import Candidate, candidates
-from calibration.identify.memory_parameters import ALL_NAMES
-from calibration.identify.model_comparison import ComparisonRow, best_of, compare_models, compared, decision, sentence
+from calibration.identify.comparison.candidates import Candidate, candidates
+from calibration.identify.comparison.model_comparison import (
+    ComparisonRow,
+    best_of,
+    compare_models,
+    compared,
+    decision,
+    sentence,
+)
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
+from calibration.identify.unknowns.memory_parameters import ALL_NAMES
 from model.material import MaxwellBranch
 
 pytestmark = pytest.mark.slow

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from calibration.identify.notation import Scale, quantity, units_note
+from calibration.identify.presentation.notation import Scale, quantity, units_note
 
 
 @pytest.mark.parametrize(

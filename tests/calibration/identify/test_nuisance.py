@@ -9,11 +9,10 @@ import pytest
 
 import model
 from calibration.identify import Poses, Prior, Setup, identify, known
-from calibration.identify.memory_parameters import ALL_NAMES
-from calibration.identify.nuisance import nuisance_parameters, stated_values
-from calibration.identify.parameters import named
-from calibration.identify.search import search
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
+from calibration.identify.unknowns.memory_parameters import ALL_NAMES
+from calibration.identify.unknowns.nuisance import nuisance_parameters, stated_values
+from calibration.identify.unknowns.parameters import named
 from model.actuation import OwnPressure
 from model.material import MaxwellBranch
 
@@ -86,54 +85,6 @@ def test_an_estimate_far_from_its_prior_is_reported() -> None:
     fit = identify(data, START, ["sensor_offsets"], {"sensor_offsets": Prior(0.0, 300.0)}, stated=stated)
     assert {e.name for e in fit.in_tension} >= {"sensor_1_offset_pa"}
     assert fit["sensor_1_offset_pa"].tension > 3
-
-
-def test_a_result_that_is_worse_than_its_start_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
-    # The start is the truth; a search that ends elsewhere is worse.
-    from calibration.identify.least_squares import LeastSquaresProblem
-
-    problem = LeastSquaresProblem(measured(START), START, named(["law"], 3))
-    good = search(problem, np.zeros(2), 1, 0, lambda text: None)
-    assert not good.worse_than_start
-    whole = LeastSquaresProblem.solve
-    monkeypatch.setattr(LeastSquaresProblem, "gauss_newton", lambda *_: (np.full(2, 0.2), False))
-    assert search(problem, np.zeros(2), 1, 0, lambda text: None).worse_than_start
-    assert LeastSquaresProblem.solve is whole
-
-
-def test_a_result_with_a_small_part_of_the_error_of_its_start_is_no_failure(monkeypatch: pytest.MonkeyPatch) -> None:
-    from calibration.identify.least_squares import LeastSquaresProblem
-
-    true = replace(START.arm.material, a1_per_n=0.0085, a2_per_n2=0.0004)
-    problem = LeastSquaresProblem(measured(Setup(START.arm.with_segment(material=true))), START, named(["law"], 3))
-    # A discrepancy that is estimated at the start may explain all of its error.
-    monkeypatch.setattr(LeastSquaresProblem, "log_likelihood", lambda self, z: 0.0 if z.any() else 1e3)
-    assert not search(problem, np.zeros(2), 1, 0, lambda text: None).worse_than_start
-
-
-@pytest.mark.slow
-def test_a_doubtful_search_starts_again_until_two_results_agree(monkeypatch: pytest.MonkeyPatch) -> None:
-    from calibration.identify.least_squares import LeastSquaresProblem
-
-    true = replace(START.arm.material, a1_per_n=0.0085, a2_per_n2=0.0004)
-    problem = LeastSquaresProblem(measured(Setup(START.arm.with_segment(material=true))), START, named(["law"], 3))
-    assert len(search(problem, np.zeros(2), None, 0, lambda text: None).losses) == 1
-    proper, calls = LeastSquaresProblem.gauss_newton, []
-
-    def first_fails(self, z, only, *how):  # type: ignore[no-untyped-def]
-        calls.append(1)
-        return (z, False) if len(calls) == 1 else proper(self, z, only, *how)
-
-    monkeypatch.setattr(LeastSquaresProblem, "gauss_newton", first_fails)
-    monkeypatch.setattr("calibration.identify.least_squares._ROUNDS", 1)
-    solve = LeastSquaresProblem.solve
-    monkeypatch.setattr(LeastSquaresProblem, "solve", lambda self, z: solve(self, z, rounds=1))
-    lines: list[str] = []
-    found = search(problem, np.zeros(2), None, 0, lines.append)
-    assert len(found.losses) > 2
-    assert found.agreeing == 2
-    assert not found.worse_than_start
-    assert any(line.startswith("start 2, step 1: rms ") for line in lines)
 
 
 @pytest.mark.slow

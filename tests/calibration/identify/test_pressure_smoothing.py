@@ -9,9 +9,9 @@ import pytest
 
 import model
 from calibration.identify import Prior, Setup, identify
-from calibration.identify.pressure_smoothing import curve, noise_std, regression_calibrated, smoothed
+from calibration.identify.observations.pressure_smoothing import curve, noise_std, regression_calibrated, smoothed
+from calibration.identify.prediction.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
-from calibration.identify.tip_predictor import FINE_SUBSTEPS, SUBSTEPS, Predictor
 
 CYCLE_HZ, CAMERA_HZ = 200, 30
 NOISE_PA = 45.0
@@ -157,30 +157,22 @@ def test_chambers_of_one_valve_differ_by_a_constant_once_their_noise_is_known() 
     offset = np.array([0.0, 20.0, 90.0])
     truth = np.stack([np.zeros_like(time_s), *2 * [0.3e5 + 0.25e5 * np.sin(2 * time_s)]], axis=1) + offset
     noise = np.full(truth.shape, NOISE_PA)
-    found, mixing, _ = regression_calibrated(truth + NOISE_PA * rng.standard_normal(truth.shape), noise)
+    found = regression_calibrated(truth + NOISE_PA * rng.standard_normal(truth.shape), noise)
     apart = found[:, 2] - found[:, 1]
     assert apart.std() < 0.25 * NOISE_PA
     assert apart.mean() == pytest.approx(70.0, abs=3 * NOISE_PA * np.sqrt(2 / len(time_s)))
-    # What remains is the noise of their mean, and it is stated.
-    error = found - truth
-    stated = NOISE_PA**2 * mixing @ mixing.T
-    together, against = np.array([0, 1, 1]) / np.sqrt(2), np.array([0, -1, 1]) / np.sqrt(2)
-    assert (error @ together).std() == pytest.approx(np.sqrt(together @ stated @ together), rel=0.1)
-    assert np.sqrt(against @ stated @ against) < 0.3 * NOISE_PA
-    assert (error @ against).std() < 0.3 * NOISE_PA
 
 
 def test_pressures_that_vary_on_their_own_stay_as_they_are() -> None:
     time_s, rng = np.arange(0, 12, 1 / CYCLE_HZ), np.random.default_rng(7)
     samples = 2e4 * np.sin(np.outer(time_s, [1.0, 2.3, 3.1])) + NOISE_PA * rng.standard_normal((len(time_s), 3))
-    found, mixing, _ = regression_calibrated(samples, np.full(samples.shape, NOISE_PA))
+    found = regression_calibrated(samples, np.full(samples.shape, NOISE_PA))
     assert np.abs(found - samples).max() < 1e-3 * NOISE_PA * 3 * np.sqrt(2e4 / NOISE_PA)
-    assert mixing == pytest.approx(np.eye(3), abs=1e-4)
 
 
 def test_pressures_without_noise_stay_as_they_are() -> None:
     samples = np.stack([np.linspace(0.0, 1e4, 50), np.full(50, 3e3)], axis=1)
-    found, _, _ = regression_calibrated(samples, np.zeros(samples.shape))
+    found = regression_calibrated(samples, np.zeros(samples.shape))
     assert found == pytest.approx(samples, abs=1e-6)
 
 
@@ -194,16 +186,16 @@ def test_noise_of_two_chambers_of_one_valve_does_not_move_their_places() -> None
     poses = perform(plan("sine", true_pa, errors=errors), START, rng, errors)
     std = np.full(true_pa.shape, noise_pa)
     measured = true_pa + noise_pa * rng.standard_normal(true_pa.shape)
-    calibrated, mixing, _ = regression_calibrated(measured, std)
+    calibrated = regression_calibrated(measured, std)
     turns = [f"actuator_{n}_turn_rad" for n in (2, 3)]
     priors = {name: Prior(0.0, 0.03) for name in turns} | {name: Prior(0.0, 2e-3) for name in ("base_x_m", "tool_x_m")}
     priors |= {"circle_radius_m": Prior(START.arm.geometry.actuator_xy_m[0][0], 5e-4)}
 
-    def errors_in_stds(pressure_pa: np.ndarray, own: np.ndarray | None) -> np.ndarray:
-        data = replace(poses, pressure_pa=pressure_pa, pressure_std_pa=std, pressure_mixing=own)
+    def errors_in_stds(pressure_pa: np.ndarray) -> np.ndarray:
+        data = replace(poses, pressure_pa=pressure_pa, pressure_std_pa=std)
         fit = identify([data], START, tuple(priors), priors=priors)
-        stds = np.array([fit[name].joint_std for name in turns])
+        stds = np.array([fit[name].posterior_std for name in turns])
         return np.abs([fit[name].used for name in turns]) / stds
 
-    assert (errors_in_stds(measured, None) > 3.0).all()
-    assert (errors_in_stds(calibrated, mixing) < 2.0).all()
+    assert (errors_in_stds(measured) > 3.0).all()
+    assert (errors_in_stds(calibrated) < 2.0).all()

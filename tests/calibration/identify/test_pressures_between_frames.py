@@ -9,10 +9,9 @@ import pytest
 
 import model
 from calibration.identify import Setup
-from calibration.identify.model_error import TERMS, error_inputs
-from calibration.identify.pressure_samples import PressureSamples, on_even_frames
+from calibration.identify.observations.pressure_samples import PressureSamples, on_even_frames
+from calibration.identify.prediction.tip_predictor import Predictor
 from calibration.identify.simulated_experiments import plan
-from calibration.identify.tip_predictor import Predictor
 
 CYCLE_S, FRAME_S = 1 / 240, 1 / 30
 PER_FRAME = round(FRAME_S / CYCLE_S)
@@ -64,16 +63,3 @@ def test_frames_at_uneven_times_keep_the_pressures_of_their_own_times() -> None:
     assert found.at(np.arange(30) * period_s)[0] == pytest.approx(expected, abs=8.0)
     assert found.time_s[0] < -0.9
     assert found.time_s[-1] > 29 * period_s + 0.9
-
-
-def test_an_effect_of_the_arm_acts_between_the_frames_too() -> None:
-    sampled_s = np.arange(20 * PER_FRAME + 1) * CYCLE_S
-    poses = plan("frames", pulse(sampled_s)[::PER_FRAME], period_s=FRAME_S)
-    poses = replace(poses, samples=PressureSamples(sampled_s, pulse(sampled_s)))
-    inputs = error_inputs(poses, 1e5, TERMS[:1])
-    # A gain of 4 % of the first actuator.
-    affected = inputs.added_to(poses, np.array([0.04 * np.sqrt(2), 0.0, 0.0, 0.0]))
-    assert affected.samples is not None
-    change = affected.samples.pressure_pa - pulse(sampled_s)
-    assert change[:, 0] == pytest.approx(np.full(len(sampled_s), 0.04 * 0.2e5), rel=1e-6)
-    assert not change[:, 1:].any()

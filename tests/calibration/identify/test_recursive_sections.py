@@ -9,11 +9,11 @@ import pytest
 
 import model
 from calibration.identify import Setup, named
-from calibration.identify.parameter import Prior
-from calibration.identify.poses import Poses
+from calibration.identify.observations.poses import Poses
 from calibration.identify.recursive_estimator import RecursiveEstimator, SectionMeasurements
-from calibration.identify.setup import SectionMount
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
+from calibration.identify.unknowns.parameter import Prior
+from calibration.identify.unknowns.setup import SectionMount
 
 pytestmark = pytest.mark.slow
 

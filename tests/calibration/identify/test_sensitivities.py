@@ -9,11 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 import model
-from calibration.identify import Setup, named
-from calibration.identify.least_squares import LeastSquaresProblem
+from calibration.identify import Setup
+from calibration.identify.prediction.forward_model import ForwardModel
+from calibration.identify.prediction.tip_predictor import Predictor
 from calibration.identify.simulated_experiments import plan
-from calibration.identify.tip_predictor import Predictor
 from model.actuation import ActuationLaw, PressureSum, Proportional
+from tests.support.finite_differences import forward_of
 
 BAR = 1e5
 FREE = ("law", "rpe_per_bar", "density_kg_m3", "damping_s", "cap_mass_kg", "length_m", "base", "tool_z_m",
@@ -30,13 +31,13 @@ def start() -> Setup:
     return Setup(arm.with_segment(material=replace(arm.material, damping_s=0.01)), tool_offset_m=(0.0, 0.01, 0.03))
 
 
-def differences(problem: LeastSquaresProblem, z: NDArray[np.float64], i: int, run: int) -> NDArray[np.float64]:
-    """Derivative of a run's predicted tips by central differences of three sizes, extrapolated."""
+def differences(forward: ForwardModel, theta: NDArray[np.float64], i: int, run: int) -> NDArray[np.float64]:
+    """Derivative of a run's predicted tips by an unknown in spans: central differences of three sizes, extrapolated."""
 
     def tips(by: float) -> NDArray[np.float64]:
-        there = z.copy()
-        there[i] += by
-        return problem.predicted(there)[run]
+        there = theta.copy()
+        there[i] += by * forward.span[i]
+        return forward.predicted(there)[run]
 
     one, two, four = ((tips(h) - tips(-h)) / (2 * h) for h in (2e-3, 4e-3, 8e-3))
     return (64 * one - 20 * two + four) / 45
@@ -45,24 +46,22 @@ def differences(problem: LeastSquaresProblem, z: NDArray[np.float64], i: int, ru
 def test_slopes_equal_finite_differences_static_and_dynamic(monkeypatch: pytest.MonkeyPatch) -> None:
     # What Newton's method leaves of a step differs from one parameter to the next: here it leaves nothing.
     monkeypatch.setattr("model.dynamics.TOLERANCE_IN_MOTION", 1e-7)
-    problem = LeastSquaresProblem([RESTING, MOVING], start(), named(FREE, 3), substeps=8)
-    z = np.random.default_rng(4).uniform(-0.05, 0.05, len(problem.unknowns))
-    found = problem.slopes(z, range(len(z)))
-    for i, unknown in enumerate(problem.unknowns):
+    forward = forward_of([RESTING, MOVING], start(), FREE, substeps=8)
+    theta = forward.first + np.random.default_rng(4).uniform(-0.05, 0.05, len(forward.unknowns)) * forward.span
+    found = [slope * forward.span for slope in forward.slopes(theta)]
+    for i, unknown in enumerate(forward.unknowns):
         for run, tolerance in ((0, 2e-7), (1, 2e-6)):
-            expected = differences(problem, z, i, run)
-            assert found[run][:, :, i] == pytest.approx(expected, rel=1e-4, abs=tolerance), unknown
+            expected = differences(forward, theta, i, run)
+            assert found[run][:, :, i] == pytest.approx(expected, rel=1e-4, abs=tolerance), unknown.name
 
 
 def test_slopes_at_a_bound_use_a_step_inwards() -> None:
     material = replace(start().arm.material, shear_ratio=5.0)
-    problem = LeastSquaresProblem(
-        [RESTING], replace(start(), arm=start().arm.with_segment(material=material)), named(["shear_ratio"], 3)
-    )
-    z = np.zeros(1)
-    inside = problem.predicted(z - 2e-3)[0], problem.predicted(z - 1e-3)[0], problem.predicted(z)[0]
+    forward = forward_of([RESTING], replace(start(), arm=start().arm.with_segment(material=material)), ["shear_ratio"])
+    theta = forward.first
+    inside = [forward.predicted(theta - by * forward.span)[0] for by in (2e-3, 1e-3, 0.0)]
     expected = (3 * inside[2] - 4 * inside[1] + inside[0]) / 2e-3
-    found = problem.slopes(z, [0])[0][:, :, 0]
+    found = (forward.slopes(theta)[0] * forward.span)[:, :, 0]
     assert np.abs(found).max() > 1e-6
     assert found == pytest.approx(expected, rel=1e-2, abs=1e-7)
 
@@ -77,13 +76,12 @@ def test_dynamic_slopes_equal_finite_differences_under_a_wrench(
     monkeypatch: pytest.MonkeyPatch, actuation: ActuationLaw
 ) -> None:
     monkeypatch.setattr("model.dynamics.TOLERANCE_IN_MOTION", 1e-7)
-    free = named(("law", "tool_x_m", "base_rx_rad"), 3)
-    problem = LeastSquaresProblem([PULLED], replace(start(), arm=replace(start().arm, actuation=actuation)), free)
-    z = np.zeros(len(problem.unknowns))
-    found = problem.slopes(z, range(len(z)))[0]
+    free = ("law", "tool_x_m", "base_rx_rad")
+    forward = forward_of([PULLED], replace(start(), arm=replace(start().arm, actuation=actuation)), free)
+    found = forward.slopes(forward.first)[0] * forward.span
     assert np.abs(found).max(axis=(0, 1)).min() > 1e-4
-    for i in range(len(z)):
-        assert found[:, :, i] == pytest.approx(differences(problem, z, i, 0), rel=1e-4, abs=2e-6)
+    for i in range(len(forward.unknowns)):
+        assert found[:, :, i] == pytest.approx(differences(forward, forward.first, i, 0), rel=1e-4, abs=2e-6)
 
 
 def test_a_slow_motion_under_a_wrench_equals_a_sequence_of_equilibria() -> None:
@@ -99,5 +97,5 @@ def test_pressure_noise_is_propagated_to_the_measured_point_under_a_wrench() -> 
     often = poses.only(np.repeat(np.arange(7), 1000))
     noise = 30.0 * np.random.default_rng(2).standard_normal((7000, 3))
     tips = Predictor(replace(often, pressure_pa=often.pressure_pa + noise))(turned).reshape(7, 1000, 3)
-    for found, seen in zip(Predictor(poses).pressure_errors(turned).independent, tips, strict=True):
+    for found, seen in zip(Predictor(poses).pressure_covariance(turned), tips, strict=True):
         assert np.linalg.norm(np.cov(seen.T) - found) < 0.15 * np.linalg.norm(found)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calibration.identify import Setup, identify
-from calibration.identify.parameters_document import write
+from calibration.identify.presentation.parameters_document import write
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
 from model.actuation import PressureSum, Proportional
 from model.dynamics import Dynamics

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibration.identify import Setup, identify
-from calibration.identify.parameters_document import write as write_parameters
+from calibration.identify.presentation.parameters_document import write as write_parameters
 from calibration.identify.simulated_experiments import perform, plan
 from protocols import BadInputError, document
 from rig.config import loader, parameters_overlay

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 import runs
 import tests.support.synthetic_runs as made_up
 from calibration.identify import Setup, identify
-from calibration.identify.parameters_document import section_facts, write
-from calibration.identify.results import SectionFit
+from calibration.identify.fitting.results import SectionFit
+from calibration.identify.presentation.parameters_document import section_facts, write
 from calibration.identify.simulated_experiments import perform, plan
 from model.statics import statics
 from protocols import BadInputError

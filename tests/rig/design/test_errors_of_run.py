@@ -11,7 +11,7 @@ import pytest
 
 import protocols
 from calibration.design.information import error_bars
-from calibration.identify.data import at_rest, in_motion
+from calibration.identify.observations.data import at_rest, in_motion
 from calibration.identify.simulated_experiments import MeasurementErrors
 from rig.config.loader import load
 from rig.design.design import unknowns_of

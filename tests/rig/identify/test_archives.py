@@ -214,6 +214,6 @@ def test_the_orientation_of_the_board_is_measured_as_well_as_stated(resting: Run
     free = ["law", "rpe_per_bar", "cap_mass_kg", "length_m", "base", "tool", "tool_rotation", "sensor_offsets"]
     priors = {"sensor_offsets": Prior(0.0, 300.0)}
     fit = identify([poses], Setup(model_arm(load("mock-ideal"))), free, priors)
-    assert fit.discrepancy.rotation_rad < np.deg2rad(0.01)
+    assert fit.noise.extra["tip rotation"] < np.deg2rad(0.01)
     blind = identify([replace(poses, orientation=None)], Setup(model_arm(load("mock-ideal"))), free, priors)
-    assert blind["base_ry_rad"].joint_std > 3 * fit["base_ry_rad"].joint_std
+    assert blind["base_ry_rad"].posterior_std > 3 * fit["base_ry_rad"].posterior_std

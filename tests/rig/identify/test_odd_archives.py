@@ -14,8 +14,8 @@ import yaml
 
 import runs
 from calibration.identify import Setup, in_motion
+from calibration.identify.prediction.tip_predictor import Predictor
 from calibration.identify.simulated_experiments import MeasurementErrors, plan
-from calibration.identify.tip_predictor import Predictor
 from rig.config import loader
 from rig.config.arm_model import model_arm
 from rig.config.loader import load, parse, text
@@ -286,9 +286,6 @@ def test_an_implausible_prior_is_refused(
     ("options", "said"),
     [
         (["compare", "--leave-out", "RUN"], "No such option: --leave-out"),
-        (["compare", "--profile"], "No such option: --profile"),
-        (["--store", "x"], "--store: nothing runs in parallel"),
-        (["--bootstrap", "1"], "--bootstrap: at least two refits are needed"),
         (["--prior", "youngs_modulus_pa=3e5+-1e4"], "--prior youngs_modulus_pa: it has no effect on these runs"),
         (["--prior", "cap_mas_kg=0.05+-0.01"], "did you mean cap_mass_kg"),
         (["--prior", "law=1+-0"], "a positive deviation"),

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import model
 from calibration.identify import Setup, identify, quasi_static_poses
-from calibration.identify.tip_predictor import Predictor
+from calibration.identify.prediction.tip_predictor import Predictor
 from model import sensitivities
 from model.arrays import Array
 from model.statics import statics

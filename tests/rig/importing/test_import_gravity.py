@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 import model
 from calibration.identify import Setup, quasi_static_poses
 from calibration.identify.errors import NoDataError
-from calibration.identify.nuisance import nuisance_parameters
-from calibration.identify.tip_predictor import Predictor
+from calibration.identify.prediction.tip_predictor import Predictor
+from calibration.identify.unknowns.nuisance import nuisance_parameters
 from model.statics import statics
 from protocols import BadInputError
 from rig.config.arm_model import model_arm

@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 import runs
-from calibration.identify.data import poses_of
 from calibration.identify.errors import NoDataError
+from calibration.identify.observations.data import poses_of
 from protocols import BadInputError
 from rig.config import loader
 from rig.identify.initial_setup import rig_of

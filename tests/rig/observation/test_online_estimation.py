@@ -10,8 +10,8 @@ import pytest
 from matplotlib.figure import Figure
 
 import model
-from calibration.identify.parameters import named
-from calibration.identify.setup import Setup
+from calibration.identify.unknowns.parameters import named
+from calibration.identify.unknowns.setup import Setup
 from model.dynamics import Dynamics
 from model.statics import statics
 from rig.config import parameters_overlay as parameter_files

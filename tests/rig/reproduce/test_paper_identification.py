@@ -9,8 +9,8 @@ import pytest
 
 import model
 from calibration.identify.errors import NoDataError
-from calibration.identify.setup import Setup
 from calibration.identify.simulated_experiments import MeasurementErrors, perform, plan
+from calibration.identify.unknowns.setup import Setup
 from model.paper.identification import identify_paper, line, published_modulus, softening
 from rig.reproduce.elongation import elongation
 

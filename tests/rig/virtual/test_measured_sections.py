@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import rig.config.loader
 import runs
-from calibration.identify.data import in_motion
+from calibration.identify.observations.data import in_motion
 from rig.experiment.replay import replay
 from rig.hardware.cameras.base import FrameSet
 from rig.live import packets

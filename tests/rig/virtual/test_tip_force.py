@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import runs
-from calibration.identify.data import at_rest, in_motion
 from calibration.identify.errors import NoDataError
+from calibration.identify.observations.data import at_rest, in_motion
 from model.statics import statics
 from model.units import GRAVITY_M_S2
 from protocols import BadInputError

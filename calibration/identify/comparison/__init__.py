@@ -1,0 +1,1 @@
+"""Models of an arm beside each other, by runs left out."""

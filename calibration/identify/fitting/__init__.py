@@ -1,0 +1,1 @@
+"""The objective, its noise models and its minimum; predictions of runs that were left out."""

@@ -1,0 +1,1 @@
+"""Results for readers: numbers, report, parameter file."""

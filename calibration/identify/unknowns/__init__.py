@@ -1,0 +1,1 @@
+"""The setup of an arm, and the uncertain numbers in it."""
