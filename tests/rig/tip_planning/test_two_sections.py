@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calibration.identify.parameters import known
-from calibration.identify.segments import known_of
-from calibration.identify.setup import Setup
 
 import protocols
+from calibration.identify.unknowns.parameters import known
+from calibration.identify.unknowns.segments import known_of
+from calibration.identify.unknowns.setup import Setup
 from model.statics import statics
 from rig.config.arm_model import model_arm
 from rig.config.loader import load
