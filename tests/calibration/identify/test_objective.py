@@ -54,7 +54,8 @@ def test_the_value_is_the_formula() -> None:
 def test_twenty_lines_of_scipy_reproduce_estimates_and_bars_from_the_export(tmp_path: Path, noise: str) -> None:
     stated = stated_values(START, {})
     fit = identify([measured(scale=3.0)], START, ("a1_per_n", "base"), stated=stated, noise=noise)
-    saved = np.load(write(fit, tmp_path / "fit.npz"))
+    with np.load(write(fit, tmp_path / "fit.npz")) as file:
+        saved = dict(file)
     residual, jacobian, theta = saved["residual"], saved["jacobian"], saved["theta"]
     root = np.zeros((len(residual), len(residual)))
     for number, block in enumerate(saved["covariance"]):

@@ -209,9 +209,9 @@ def test_the_export_is_written_and_the_noise_model_is_named(
     rig(bench["weights"], bench["one"], "--free", "law", "--noise", "white", "--export", str(file), "--json")
     facts = json.loads(capsys.readouterr().out)
     assert facts["noise"] == "white"
-    saved = np.load(file)
-    assert saved["jacobian"].shape == (len(saved["residual"]), len(saved["theta"]))
-    np.testing.assert_allclose(saved["std"], np.sqrt(np.diagonal(facts["covariance"])))
+    with np.load(file) as saved:
+        assert saved["jacobian"].shape == (len(saved["residual"]), len(saved["theta"]))
+        np.testing.assert_allclose(saved["std"], np.sqrt(np.diagonal(facts["covariance"])))
     rig(bench["one"], "--noise", "withe", status=2)
     assert "white" in capsys.readouterr().err
 
