@@ -153,7 +153,7 @@ def test_metadata_of_rig_and_command_reach_the_archive_and_stay_with_its_replay(
     assert "--meta specimen=VALUE" in str(refused.value)
 
     given = {"specimen": "A7", "batch": "11"}
-    run = virtual_run(protocol, rig, folder=tmp_path, metadata=given, operator="ada")
+    run = virtual_run(protocol, rig, folder=tmp_path, meta=given, operator="ada")
     expected = {"specimen": "A7", "batch": "11", "fibre_angle_deg": "30", "orcid": "0000-0001"}
     assert run.header.metadata == expected
     assert run.header.operator == "ada"
