@@ -20,6 +20,8 @@ from model.arrays import Array
 
 # Relative changes of J and of theta at convergence; and the most evaluations of one search.
 _FTOL, _XTOL, _MOST_EVALUATIONS = 1e-7, 1e-6, 100
+# The search begins so far from a bound, in standard deviations of the prior: at a bound its steps have no length.
+_INSIDE = 0.01
 
 
 @dataclass(frozen=True)
@@ -54,14 +56,19 @@ class Objective:
     def minimum(self, theta: Array, progress: Callable[[Array], None]) -> tuple[Array, bool]:
         """The minimum of J from a start within the bounds, and whether the search converged."""
 
-        def slopes(x: Array) -> Array:
-            progress(x)
-            return self.slopes(x)
+        # In standard deviations of the prior: lengths, pressures and angles have one scale, as the test for
+        # convergence takes the norm of all of them.
+        mean, std = self.forward.mean, self.forward.std
 
-        lower, upper = (np.array([getattr(one, end) for one in self.forward.unknowns]) for end in ("lower", "upper"))
+        def slopes(scaled: Array) -> Array:
+            progress(mean + std * scaled)
+            return np.asarray(self.slopes(mean + std * scaled) * std)
+
+        ends = (np.array([getattr(one, end) for one in self.forward.unknowns]) for end in ("lower", "upper"))
+        lower, upper = ((bound - mean) / std for bound in ends)
         found = least_squares(
-            self.rows,
-            theta,
+            lambda scaled: self.rows(mean + std * scaled),
+            np.clip((theta - mean) / std, lower + _INSIDE, upper - _INSIDE),
             slopes,
             bounds=(lower, upper),
             x_scale="jac",
@@ -69,4 +76,4 @@ class Objective:
             xtol=_XTOL,
             max_nfev=_MOST_EVALUATIONS,
         )
-        return found.x, found.status > 0
+        return mean + std * found.x, found.status > 0

@@ -254,7 +254,7 @@ def test_a_flag_of_an_identification_is_true_or_false(function: Callable[..., ob
     [
         ({"every": 0}, "--every"),
         ({"split_s": "x"}, "--split-s"),
-        ({"starts": "x"}, "--starts"),
+        ({"noise": 3}, "--noise"),
         ({"start": 3}, "--start"),
     ],
 )
