@@ -10,6 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from calibration.identify.fitting.fit import identify
+from calibration.identify.fitting.results import Verdict
 from calibration.identify.observations.orientation import MIN_FRAMES, Orientations, turned_by
 from calibration.identify.observations.poses import Poses
 from calibration.identify.observations.pressure_course import PressureCourse
@@ -332,10 +333,9 @@ def run_trial(trial: CoverageTrial) -> Array:
     out = []
     for parameter in named(trial.free, data[0].actuators):
         estimate = fit[parameter.name]
-        if estimate.value is None or estimate.std is None:
-            out.append(np.nan)
-        else:
-            out.append((estimate.value - parameter.read(truth)) / estimate.std)
+        # One that is not distinguished from zero counts, too: without it the others would be a selection.
+        counts = estimate.verdict in (Verdict.IDENTIFIED, Verdict.ABSENT)
+        out.append((estimate.used - parameter.read(truth)) / estimate.posterior_std if counts else np.nan)
     return np.array(out)
 
 

@@ -164,6 +164,6 @@ def _vented(bench: BenchConfig, vented: VentResult) -> str:
         gauge = confirmation or ": look at the gauge"
         cards = f"card {', '.join(vented.unverified)} has no read-back"
         return f"every output of rig {bench.name} was commanded to vent; {cards}{gauge}"
-    mock = all(card.reality is Reality.SIMULATED for card in bench.cards.values())
+    mock = all(card.reality is not Reality.REAL for card in bench.cards.values())
     simulated = " (simulated: no hardware was touched)" if mock else ""
     return f"every chamber of rig {bench.name} is open to the exhaust{simulated}{confirmation}"

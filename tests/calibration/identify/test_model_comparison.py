@@ -136,8 +136,6 @@ def test_an_implausible_number_costs_as_much_as_its_prior_says() -> None:
     held = identify(run, START, ("law", "rpe_per_bar", "base"), {"base_x_m": Prior(0.01, 0.001)})
     gap = held["base_x_m"].used - 0.01
     assert held.bic == pytest.approx(free.bic + (gap / 0.001) ** 2, rel=0.05)
-    assert held.penalised_log_likelihood < held.log_likelihood - 40
-    assert free.penalised_log_likelihood == free.log_likelihood
 
 
 def test_an_interrupted_comparison_resumes_from_its_stored_results(tmp_path: Path) -> None:

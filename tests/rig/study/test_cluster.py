@@ -108,5 +108,5 @@ def test_a_study_and_an_identification_finish_on_a_cluster_though_a_worker_is_ki
     assert sorted(entry.study_number or 0 for entry in entries) == [1, 2, 3, 4, 5, 6]
 
     newest = str(tmp_path / "data" / entries[0].file)
-    fit = ("identify", "fit", newest, "--free", "a1_per_n", "--quasi-static", "--every", "5")
-    assert "a1_per_n" in ended(rig(tmp_path, *fit, "--bootstrap", "6", "--scheduler", address))
+    compare = ("identify", "compare", newest, "--between", "homogeneous+rpe", "inhomogeneous+rpe", "--quasi-static")
+    assert "Decision" in ended(rig(tmp_path, *compare, "--scheduler", address))

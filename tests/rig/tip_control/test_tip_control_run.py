@@ -299,7 +299,7 @@ def test_a_run_goes_on_without_a_controller_that_raises_as_in_real_time(tmp_path
     assert run.summary.tip_plans is not None
     assert run.summary.tip_plans.without_feedback == pytest.approx(2.2 / 3, abs=0.03)
     assert "path without feedback" in result.output
-    assert "of the tip path without feedback" in page([run])
+    assert "share of the tip path that ran without feedback" in page([run])
 
 
 def test_a_run_ends_in_the_safe_state_when_no_plan_comes_for_longer_than_the_rig_allows(
