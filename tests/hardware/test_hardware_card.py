@@ -246,16 +246,17 @@ def test_for_a_card_without_permission_the_message_names_the_group() -> None:
     before = node.stat()
     node.chmod(0o660)
     shutil.chown(node, group="video")
-    # The interpreter may lie where that user cannot look: everything is imported before.
+    # The interpreter may lie where that user cannot look: everything is imported and validated before.
     program = (
         "import os\n"
         "from rig.hardware.cards.base import CardError\nfrom tests.support.card_setups import comedi_setup\n"
         "from rig.hardware.cards.comedi import ComediCard\n"
         "from rig.hardware.cards.comedi_device import require\n"
         "require()\n"
+        f"setup = comedi_setup({CARD!r})\n"
         "os.setgroups([])\nos.setgid(65534)\nos.setuid(65534)\n"
         "try:\n"
-        f"    ComediCard(comedi_setup({CARD!r}))\n"
+        "    ComediCard(setup)\n"
         "except CardError as error:\n"
         "    print(error)\n"
     )
