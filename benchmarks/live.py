@@ -144,10 +144,10 @@ def frames_lost(browsers: int) -> tuple[int, int, int, float]:
     return lost, int(watched.sum()), missed, statistics.mean(shown) / took_s if shown else 0.0
 
 
-def compare_browsers(rounds: int) -> None:
-    """Print the frames lost beside no, one and six pages, in alternation."""
+def compare_browsers(rounds: int, pages: list[int]) -> None:
+    """Print the frames lost beside so many pages, in alternation."""
     for number in range(rounds):
-        for browsers in (0, 1, 6):
+        for browsers in pages:
             lost, taken, missed, rate = frames_lost(browsers)
             print(
                 f"round {number + 1}, {browsers} pages: {lost} of {lost + taken} frames lost, {missed} deadlines, "
@@ -160,8 +160,10 @@ def main() -> None:
     """Measure and print."""
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--browsers", type=int, default=0, metavar="ROUNDS")
-    if rounds := arguments.parse_args().browsers:
-        compare_browsers(rounds)
+    arguments.add_argument("--pages", type=int, nargs="+", default=[0, 1, 6], help="with --browsers: how many pages")
+    asked = arguments.parse_args()
+    if asked.browsers:
+        compare_browsers(asked.browsers, asked.pages)
         return
     for action in ("stop", "vent"):
         times = sorted(ended_by(action) for _ in range(ROUNDS))

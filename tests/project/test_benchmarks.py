@@ -31,7 +31,7 @@ BRIEF = {
     "vision": "speed",
 }
 IN_REAL_TIME = {
-    "live": "--browsers 1",
+    "live": "--browsers 1 --pages 1",
     "vent": "'the folder of the run'",
     "watchdog": "--trials 2 --idle",
 }
