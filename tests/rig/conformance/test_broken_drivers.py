@@ -17,6 +17,8 @@ from rig.config import loader
 from rig.conformance.card_checks import CARD_CHECKS
 from rig.conformance.runner import conformance
 from rig.conformance.timing import CheckTiming
+from rig.hardware import runtime_folder
+from rig.hardware.running import FOLDER
 from tests.support.box_bench import box_rig, site
 from tests.support.waiting import wait_until
 
@@ -148,3 +150,6 @@ def test_after_sigkill_the_process_that_stands_by_makes_the_outputs_safe(site: P
     os.kill(command.pid, signal.SIGKILL)
     wait_until(lambda: max(outputs(rig_file)) == 0, "the outputs are safe")
     command.communicate(timeout=20)
+    # The record of a killed process stays, and `rig vent` would list it in every test to come.
+    (record,) = runtime_folder.subfolder(FOLDER).glob(f"{command.pid}-*.json")
+    record.unlink()
